@@ -1,0 +1,56 @@
+"""Regression whose honest answer may be "here or there, not in between", and camera poses found with it.
+
+The conformal core (``QuantileBins``, ``SplitConformal``, ``Regions``, ...) works on arrays of probabilities. What needs
+torch or OpenCV (``VisualOdometry``) is imported when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+from .conformal import (
+    ConformalError,
+    ConformodalError,
+    CoverageCheck,
+    NotCalibratedError,
+    QuantileBins,
+    Regions,
+    SplitConformal,
+    check_coverage,
+    conformal_quantile,
+    conformal_rank,
+    coverage_band,
+)
+
+if TYPE_CHECKING:
+    from .datasets import read_sevenscenes
+    from .odometry import VisualOdometry
+    from .poses import Trajectory
+
+__version__ = metadata.version("conformodal")
+
+_LATE = {"VisualOdometry": ".odometry", "Trajectory": ".poses", "read_sevenscenes": ".datasets"}
+
+__all__ = [
+    "ConformalError",
+    "ConformodalError",
+    "CoverageCheck",
+    "NotCalibratedError",
+    "QuantileBins",
+    "Regions",
+    "SplitConformal",
+    "Trajectory",
+    "VisualOdometry",
+    "check_coverage",
+    "conformal_quantile",
+    "conformal_rank",
+    "coverage_band",
+    "read_sevenscenes",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATE:
+        return getattr(import_module(_LATE[name], __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,75 @@
+"""What all verbs share on the terminal: progress, kind errors, the last line."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import ParamSpec
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from conformodal.conformal import ConformodalError
+
+P = ParamSpec("P")
+Report = Callable[[str, int, int], None]
+
+console = Console(highlight=False)
+_errors = Console(stderr=True, highlight=False)
+
+INTERRUPTED = 130
+BAD_INPUT = 2
+
+
+def kind_errors(command: Callable[P, None]) -> Callable[P, None]:
+    """Turn this package's errors into one line on stderr and exit code 2, and Ctrl-C into 130."""
+
+    @functools.wraps(command)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except ConformodalError as exc:
+            _errors.print(f"[bold red]error:[/] {type(exc).__name__}: ", end="")
+            _errors.print(str(exc), markup=False, soft_wrap=True)
+            raise typer.Exit(BAD_INPUT) from exc
+        except KeyboardInterrupt:
+            _errors.print("interrupted; the same command goes on from what was kept (features, training state)")
+            raise typer.Exit(INTERRUPTED) from None
+
+    return wrapped
+
+
+@contextmanager
+def progress_bars() -> Iterator[Report]:
+    """Bars for stages: call the yielded function with stage, steps done and steps in all."""
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
+        tasks: dict[str, int] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = progress.add_task(stage, total=total)
+            progress.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
+
+        yield report
+
+
+def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
+    """The error table on the terminal."""
+    table = Table(title=f"errors, {note}", title_justify="left")
+    for column in ("method", "rmse_m", "rmse_deg", "median_m", "median_deg"):
+        table.add_column(column, justify="left" if column == "method" else "right")
+    for name, row in errors.items():
+        table.add_row(name, *(f"{row[key]:.4f}" for key in ("rmse_m", "rmse_deg", "median_m", "median_deg")))
+    console.print(table)
+
+
+def print_where(folder: Path) -> None:
+    """The last line: where the results are."""
+    sys.stdout.flush()
+    console.print(f"results: {folder.resolve()}", soft_wrap=True)

@@ -1,0 +1,119 @@
+"""``conformodal demo``: the whole story on the corridor world."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from conformodal.datasets import Sequence, read_sevenscenes
+from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
+from conformodal.experiments import AmbiguityCheck, check_ambiguity
+from conformodal.odometry import ModelConfig, PoseModel, write_metrics
+from conformodal.report import ReportContent, plan_figure, write_page
+from conformodal.vision import TrainingConfig
+
+from .console import console, kind_errors, print_where, progress_bars
+from .run import Outcome, Part, page_of, run_on, say
+from .train import train_on
+
+N_MODULES, N_LAPS = 5, 2
+# Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details.
+TRAINING = TrainingConfig(epochs=40, dropout=0.6)
+ALPHA = 0.04
+
+
+@kind_errors
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo-out"),
+    seed: Annotated[int, typer.Option(help="Of world, flight, split and training.")] = 0,
+) -> None:
+    """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
+    started = time.perf_counter()
+    config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
+    with progress_bars() as report:
+        write_corridor(
+            out / "corridor",
+            n_modules=N_MODULES,
+            n_laps=N_LAPS,
+            seed=seed,
+            progress=lambda done, total: report("corridor", done, total),
+        )
+        sequence = read_sevenscenes(out / "corridor")
+        model = train_on(sequence, config, out / "model", classical=True, cache_dir=out / "cache", report=report)
+        outcome = run_on(model, out / "model", sequence, Part.TEST, out, cache_dir=out / "cache", report=report)
+        assert outcome.truth is not None
+        world = CorridorWorld(N_MODULES, seed=seed)
+        alike = check_ambiguity(
+            outcome.run,
+            outcome.truth,
+            model,
+            Renderer(world),
+            progress=lambda done, total: report("look-alikes", done, total),
+        )
+    outcome.metrics["ambiguity"] = _ambiguity_record(alike)
+    outcome.metrics["command"] = "demo"
+    outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
+    write_metrics(out, outcome.metrics)
+    write_page(out / "report.html", _page(outcome, sequence, model, world, alike))
+    say(outcome)
+    record = outcome.metrics["ambiguity"]
+    console.print(
+        f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
+        f"hold {record['share_held']:.3f} of them (whole pose)"
+    )
+    ratio = outcome.metrics["errors"]["classical"]["rmse_m"] / outcome.metrics["errors"]["smoothed"]["rmse_m"]
+    console.print(f"classical / conformal rmse_m: {ratio:.1f}   ({outcome.metrics['seconds']:.0f} s in all)")
+    console.print(f"open {(out / 'report.html').resolve()}", soft_wrap=True)
+    print_where(out)
+
+
+def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
+    return {
+        "n_frames": check.n_frames,
+        "n_places": check.n_places,
+        "share_held": check.share_held,
+        "share_held_position": check.share_held_position,
+    }
+
+
+def _page(
+    outcome: Outcome, sequence: Sequence, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck
+) -> ReportContent:
+    """The standard page, with the plan replaced by a frame that has several look-alike places and all of them held."""
+    run, truth = outcome.run, outcome.truth
+    content = page_of(outcome, sequence, "conformodal: a corridor of identical rooms")
+    most = [len(p) if held.all() else 0 for p, held in zip(alike.places, alike.held, strict=True)]
+    index = int(np.argmax(most))
+    name = sequence.image_paths[run.frames[index]].name
+    svg = plan_figure(
+        run,
+        index,
+        truth,
+        classical=run.trajectories.get("classical"),
+        walls=world.plan(),
+        alike=alike.places[index],
+    )
+    caption = (
+        f"{name}, from above. The camera image fits {most[index] + 1} places equally well; the region names them all, "
+        "and motion through the corridor chooses among them. A regressor answers in between, where nothing is."
+    )
+    figures = list(content.figures)
+    figures[1] = ("Here or there, not in between", caption, svg)
+    errors, record = outcome.metrics["errors"], outcome.metrics["ambiguity"]
+    ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
+    summary = [
+        f"A drone flew {N_LAPS} times along a dark hallway of {world.n_modules} identical modules, into every room. "
+        f"{len(model.split.train)} frames trained a network, {len(model.split.calibration)} calibrated its regions, "
+        f"{len(run.frames)} were held out ({outcome.metrics['split_note']})",
+        f"Position RMSE: {errors['smoothed']['rmse_m']:.3f} m, against {errors['classical']['rmse_m']:.2f} m for a "
+        f"regressor on the same features ({ratio:.0f} times).",
+        f"{record['n_frames']} frames have other places with exactly the same view; the regions hold "
+        f"{100 * record['share_held']:.1f} % of these {record['n_places']} places.",
+    ]
+    image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))
+    return ReportContent(content.title, summary, outcome.metrics, figures, image)

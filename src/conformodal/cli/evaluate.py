@@ -1,0 +1,75 @@
+"""``conformodal evaluate``: results against a truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from conformodal.experiments import error_table
+from conformodal.odometry import (
+    TARGET_NAMES,
+    OdometryError,
+    provenance,
+    read_metrics,
+    read_region_records,
+    read_trajectories,
+    records_contain,
+    write_metrics,
+)
+from conformodal.poses import Trajectory, associate, read_tum
+
+from .console import console, kind_errors, print_errors, print_where
+from .sources import DataFormat, open_sequence
+
+
+@kind_errors
+def evaluate(
+    out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
+    truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
+    layout: Annotated[DataFormat, typer.Option("--format", help="Layout, if it is a data set.")] = (
+        DataFormat.SEVENSCENES
+    ),
+) -> None:
+    """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
+    metrics = read_metrics(out)
+    trajectories = read_trajectories(out)
+    records = read_region_records(out / "regions.jsonl")
+    true_poses = read_truth(truth, layout)
+    answer = next(iter(trajectories.values()))
+    if any(len(t) != len(answer) for t in trajectories.values()) or len(records) != len(answer):
+        raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
+    mine, theirs = associate(answer, true_poses)
+    matched = true_poses[theirs]
+    errors = error_table({name: t[mine] for name, t in trajectories.items()}, matched)
+    sign = np.array(metrics["sign_reference_quat_wxyz"])
+    inside = records_contain([records[i] for i in mine], matched, sign)
+    result: dict[str, Any] = {
+        "command": "evaluate",
+        "provenance": provenance(),
+        "configuration": {"results": metrics["configuration"], "truth": truth.name},
+        "seed": metrics["seed"],
+        "n_matched": len(mine),
+        "n_answered": len(answer),
+        "errors": errors,
+        "coverage": {
+            "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
+            "joint_coverage": float(inside.all(axis=1).mean()),
+            "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
+            "frames relate to the calibration frames",
+        },
+    }
+    write_metrics(out / "evaluation", result)
+    console.print(f"{len(mine)} of {len(answer)} poses have a true one within 0.01 s")
+    print_errors(errors, f"against {truth.name}")
+    console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
+    print_where(out / "evaluation")
+
+
+def read_truth(path: Path, layout: DataFormat) -> Trajectory:
+    """True poses from a TUM file or a data set."""
+    if path.is_dir():
+        return open_sequence(path, layout, require_poses=True).require_truth()
+    return read_tum(path)

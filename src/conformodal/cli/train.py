@@ -1,0 +1,112 @@
+"""``conformodal train``: train, calibrate, save."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from conformodal.datasets import Sequence, SplitKind
+from conformodal.experiments import save_classical, train_classical
+from conformodal.odometry import (
+    ModelConfig,
+    PoseModel,
+    prepare_training_data,
+    provenance,
+    save_model,
+    train_model,
+    write_metrics,
+)
+from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+
+from .console import Report, console, kind_errors, print_where, progress_bars
+from .sources import DataFormat, open_sequence
+
+_DEFAULT = ModelConfig()
+
+
+@kind_errors
+def train(
+    data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
+    out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
+    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the data set.")] = DataFormat.SEVENSCENES,
+    split: Annotated[SplitKind, typer.Option(help="How frames are held out: at random, or in stretches.")] = (
+        _DEFAULT.split
+    ),
+    alpha: Annotated[float, typer.Option(help="Miscoverage rate: the region may miss this share of poses.")] = (
+        _DEFAULT.alpha
+    ),
+    joint: Annotated[str, typer.Option(help="bonferroni: alpha for the whole pose; none: for each target.")] = (
+        _DEFAULT.joint
+    ),
+    score: Annotated[str, typer.Option(help="Nonconformity score: density, or lac as in the paper.")] = _DEFAULT.score,
+    bins: Annotated[int, typer.Option(help="Bins per target (K).")] = _DEFAULT.n_bins,
+    sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
+        _DEFAULT.sigma_bins
+    ),
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.")] = _DEFAULT.training.epochs,
+    dropout: Annotated[float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.")] = (
+        _DEFAULT.training.dropout
+    ),
+    test: Annotated[float, typer.Option(help="Share of all frames held out for testing.")] = _DEFAULT.test,
+    calibration: Annotated[float, typer.Option(help="Share of all frames held out for calibration.")] = (
+        _DEFAULT.calibration
+    ),
+    seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
+    classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
+    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+) -> None:
+    """Train on a data set with poses, calibrate, and save the model."""
+    config = ModelConfig(
+        split=split,
+        n_bins=bins,
+        sigma_bins=sigma,
+        alpha=alpha,
+        score=score,
+        joint=joint,
+        test=test,
+        calibration=calibration,
+        seed=seed,
+        training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
+    )
+    sequence = open_sequence(data, layout, require_poses=True)
+    with progress_bars() as report:
+        train_on(sequence, config, out, classical=classical, cache_dir=cache or default_cache_dir(), report=report)
+    print_where(out)
+
+
+def train_on(
+    sequence: Sequence, config: ModelConfig, out: Path, *, classical: bool, cache_dir: Path, report: Report
+) -> PoseModel:
+    """Train, calibrate and save; says what a user should know of the model."""
+    started = time.perf_counter()
+    data = prepare_training_data(sequence, config, FeatureCache(cache_dir), report)
+    model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
+    save_model(model, out)
+    if classical:
+        save_classical(train_classical(data, config.training, progress=report), out)
+    split = model.split
+    parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
+    metrics = {
+        "command": "train",
+        "provenance": provenance(),
+        "configuration": model.configuration,
+        "seed": config.seed,
+        "split": {"kind": str(split.kind), **parts},
+        "seconds": round(time.perf_counter() - started, 2),
+    }
+    write_metrics(out, metrics)
+    console.print(
+        f"{sequence.name}: {parts['train']} frames for training, {parts['calibration']} for calibration, "
+        f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
+    )
+    if model.unbounded:
+        console.print(
+            f"[bold]The region is the whole space in some target:[/] {parts['calibration']} calibration frames are too "
+            f"few for alpha = {config.alpha} ({config.joint}), or too many lie beyond the training range. Take a "
+            "larger alpha or calibration share, or more frames."
+        )
+    return model

@@ -1,0 +1,15 @@
+"""The root of every error this package raises on purpose."""
+
+from __future__ import annotations
+
+
+class ConformodalError(ValueError):
+    """Bad input, told kindly: what was found, where, and what was expected."""
+
+
+class ConformalError(ConformodalError):
+    """Raised by :mod:`conformodal.conformal`: probabilities, targets, alpha or bins that cannot be used."""
+
+
+class NotCalibratedError(ConformalError):
+    """A prediction was asked of a calibrator (or bins) that has not been fitted yet."""

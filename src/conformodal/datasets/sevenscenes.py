@@ -1,0 +1,167 @@
+"""The 7-Scenes layout (Shotton et al. 2013), which the corridor world is written in too.
+
+A recording is a folder of ``frame-NNNNNN.color.png`` (or ``.jpg``) with ``frame-NNNNNN.pose.txt`` beside each: a
+4x4 camera-to-world matrix in metres. A scene is a folder of recordings ``seq-NN``. A file
+``camera-intrinsics.txt`` (3x3), in either folder, gives the camera; without one, it is that of 7-Scenes. The layout
+has no timestamps: a file ``frame-rate.txt`` (one number, Hz) beside the intrinsics gives the rate, else it is 30 Hz.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from conformodal.poses import PinholeCamera, PoseError, Trajectory
+
+from .errors import DatasetError, ImageError
+from .sequence import Sequence, read_image
+
+FRAME_RATE_HZ = 30.0
+DEFAULT_INTRINSICS = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
+# Recordings of one scene are laid one after the other in time, this far apart.
+_GAP_BETWEEN_RECORDINGS_S = 10.0
+_IMAGE = re.compile(r"frame-(\d+)\.color\.(png|jpg|jpeg)$")
+
+
+def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Sequence:
+    """Read a recording, or a scene of several, without decoding images.
+
+    Parameters
+    ----------
+    folder
+        A recording (``seq-01``) or a scene that holds some.
+    require_poses
+        False also reads frames without pose files; the sequence then has no truth.
+
+    Raises
+    ------
+    DatasetError
+        If the folder is missing or empty, a pose is missing, unreadable, not finite or no rigid motion, or the
+        intrinsics are none. Names the file.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: no such folder; expected 7-Scenes frames")
+    recordings = [folder] if _frames(folder) else [p for p in sorted(folder.glob("seq-*")) if p.is_dir()]
+    images: list[Path] = []
+    times: list[float] = []
+    owner: list[int] = []
+    start, rate = 0.0, _frame_rate(folder, recordings)
+    for number, recording in enumerate(recordings):
+        frames = _frames(recording)
+        if not frames:
+            raise DatasetError(f"{recording}: holds no frame-NNNNNN.color.png or .jpg")
+        images += [path for _, path in frames]
+        times += [start + i / rate for i, _ in frames]
+        owner += [number] * len(frames)
+        start = times[-1] + _GAP_BETWEEN_RECORDINGS_S
+    if not images:
+        raise DatasetError(f"{folder}: holds no frame-NNNNNN.color.png or .jpg, nor folders seq-NN with some")
+    stamps = np.array(times)
+    return Sequence(
+        name=folder.resolve().name if recordings == [folder] else f"{folder.resolve().name} ({len(recordings)} seq)",
+        image_paths=tuple(images),
+        timestamps_s=stamps,
+        recording=np.array(owner, dtype=np.int64),
+        camera=_camera(folder, images[0]),
+        truth=_truth(images, stamps, required=require_poses),
+    )
+
+
+def _frames(folder: Path) -> list[tuple[int, Path]]:
+    """Frame numbers and image paths, in order; a frame present as png and jpg counts once, as png."""
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        match = _IMAGE.search(path.name)
+        if match and (int(match[1]) not in found or match[2] == "png"):
+            found[int(match[1])] = path
+    return sorted(found.items())
+
+
+def pose_path(image: Path) -> Path:
+    """The pose file that belongs to an image file."""
+    return image.with_name(_IMAGE.sub(r"frame-\1.pose.txt", image.name))
+
+
+def _truth(images: list[Path], stamps: npt.NDArray[np.float64], *, required: bool) -> Trajectory | None:
+    missing = [path for path in images if not pose_path(path).is_file()]
+    if missing and (required or len(missing) < len(images)):
+        raise DatasetError(
+            f"{pose_path(missing[0])}: pose is missing ({len(missing)} of {len(images)} frames have none)"
+        )
+    if missing:
+        return None
+    poses = np.stack([_read_matrix(pose_path(path), 4) for path in images])
+    try:
+        return Trajectory.from_poses_se3(stamps, poses)
+    except PoseError:
+        for path, pose in zip(images, poses, strict=True):  # find the one at fault, to name its file
+            try:
+                Trajectory.from_poses_se3(np.zeros(1), pose[None])
+            except PoseError as exc:
+                raise DatasetError(f"{pose_path(path)}: {exc}") from exc
+        raise
+
+
+def _read_matrix(path: Path, size: int, *, last_row: bool = True) -> npt.NDArray[np.float64]:
+    try:
+        matrix = np.array([float(x) for x in path.read_text(encoding="utf-8").split()])
+    except (OSError, ValueError) as exc:
+        raise DatasetError(f"{path}: cannot be read as {size * size} numbers: {exc}") from exc
+    if matrix.size != size * size:
+        raise DatasetError(f"{path}: holds {matrix.size} numbers, expected {size * size} ({size}x{size})")
+    matrix = matrix.reshape(size, size)
+    if not np.isfinite(matrix).all():
+        raise DatasetError(f"{path}: holds NaN or infinity")
+    if last_row and np.abs(matrix[-1] - np.eye(size)[-1]).max() > 1e-6:
+        raise DatasetError(f"{path}: its last row is {matrix[-1].tolist()}, expected {np.eye(size)[-1].tolist()}")
+    return matrix
+
+
+def _beside(name: str, recording: Path, folder: Path) -> Path | None:
+    """A file that may lie with the recording, with the scene, or with the recording's scene."""
+    for place in (recording, folder, folder.resolve().parent):
+        if (place / name).is_file():
+            return place / name
+    return None
+
+
+def _frame_rate(folder: Path, recordings: list[Path]) -> float:
+    path = _beside("frame-rate.txt", recordings[0] if recordings else folder, folder)
+    if path is None:
+        return FRAME_RATE_HZ
+    rate = float(_read_matrix(path, 1, last_row=False)[0, 0])
+    if not rate > 0:
+        raise DatasetError(f"{path}: holds {rate:g}, expected a positive frame rate in Hz")
+    return rate
+
+
+def _camera(folder: Path, first_image: Path) -> PinholeCamera:
+    width, height = _image_size(first_image)
+    path = _beside("camera-intrinsics.txt", first_image.parent, folder)
+    if path is not None:
+        k = _read_matrix(path, 3)
+        try:
+            return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
+        except PoseError as exc:
+            raise DatasetError(f"{path}: {exc}") from exc
+    if (width, height) != (640, 480):
+        raise DatasetError(
+            f"{folder}: images are {width}x{height} and there is no camera-intrinsics.txt; "
+            "the built-in intrinsics of 7-Scenes are for 640x480"
+        )
+    k = DEFAULT_INTRINSICS
+    return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    try:
+        with Image.open(path) as image:
+            return image.size
+    except OSError:
+        read_image(path)  # says kindly what is wrong
+        raise ImageError(f"{path}: cannot be read") from None

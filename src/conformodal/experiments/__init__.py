@@ -1,0 +1,20 @@
+"""Baselines and comparisons."""
+
+from .ambiguity import AmbiguityCheck, check_ambiguity
+from .classical import ClassicalRegressor, load_classical, save_classical, train_classical
+from .errors import ExperimentError
+from .evaluation import coverage_table, error_table, is_exchangeable, motion_table
+
+__all__ = [
+    "AmbiguityCheck",
+    "ClassicalRegressor",
+    "ExperimentError",
+    "check_ambiguity",
+    "coverage_table",
+    "error_table",
+    "is_exchangeable",
+    "load_classical",
+    "motion_table",
+    "save_classical",
+    "train_classical",
+]

@@ -1,0 +1,173 @@
+"""The opponent: a plain regressor that shares everything with the conformal network but its answer.
+
+Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
+no calibration, so it is trained on the calibration frames too, and its learning rate is searched: trained on the
+training part, judged on the calibration part, then trained once more on both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from conformodal.odometry import OdometryRun, TrainingData
+from conformodal.poses import Trajectory, angle_between_quats, normalise_quat
+from conformodal.reasoning import MotionPrior, smooth_orientations, smooth_positions
+from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
+
+from .errors import ExperimentError
+
+LEARNING_RATES = (1e-3, 3e-3, 1e-2)
+_FILES = ("classical.json", "classical.safetensors")
+
+
+@dataclass(eq=False)
+class ClassicalRegressor:
+    """Seven numbers from one image.
+
+    Attributes
+    ----------
+    head
+        Trained regressor, one output a target.
+    mean, scale
+        (7,) of the standardised targets.
+    learning_rate
+        What the search chose.
+    spread_m, spread_rad
+        Root mean square error per axis (3,) and of the angle on the calibration part, before the last training:
+        what a smoother needs to know.
+    """
+
+    head: Head
+    mean: npt.NDArray[np.float64]
+    scale: npt.NDArray[np.float64]
+    learning_rate: float
+    spread_m: npt.NDArray[np.float64]
+    spread_rad: float
+
+    def predict(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+        """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
+        return predict_values(self.head, features) * self.scale + self.mean
+
+    def trajectories(
+        self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
+    ) -> dict[str, Trajectory]:
+        """Its trajectory over the frames of a run, and the same after the conformal method's own smoother."""
+        values = self.predict(features)
+        p, q = values[:, :3], normalise_quat(values[:, 3:])
+        smooth_p, smooth_q = np.empty_like(p), np.empty_like(q)
+        for number in np.unique(recording):
+            at = np.flatnonzero(recording == number)
+            motions, times = [run.motions[t] for t in at], run.timestamps_s[at]
+            angle = np.full(len(at), self.spread_rad)
+            smooth_q[at] = smooth_orientations(q[at], angle, motions, times, prior)
+            spread = np.broadcast_to(self.spread_m, (len(at), 3))
+            smooth_p[at] = smooth_positions(p[at], spread, smooth_q[at], motions, times, prior)
+        return {
+            "classical": Trajectory(run.timestamps_s, p, q),
+            "classical_smoothed": Trajectory(run.timestamps_s, smooth_p, smooth_q),
+        }
+
+
+def train_classical(
+    data: TrainingData,
+    config: TrainingConfig,
+    learning_rates: Sequence[float] = LEARNING_RATES,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> ClassicalRegressor:
+    """Search the learning rate, then train on training and calibration parts together.
+
+    Parameters
+    ----------
+    data
+        What the conformal model was trained on.
+    config
+        What it was trained with; only the learning rate changes.
+    learning_rates
+        To search.
+    progress
+        Called with stage, epochs done and epochs in all.
+    """
+    train, check = data.split.train, data.split.calibration
+    everything = np.sort(np.concatenate((train, check)))
+    mean = data.targets[everything].mean(axis=0)
+    scale = np.maximum(data.targets[everything].std(axis=0), 1e-6)
+    standard = (data.targets - mean) / scale
+    n_epochs = config.epochs * (len(learning_rates) + 1)
+
+    def fit(rows: npt.NDArray[np.int64], rate: float, turn: int) -> Head:
+        report = None
+        if progress is not None:
+            report = lambda done, _: progress("classical", turn * config.epochs + done, n_epochs)  # noqa: E731
+        settings = replace(config, learning_rate=rate)
+        outputs = [1] * standard.shape[1]
+        return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, settings, progress=report)
+
+    errors = []
+    for turn, rate in enumerate(learning_rates):
+        values = predict_values(fit(train, rate, turn), data.features[check]) * scale + mean
+        errors.append(values - data.targets[check])
+    best = int(np.argmin([np.sqrt(np.mean(np.sum(e[:, :3] ** 2, axis=1))) for e in errors]))
+    truth = data.targets[check]
+    angle = angle_between_quats(truth[:, 3:] + errors[best][:, 3:], truth[:, 3:])
+    return ClassicalRegressor(
+        head=fit(everything, learning_rates[best], len(learning_rates)),
+        mean=mean,
+        scale=scale,
+        learning_rate=learning_rates[best],
+        spread_m=np.sqrt(np.mean(errors[best][:, :3] ** 2, axis=0)),
+        spread_rad=float(np.sqrt(np.mean(angle**2))),
+    )
+
+
+def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
+    """Write the regressor beside a saved model: ``classical.safetensors`` and ``classical.json``."""
+    arrays: dict[str, npt.NDArray[Any]] = {f"head.{k}": v.numpy() for k, v in regressor.head.state_dict().items()}
+    arrays |= {"mean": regressor.mean, "scale": regressor.scale, "spread_m": regressor.spread_m}
+    content = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    record = {
+        "hidden": regressor.head.output.in_features,
+        "learning_rate": regressor.learning_rate,
+        "spread_rad": regressor.spread_rad,
+        "sha256": hashlib.sha256(content).hexdigest(),
+    }
+    (folder / _FILES[1]).write_bytes(content)
+    (folder / _FILES[0]).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def load_classical(folder: Path) -> ClassicalRegressor | None:
+    """The regressor beside a saved model, or None if there is none.
+
+    Raises
+    ------
+    ExperimentError
+        If its files are incomplete, damaged or altered.
+    """
+    if not (folder / _FILES[0]).is_file():
+        return None
+    try:
+        record = json.loads((folder / _FILES[0]).read_text(encoding="utf-8"))
+        content = (folder / _FILES[1]).read_bytes()
+        if hashlib.sha256(content).hexdigest() != record["sha256"]:
+            raise ExperimentError(f"{folder / _FILES[1]}: is not the file that was saved: its digest differs")
+        arrays = load_tensors(content)
+        state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
+        head = Head(len(state["feature_mean"]), [1] * len(arrays["mean"]), record["hidden"])
+        head.load_state_dict(state)
+        rate, angle = float(record["learning_rate"]), float(record["spread_rad"])
+        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle)
+    except ExperimentError:
+        raise
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as exc:
+        raise ExperimentError(f"{folder / _FILES[0]}: cannot be used: {type(exc).__name__}: {exc}") from exc

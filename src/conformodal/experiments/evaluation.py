@@ -1,0 +1,83 @@
+"""Judging a run: errors of every method, and coverage of the regions beside its exact band."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from conformodal.conformal import check_coverage
+from conformodal.datasets import SplitKind
+from conformodal.odometry import TARGET_NAMES, OdometryRun, PoseModel, pose_targets
+from conformodal.poses import Trajectory, trajectory_errors
+
+ASSUMPTION_HELD = (
+    "Frames were split at random, so calibration and test frames are exchangeable: per target, the covered count "
+    "follows the Beta-binomial law whose central 99 % is the band."
+)
+ASSUMPTION_BROKEN = (
+    "Calibration and evaluated frames are different stretches of video, which are not exchangeable: coverage here "
+    "is an observation, and no guarantee applies."
+)
+
+
+def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[str, dict[str, float]]:
+    """``rmse_m``, ``rmse_deg`` and medians of every trajectory, by its name."""
+    return {name: trajectory_errors(trajectory, truth) for name, trajectory in trajectories.items()}
+
+
+def coverage_table(run: OdometryRun, truth: Trajectory, model: PoseModel, *, exchangeable: bool) -> dict[str, Any]:
+    """Coverage and size of the regions.
+
+    Parameters
+    ----------
+    run, truth
+        The frames that were answered and their true poses.
+    model
+        Gives alpha and the number of calibration frames.
+    exchangeable
+        Whether these frames are exchangeable with the calibration frames: the test part of an ``interleaved``
+        split. Decides whether a band is stated.
+    """
+    inside = run.regions.contains(pose_targets(truth, model.sign_reference))
+    calibration = model.calibration
+    targets: dict[str, Any] = {}
+    for j, name in enumerate(TARGET_NAMES):
+        row: dict[str, Any] = {
+            "coverage": float(inside[:, j].mean()),
+            "mean_length": _finite(run.regions.length[:, j].mean()),
+            "mean_intervals": float(run.regions.n_intervals[:, j].mean()),
+        }
+        if exchangeable:
+            check = check_coverage(inside[:, j], model.n_calibration, calibration.alpha_per_target)
+            row |= {"band_99": [check.low, check.high], "inside_band": check.inside}
+        targets[name] = row
+    return {
+        "alpha": float(calibration.alpha),
+        "joint": calibration.joint,
+        "alpha_per_target": float(calibration.alpha_per_target),
+        "score": calibration.score.name,
+        "n_calibration": model.n_calibration,
+        "n_evaluated": len(run.frames),
+        "whole_space": bool(run.regions.unbounded.any()),
+        "targets": targets,
+        "joint_coverage": float(inside.all(axis=1).mean()),
+        "median_position_volume_m3": _finite(np.median(run.regions.length[:, :3].prod(axis=1))),
+        "assumption": ASSUMPTION_HELD if exchangeable else ASSUMPTION_BROKEN,
+    }
+
+
+def is_exchangeable(model: PoseModel, part: str | None) -> bool:
+    """Whether the guarantee reaches the frames of a part: only the test part of an ``interleaved`` split."""
+    return part == "test" and model.split.kind is SplitKind.INTERLEAVED
+
+
+def _finite(value: np.floating[Any] | float) -> float | None:
+    """JSON has no infinity; None says whole space."""
+    return float(value) if np.isfinite(value) else None
+
+
+def motion_table(run: OdometryRun) -> dict[str, int]:
+    """How many steps ended with which motion status."""
+    names = [str(m.status) for m in run.motions if m is not None]
+    return {name: names.count(name) for name in sorted(set(names))}

@@ -1,0 +1,95 @@
+"""From images to relative motions: the tracker and the two-view geometry behind one small class."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
+
+from .relative_pose import estimate_relative_motion
+from .tracker import CornerTracker, TrackerConfig
+
+# With fewer of the marked corners left than this, motion so far is banked and measured afresh from here.
+_REMARK_BELOW = 60
+
+
+class MotionFrontEnd:
+    """Relative motion between frames of one camera.
+
+    :meth:`pass_by` shows it a frame that lies between; :meth:`measure` ends an interval and starts the next.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics.
+    config
+        Of the corner tracker.
+    """
+
+    def __init__(self, camera: PinholeCamera, config: TrackerConfig | None = None) -> None:
+        self.camera = camera
+        self.tracker = CornerTracker(config)
+        self._forget_bank()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self.tracker.reset()
+        self._forget_bank()
+
+    def _forget_bank(self) -> None:
+        self._banked = np.eye(3)  # rotation from the frame measured last to the mark
+        self._n_banked = 0
+        self._broken = False
+
+    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        self._advance(image)
+        if self.tracker.n_at_mark > _REMARK_BELOW and len(self.tracker.pairs()[0]) < _REMARK_BELOW:
+            self._bank()
+
+    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one; None for the first frame of a recording.
+
+        Where corners had to be renewed on the way, rotations are chained and the direction, which would need the
+        lengths of the parts, is left out.
+        """
+        first = not self.tracker.started
+        self._advance(image)
+        motion = None if first else self._since_mark()
+        if motion is not None and (self._n_banked or self._broken):
+            motion = self._chain(motion)
+        self._forget_bank()
+        self.tracker.mark()
+        return motion
+
+    def _advance(self, image: npt.NDArray[np.uint8]) -> None:
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        self.tracker.advance(np.ascontiguousarray(grey))
+
+    def _since_mark(self) -> RelativeMotion:
+        before, now = self.tracker.pairs()
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
+
+    def _bank(self) -> None:
+        motion = self._since_mark()
+        if motion.R_prev_next is None:
+            self._broken = True
+        else:
+            self._banked = self._banked @ motion.R_prev_next
+            self._n_banked += 1
+        self.tracker.mark()
+
+    def _chain(self, last: RelativeMotion) -> RelativeMotion:
+        if self._broken or last.R_prev_next is None:
+            status = MotionStatus.LOST if self._broken else last.status
+            return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
+        return RelativeMotion(
+            MotionStatus.LOW_PARALLAX,
+            self._banked @ last.R_prev_next,
+            None,
+            last.n_tracks,
+            last.n_inliers,
+            rotation_sigma_rad=last.rotation_sigma_rad * float(np.sqrt(self._n_banked + 1)),
+        )

@@ -1,0 +1,123 @@
+"""Rotation and unit direction between two frames from corner pairs (the paper, section 3; PoseLib's five points)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import poselib
+from scipy.spatial.transform import Rotation
+
+from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
+
+FloatArray = npt.NDArray[np.float64]
+
+MIN_TRACKS = 16
+MIN_INLIER_SHARE = 0.5
+MAX_EPIPOLAR_ERROR_PX = 1.0
+# Below this median displacement nothing has moved: the same picture again, or a camera at rest.
+REPEATED_FLOW_PX = 0.05
+# Spreads of errors, measured on hand-held and rendered video (benchmarks/relative_motion.py): a floor, and the
+# tracker's error of about half a pixel, which moves a direction the more the smaller the parallax is.
+ROTATION_FLOOR_RAD, ROTATION_PX = np.radians(0.25), 0.5
+DIRECTION_FLOOR_RAD, DIRECTION_RAD_PX = np.radians(7.0), np.radians(50.0)
+# Parallax under this many pixels is lost in the tracker's own error.
+MIN_PARALLAX_PX = 1.0
+_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+
+
+def estimate_relative_motion(
+    pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, n_at_start: int | None = None
+) -> RelativeMotion:
+    """Motion of the camera between two frames.
+
+    PoseLib maps points as ``X_next = R X_prev + t``; the result is turned round, into the camera's own motion.
+
+    Parameters
+    ----------
+    pixels_prev, pixels_next
+        (n, 2) positions of the same corners.
+    camera
+        Intrinsics of both frames.
+    n_at_start
+        Corners in the previous frame before tracking, to tell a blank frame from a cut.
+
+    Returns
+    -------
+    RelativeMotion
+        With the rotation where it is sound, and the direction only where parallax carries it.
+    """
+    n = len(pixels_prev)
+    if n < MIN_TRACKS:
+        blank = (n_at_start if n_at_start is not None else n) < MIN_TRACKS
+        return RelativeMotion(MotionStatus.TOO_FEW if blank else MotionStatus.LOST, n_tracks=n)
+    flow = np.linalg.norm(pixels_next - pixels_prev, axis=1)
+    if np.median(flow) < REPEATED_FLOW_PX:
+        return RelativeMotion(
+            MotionStatus.REPEATED, np.eye(3), n_tracks=n, n_inliers=n, rotation_sigma_rad=rotation_sigma_rad(camera)
+        )
+
+    rays_prev, rays_next = camera.bearings(pixels_prev), camera.bearings(pixels_next)
+    pixel = 2.0 / (camera.fx + camera.fy)  # radians
+    rotation, rotation_inliers = _rotation_only(rays_prev, rays_next, MIN_PARALLAX_PX * pixel)
+    if rotation_inliers.mean() >= 0.9:  # turning alone explains the pair: no five points can tell a direction
+        spread = float(np.median(_angles(rays_prev, rays_next @ rotation.T)))
+        return RelativeMotion(
+            MotionStatus.LOW_PARALLAX,
+            rotation,
+            None,
+            n,
+            int(rotation_inliers.sum()),
+            parallax_rad=spread,
+            rotation_sigma_rad=rotation_sigma_rad(camera),
+        )
+
+    model = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+    }
+    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, {})
+    inliers = np.asarray(info["inliers"], dtype=bool)
+    direction = -np.asarray(pose.R).T @ np.asarray(pose.t)
+    length = float(np.linalg.norm(direction))
+    sound = inliers.sum() >= MIN_TRACKS and inliers.mean() >= MIN_INLIER_SHARE
+    if not sound or not np.isfinite(length) or length < 1e-9:
+        return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=int(inliers.sum()))
+    R_prev_next = np.asarray(pose.R).T
+    parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
+    enough = parallax >= MIN_PARALLAX_PX * pixel
+    return RelativeMotion(
+        MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX,
+        R_prev_next,
+        direction / length if enough else None,
+        n,
+        int(inliers.sum()),
+        parallax,
+        rotation_sigma_rad(camera),
+        float(np.hypot(DIRECTION_FLOOR_RAD, DIRECTION_RAD_PX * pixel / parallax)) if enough else np.inf,
+    )
+
+
+def rotation_sigma_rad(camera: PinholeCamera) -> float:
+    """Spread of a relative rotation's error about each axis, in radians."""
+    return float(np.hypot(ROTATION_FLOOR_RAD, ROTATION_PX * 2.0 / (camera.fx + camera.fy)))
+
+
+def _rotation_only(
+    rays_prev: FloatArray, rays_next: FloatArray, tolerance_rad: float
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Rotation with ``rays_prev = R rays_next`` on most rays: trimmed least squares, started from all of them."""
+    keep = np.ones(len(rays_prev), dtype=bool)
+    matrix = np.eye(3)
+    for _ in range(5):
+        rotation, _ = Rotation.align_vectors(rays_prev[keep], rays_next[keep])
+        matrix = np.asarray(rotation.as_matrix())
+        error = _angles(rays_prev, rays_next @ matrix.T)
+        keep = error <= max(tolerance_rad, 2.0 * float(np.median(error)))
+    return matrix, error <= tolerance_rad
+
+
+def _angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Angles between unit vectors (n, 3), in radians; exact for small ones."""
+    return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2, 0, 1)))

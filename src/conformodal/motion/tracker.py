@@ -1,0 +1,111 @@
+"""Harris corners followed by pyramidal Lucas-Kanade flow (the paper, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float32]
+GreyImage = npt.NDArray[np.uint8]
+
+HARRIS_K = 0.04
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """How corners are found and followed.
+
+    Attributes
+    ----------
+    max_corners
+        Corners kept alive.
+    quality
+        Weakest Harris response, relative to the strongest.
+    spacing_share
+        Least distance between new corners, as a share of the image width.
+    window_px, levels
+        Lucas-Kanade window and pyramid levels above the image.
+    max_back_error_px
+        Largest distance between a corner and itself tracked forth and back.
+    """
+
+    max_corners: int = 500
+    quality: float = 1e-4
+    spacing_share: float = 0.018
+    window_px: int = 15
+    levels: int = 4
+    max_back_error_px: float = 0.7
+
+
+class CornerTracker:
+    """Follows corners from a marked frame through the frames after it.
+
+    Call :meth:`mark` on a frame to start from, then :meth:`advance` with every later frame; :meth:`pairs` gives the
+    marked and current positions of the corners that lived all the way.
+    """
+
+    def __init__(self, config: TrackerConfig | None = None) -> None:
+        self.config = config or TrackerConfig()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, as after a cut."""
+        self._image: GreyImage | None = None
+        self._now: FloatArray = np.empty((0, 2), np.float32)
+        self._marked: FloatArray = np.empty((0, 2), np.float32)
+        self.n_at_mark = 0
+
+    @property
+    def started(self) -> bool:
+        """Whether a frame has been seen."""
+        return self._image is not None
+
+    def advance(self, image: GreyImage) -> None:
+        """Follow the living corners into the next frame, and drop those that do not come back to their start."""
+        previous, self._image = self._image, image
+        if previous is None or len(self._now) == 0:
+            return
+        cfg = self.config
+        options: dict[str, Any] = {
+            "winSize": (cfg.window_px, cfg.window_px),
+            "maxLevel": cfg.levels,
+            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
+        }
+        there, found, _ = cv2.calcOpticalFlowPyrLK(
+            previous, image, self._now[:, None], self._now[:, None].copy(), **options
+        )
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, self._now[:, None].copy(), **options)
+        there, back = there[:, 0], back[:, 0]
+        height, width = image.shape
+        alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
+        alive &= np.linalg.norm(back - self._now, axis=1) <= cfg.max_back_error_px
+        alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
+        self._now, self._marked = there[alive], self._marked[alive]
+
+    def mark(self) -> None:
+        """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
+        if self._image is None:
+            return
+        missing = self.config.max_corners - len(self._now)
+        if missing > 0:
+            self._now = np.concatenate((self._now, self._new_corners(self._image, missing)))
+        self._marked = self._now.copy()
+        self.n_at_mark = len(self._now)
+
+    def pairs(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Pixels (n, 2) at the marked frame and at the current one."""
+        return self._marked.astype(np.float64), self._now.astype(np.float64)
+
+    def _new_corners(self, image: GreyImage, count: int) -> FloatArray:
+        spacing = max(3.0, self.config.spacing_share * image.shape[1])
+        free = np.full(image.shape, 255, np.uint8)
+        for x, y in self._now:
+            cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)
+        corners = cv2.goodFeaturesToTrack(
+            image, count, self.config.quality, spacing, mask=free, useHarrisDetector=True, k=HARRIS_K
+        )
+        return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)

@@ -1,0 +1,294 @@
+"""The estimator: from frames to regions, candidates and a trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from conformodal.conformal import Regions
+from conformodal.datasets import ImageError, Sequence
+from conformodal.motion import MotionFrontEnd
+from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.reasoning import (
+    Candidates,
+    Decoder,
+    greedy,
+    interval_candidates,
+    mode_candidates,
+    orientation_cost,
+    position_cost,
+    smooth_orientations,
+    smooth_positions,
+    softmax_mean,
+    viterbi,
+)
+from conformodal.vision import FeatureCache, extract_features
+
+from .errors import OdometryError
+from .model import PoseModel
+from .store import load_model
+
+IntArray = npt.NDArray[np.int64]
+Progress = Callable[[str, int, int], None]
+
+# Final answer first; the others are kept for comparison.
+METHODS = ("smoothed", "viterbi", "greedy", "softmax_mean")
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Answer to one frame of a stream.
+
+    Attributes
+    ----------
+    timestamp_s
+        Seconds.
+    pose
+        The candidate that the motion so far speaks for, as a trajectory of one, or None without an image. A point
+        estimate: the guarantee is the region's.
+    region
+        Calibrated region of this frame alone (length 1), or None without an image.
+    candidates
+        Candidate poses, or None without an image.
+    relative_motion
+        Motion since the last usable frame, or None.
+    reliable
+        False where image or motion could not be used; `problem` says why.
+    """
+
+    timestamp_s: float
+    pose: Trajectory | None
+    region: Regions | None
+    candidates: Candidates | None
+    relative_motion: RelativeMotion | None
+    reliable: bool
+    problem: str = ""
+
+
+@dataclass(eq=False)
+class OdometryRun:
+    """Everything found out about the frames of a sequence.
+
+    Attributes
+    ----------
+    frames
+        (m,) indices into the sequence that were answered.
+    timestamps_s
+        (m,) seconds.
+    regions, candidates, motions
+        One a frame; ``motions[t]`` leads from the frame before.
+    trajectories
+        By method, see :data:`METHODS`; ``smoothed`` is the answer.
+    unreadable
+        Frames that could not be decoded, and why.
+    """
+
+    frames: IntArray
+    timestamps_s: npt.NDArray[np.float64]
+    regions: Regions
+    candidates: list[Candidates]
+    motions: list[RelativeMotion | None]
+    trajectories: dict[str, Trajectory]
+    unreadable: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The answer."""
+        return self.trajectories[METHODS[0]]
+
+    @property
+    def reliable(self) -> npt.NDArray[np.bool_]:
+        """(m,) whether motion since the frame before could be used; True for the first of a recording."""
+        return np.array([m is None or m.reliable for m in self.motions])
+
+
+class VisualOdometry:
+    """Poses of one camera, frame by frame (:meth:`step`) or for a whole sequence (:meth:`run`).
+
+    Parameters
+    ----------
+    model
+        Trained and calibrated.
+    """
+
+    def __init__(self, model: PoseModel) -> None:
+        self.model = model
+        self.reset()
+
+    @classmethod
+    def load(cls, folder: Path | str) -> VisualOdometry:
+        """From a saved model.
+
+        Raises
+        ------
+        ModelFileError
+            If the model is missing, damaged or altered.
+        """
+        return cls(load_model(folder))
+
+    def reset(self) -> None:
+        """Forget the stream so far."""
+        self._front_end = MotionFrontEnd(self.model.camera)
+        self._turn, self._move = Decoder(), Decoder()
+        self._last: tuple[float, Candidates, int] | None = None
+
+    def step(self, image: npt.NDArray[np.uint8] | None, timestamp_s: float) -> Estimate:
+        """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
+
+        The pose is the best given all frames so far; :meth:`run` also uses the frames after. A frame that cannot be
+        used does not end the stream: the answer says so.
+
+        Raises
+        ------
+        OdometryError
+            If the timestamp is not later than the one before.
+        """
+        if self._last is not None and not timestamp_s > self._last[0]:
+            raise OdometryError(f"timestamps must increase: {timestamp_s} s follows {self._last[0]} s")
+        expected = (self.model.camera.height, self.model.camera.width, 3)
+        if image is None or image.shape != expected or image.dtype != np.uint8:
+            found = "no image" if image is None else f"image is {image.dtype} {image.shape}, expected uint8 {expected}"
+            return Estimate(timestamp_s, None, None, None, None, False, found)
+        with torch.inference_mode():
+            prepared = torch.from_numpy(np.ascontiguousarray(self.model.backbone.prepare(image))[None])
+            # rounded as the cache rounds, so that a stream and a data set give the same numbers
+            features = self.model.backbone(prepared).numpy().astype(np.float16).astype(np.float32)
+        proba = self.model.proba(features)
+        region = self.model.calibration.predict(proba)
+        here = mode_candidates(proba, self.model.bins, scale=self.model.scale)[0]
+        motion = self._front_end.measure(image)
+        position, quat = self._decide(here, motion, timestamp_s)
+        pose = Trajectory(np.array([timestamp_s]), position[None], quat[None])
+        reliable = motion is None or motion.reliable
+        problem = "" if reliable or motion is None else str(motion.status)
+        return Estimate(timestamp_s, pose, region, here, motion, reliable, problem)
+
+    def _decide(
+        self, here: Candidates, motion: RelativeMotion | None, timestamp_s: float
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        if self._last is None:
+            turn = self._turn.push(here.orientation_log_mass)
+            move = self._move.push(here.position_log_mass)
+        else:
+            before_s, before, q = self._last
+            step, prior = timestamp_s - before_s, self.model.prior
+            turn_cost = orientation_cost(before, here, motion, step, prior)
+            move_cost = position_cost(before, here, before.orientations_quat_wxyz[q], motion, step, prior)
+            turn = self._turn.push(here.orientation_log_mass, -turn_cost)
+            move = self._move.push(here.position_log_mass, -move_cost)
+        self._last = (timestamp_s, here, turn)
+        return here.positions_xyz[move], here.orientations_quat_wxyz[turn]
+
+    def run(self, sequence: Sequence) -> Trajectory:
+        """The smoothed trajectory of a whole sequence; :meth:`process` gives all the rest."""
+        return self.process(sequence).trajectory
+
+    def process(
+        self,
+        sequence: Sequence,
+        frames: IntArray | None = None,
+        *,
+        cache: FeatureCache | None = None,
+        progress: Progress | None = None,
+    ) -> OdometryRun:
+        """Work out regions and trajectories of a sequence.
+
+        Parameters
+        ----------
+        sequence
+            Frames in order of time, of the model's camera.
+        frames
+            Frames to answer, increasing; all by default. The network sees these only. The tracker also follows
+            corners through the frames between them, as a camera would deliver them.
+        cache
+            Of features.
+        progress
+            Called with stage, frames done and frames in all.
+
+        Raises
+        ------
+        OdometryError
+            If no frame can be read, or the camera is another one.
+        """
+        self.model.check_camera(sequence.camera)
+        wanted = np.arange(len(sequence)) if frames is None else np.asarray(frames, dtype=np.int64)
+        unreadable: dict[int, str] = {}
+        motion_of = self._motions(sequence, wanted, unreadable, progress)
+        usable = np.array([i for i in wanted.tolist() if i in motion_of], dtype=np.int64)
+        if usable.size == 0:
+            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {unreadable}")
+        features = extract_features(
+            [sequence.image_paths[i] for i in usable],
+            self.model.backbone,
+            cache or FeatureCache(None),
+            None if progress is None else lambda done, total: progress("network", done, total),
+        )
+        proba = self.model.proba(features)
+        motions = [motion_of[i] for i in usable.tolist()]
+        run = OdometryRun(
+            frames=usable,
+            timestamps_s=sequence.timestamps_s[usable],
+            regions=self.model.calibration.predict(proba),
+            candidates=mode_candidates(proba, self.model.bins, scale=self.model.scale),
+            motions=motions,
+            trajectories={},
+            unreadable=unreadable,
+        )
+        run.trajectories = self._trajectories(run, proba, sequence.recording[usable])
+        return run
+
+    def _motions(
+        self, sequence: Sequence, wanted: IntArray, unreadable: dict[int, str], progress: Progress | None
+    ) -> dict[int, RelativeMotion | None]:
+        answer = set(wanted.tolist())
+        front_end = MotionFrontEnd(sequence.camera)
+        found: dict[int, RelativeMotion | None] = {}
+        recording = None
+        span = range(int(wanted.min()), int(wanted.max()) + 1) if wanted.size else range(0)
+        for done, i in enumerate(span, start=1):
+            if sequence.recording[i] != recording:
+                front_end.reset()
+                recording = sequence.recording[i]
+            try:
+                image = sequence.image(i)
+            except ImageError as exc:
+                if i in answer:
+                    unreadable[i] = str(exc)
+                continue
+            if i in answer:
+                found[i] = front_end.measure(image)
+            else:
+                front_end.pass_by(image)
+            if progress is not None:
+                progress("motion", done, len(span))
+        return found
+
+    def _trajectories(
+        self, run: OdometryRun, proba: list[npt.NDArray[Any]], recording: IntArray
+    ) -> dict[str, Trajectory]:
+        mean = softmax_mean(proba, self.model.bins)
+        paper = interval_candidates(proba, run.regions)
+        poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
+        poses["softmax_mean"] = (mean[:, :3], mean[:, 3:])
+        for number in np.unique(recording):  # motion is never linked across recordings
+            at = np.flatnonzero(recording == number)
+            motions = [run.motions[t] for t in at]
+            times = run.timestamps_s[at]
+            here = [run.candidates[t] for t in at]
+            poses["greedy"][0][at], poses["greedy"][1][at] = greedy([paper[t] for t in at], motions)
+            move, turn = viterbi(here, motions, times, self.model.prior)
+            p = np.array([c.positions_xyz[k] for c, k in zip(here, move, strict=True)])
+            q = np.array([c.orientations_quat_wxyz[k] for c, k in zip(here, turn, strict=True)])
+            poses["viterbi"][0][at], poses["viterbi"][1][at] = p, q
+            spread = np.array([c.position_spreads[k] for c, k in zip(here, move, strict=True)])
+            angle = np.array([c.orientation_spreads_rad[k] for c, k in zip(here, turn, strict=True)])
+            q = smooth_orientations(q, angle, motions, times, self.model.prior)
+            p = smooth_positions(p, spread, q, motions, times, self.model.prior)
+            poses["smoothed"][0][at], poses["smoothed"][1][at] = p, q
+        return {name: Trajectory(run.timestamps_s, p, q) for name, (p, q) in poses.items()}

@@ -1,0 +1,95 @@
+"""A trained and calibrated pose model: everything that one image needs to become a region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.datasets import Split
+from conformodal.poses import PinholeCamera
+from conformodal.reasoning import MotionPrior, SpreadScale
+from conformodal.vision import Backbone, Head, predict_proba
+
+from .errors import OdometryError
+
+
+@dataclass(eq=False)
+class PoseModel:
+    """What training and calibration leave behind.
+
+    Attributes
+    ----------
+    backbone, head
+        Image to softmax of every target.
+    bins
+        Bins of the seven targets.
+    calibration
+        Calibrated sets.
+    sign_reference
+        (4,) quaternion against which signs are fixed.
+    prior, scale
+        What reasoning needs to know of motion and of errors.
+    camera
+        Camera of the training images.
+    split
+        Which frames were used for what.
+    data_digest
+        Digest of the training data's frames, to recognise the data set again.
+    configuration
+        Settings behind the model, for the record.
+    """
+
+    backbone: Backbone
+    head: Head
+    bins: QuantileBins
+    calibration: SplitConformal
+    sign_reference: npt.NDArray[np.float64]
+    prior: MotionPrior
+    scale: SpreadScale
+    camera: PinholeCamera
+    split: Split
+    data_digest: str
+    configuration: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def n_calibration(self) -> int:
+        """Calibration frames behind the thresholds."""
+        return int(self.calibration.scores_.shape[0])
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether a region is the whole space in some target, for want of calibration frames."""
+        return bool(np.isposinf(self.calibration.thresholds_).any())
+
+    def proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
+        """Softmax of the seven targets for features (n, F)."""
+        return predict_proba(self.head, features)
+
+    def recalibrate(self, alpha: float) -> None:
+        """Promise another miscoverage rate, from the stored calibration scores.
+
+        Raises
+        ------
+        ConformalError
+            If `alpha` is outside (0, 1).
+        """
+        old = self.calibration
+        self.calibration = SplitConformal(self.bins, alpha, old.score, old.joint).calibrate_scores(old.scores_)
+
+    def check_camera(self, camera: PinholeCamera) -> None:
+        """Refuse images of another camera: poses were learnt through this one.
+
+        Raises
+        ------
+        OdometryError
+            If size or intrinsics differ.
+        """
+        mine, other = self.camera, camera
+        same = (mine.width, mine.height) == (other.width, other.height)
+        values = [(mine.fx, other.fx), (mine.fy, other.fy), (mine.cx, other.cx), (mine.cy, other.cy)]
+        if not same or any(abs(a - b) > 1e-3 * mine.width for a, b in values):
+            raise OdometryError(f"the model was trained with {mine}, the source has {other}")

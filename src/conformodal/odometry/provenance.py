@@ -1,0 +1,36 @@
+"""What made a result: versions, source revision, time."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+_PACKAGES = ("numpy", "scipy", "torch", "lightning", "opencv-python-headless", "poselib", "trimesh", "embreex")
+
+
+def provenance() -> dict[str, Any]:
+    """Versions of this package and of those that decide its numbers, the source revision, machine and time."""
+    return {
+        "conformodal": metadata.version("conformodal"),
+        "source_revision": _revision(),
+        "packages": {name: metadata.version(name) for name in _PACKAGES},
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _revision() -> str | None:
+    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed; None if installed."""
+    root = Path(__file__).resolve().parents[3]
+    git = shutil.which("git")
+    if git is None or not (root / ".git").exists():
+        return None
+    command = [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)  # noqa: S603
+    return result.stdout.strip() or None

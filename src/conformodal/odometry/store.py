@@ -1,0 +1,142 @@
+"""Saved models: arrays in safetensors, everything else in JSON. No pickle, and no code, in either.
+
+``model.json`` holds a digest of the weights file and one of itself. They tell a file that was damaged or altered
+from the one that was saved; they are no signature, so they do not tell who saved it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
+from conformodal.datasets import Split, SplitKind
+from conformodal.poses import PinholeCamera
+from conformodal.reasoning import MotionPrior, SpreadScale
+from conformodal.vision import Backbone, BackboneConfig, Head
+
+from .errors import ModelFileError
+from .model import PoseModel
+
+FORMAT = "conformodal-model-1"
+_JSON, _WEIGHTS = "model.json", "weights.safetensors"
+_PARTS = ("train", "calibration", "test")
+_PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
+
+
+def save_model(model: PoseModel, folder: Path) -> None:
+    """Write a model into a folder, created if missing."""
+    arrays: dict[str, npt.NDArray[Any]] = {f"head.{k}": v.numpy() for k, v in model.head.state_dict().items()}
+    arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
+    arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
+    arrays["calibration.scores"] = model.calibration.scores_
+    arrays["sign_reference"] = model.sign_reference
+    weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    record: dict[str, Any] = {
+        "format": FORMAT,
+        "backbone": asdict(model.backbone.config),
+        "backbone_fingerprint": model.backbone.fingerprint,
+        "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs},
+        "calibration": {
+            "alpha": str(model.calibration.alpha),
+            "score": model.calibration.score.name,
+            "joint": model.calibration.joint,
+        },
+        "prior": asdict(model.prior),
+        "scale": asdict(model.scale),
+        "camera": asdict(model.camera),
+        "split": {"kind": str(model.split.kind), "seed": model.split.seed},
+        "data_digest": model.data_digest,
+        "configuration": model.configuration,
+        "weights_sha256": hashlib.sha256(weights).hexdigest(),
+    }
+    record["sha256"] = _digest(record)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / _WEIGHTS).write_bytes(weights)
+    (folder / _JSON).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def load_model(folder: Path | str) -> PoseModel:
+    """Read a model back.
+
+    Raises
+    ------
+    ModelFileError
+        If a file is missing, damaged or altered, or was made for another version or backbone.
+    """
+    folder = Path(folder)
+    record = _read_record(folder / _JSON)
+    path = folder / _WEIGHTS
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != record["weights_sha256"]:
+            raise ModelFileError(f"{path}: is not the file that was saved with {_JSON}: its digest differs")
+        return _assemble(record, load_tensors(content), path)
+    except OSError as exc:
+        raise ModelFileError(f"{path}: cannot be read: {exc.strerror}") from exc
+    except ModelFileError:
+        raise
+    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, ConformodalError) as exc:
+        raise ModelFileError(f"{folder}: is no complete {FORMAT}: {type(exc).__name__}: {exc}") from exc
+
+
+def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path: Path) -> PoseModel:
+    settings = {**record["backbone"], "grid": tuple(record["backbone"]["grid"])}
+    backbone = Backbone(BackboneConfig(**settings))
+    if backbone.fingerprint != record["backbone_fingerprint"]:
+        raise ModelFileError(
+            f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "
+            "made it, or train again"
+        )
+    state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
+    head = Head(len(state["feature_mean"]), record["head"]["outputs"], record["head"]["hidden"])
+    head.load_state_dict(state)
+    bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
+    how = record["calibration"]
+    calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
+    calibration.calibrate_scores(arrays["calibration.scores"])
+    prior, scale = record["prior"], record["scale"]
+    kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
+    return PoseModel(
+        backbone=backbone,
+        head=head.eval(),
+        bins=bins,
+        calibration=calibration,
+        sign_reference=arrays["sign_reference"],
+        prior=MotionPrior(prior["turn_rate_rad_s"], *(tuple(prior[k]) for k in _PRIOR_TABLES)),
+        scale=SpreadScale(tuple(scale["position"]), scale["orientation"]),
+        camera=PinholeCamera(**record["camera"]),
+        split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
+        data_digest=record["data_digest"],
+        configuration=record["configuration"],
+    )
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as exc:
+        raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
+    except ValueError as exc:
+        raise ModelFileError(f"{path}: is no JSON: {exc}") from exc
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        found = record.get("format") if isinstance(record, dict) else type(record).__name__
+        raise ModelFileError(f"{path}: holds format {found!r}, expected {FORMAT!r}")
+    stated = record.pop("sha256", None)
+    if stated != _digest(record):
+        raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")
+    return record
+
+
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,178 @@
+"""Training and calibrating a pose model on a sequence with poses."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import ConformalError, QuantileBins, SplitConformal
+from conformodal.conformal.checks import as_alpha
+from conformodal.datasets import Sequence, Split, SplitKind, make_split
+from conformodal.poses import sign_reference
+from conformodal.reasoning import fit_motion_prior, fit_spread_scale, mode_candidates
+from conformodal.vision import (
+    Backbone,
+    BackboneConfig,
+    FeatureCache,
+    TrainingConfig,
+    extract_features,
+    fit_head,
+    predict_proba,
+    soft_cross_entropy,
+)
+
+from .model import PoseModel
+from .targets import pose_targets
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Settings of a pose model.
+
+    Attributes
+    ----------
+    split
+        ``interleaved`` or ``blocks``.
+    n_bins
+        Bins per target (K).
+    margin
+        Share of the range by which bins reach beyond the training poses.
+    sigma_bins
+        Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
+    alpha, score, joint
+        Of :class:`~conformodal.conformal.SplitConformal`.
+    test, calibration
+        Shares of all frames.
+    seed
+        Of the split and of training.
+    training
+        Of the head.
+    """
+
+    split: SplitKind = SplitKind.INTERLEAVED
+    n_bins: int = 50
+    margin: float = 0.02
+    sigma_bins: float = 0.7
+    alpha: float = 0.1
+    score: str = "density"
+    joint: str = "bonferroni"
+    test: float = 0.2
+    calibration: float = 0.16
+    seed: int = 0
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """A sequence's features, targets and parts: what the pose model and every baseline share.
+
+    Attributes
+    ----------
+    features
+        (n, F) of all frames.
+    targets
+        (n, 7), see :func:`~conformodal.odometry.targets.pose_targets`.
+    """
+
+    sequence: Sequence
+    split: Split
+    backbone: Backbone
+    features: npt.NDArray[np.float32]
+    targets: npt.NDArray[np.float64]
+    sign_reference: npt.NDArray[np.float64]
+
+
+def prepare_training_data(
+    sequence: Sequence, config: ModelConfig, cache: FeatureCache, progress: Progress | None = None
+) -> TrainingData:
+    """Cut a sequence into parts and compute the features of all its frames.
+
+    Raises
+    ------
+    PoseError
+        If the sequence has no poses.
+    SplitError
+        If a part would be empty.
+    ImageError
+        If an image cannot be read; names the file.
+    """
+    truth = sequence.require_truth()
+    split = make_split(
+        sequence.recording, config.split, seed=config.seed, test=config.test, calibration=config.calibration
+    )
+    backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height))
+    features = extract_features(sequence.image_paths, backbone, cache, _stage(progress, "features"))
+    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
+    return TrainingData(sequence, split, backbone, features, pose_targets(truth, reference), reference)
+
+
+def train_model(
+    data: TrainingData, config: ModelConfig, *, checkpoint_dir: Path | None = None, progress: Progress | None = None
+) -> PoseModel:
+    """Train on the training part, calibrate on the calibration part; the test part is not touched.
+
+    Raises
+    ------
+    ConformalError
+        If alpha, bins or scores are not as they should be; before anything is trained.
+    """
+    as_alpha(config.alpha)
+    if config.joint not in ("none", "bonferroni"):
+        raise ConformalError(f"joint must be none or bonferroni, got {config.joint!r}")
+    train, held_out = data.split.train, data.split.calibration
+    bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
+    calibration = SplitConformal(bins, config.alpha, config.score, "none" if config.joint == "none" else "bonferroni")
+    labels = np.concatenate(bins.soft_targets(data.targets[train], config.sigma_bins), axis=1)
+    head = fit_head(
+        data.features[train],
+        labels,
+        bins.sizes,
+        soft_cross_entropy,
+        config.training,
+        checkpoint_dir=checkpoint_dir,
+        progress=_stage(progress, "training"),
+    )
+    proba = predict_proba(head, data.features[held_out])
+    calibration.calibrate(proba, data.targets[held_out])
+    truth = data.sequence.require_truth()
+    seen = truth[held_out]
+    return PoseModel(
+        backbone=data.backbone,
+        head=head,
+        bins=bins,
+        calibration=calibration,
+        sign_reference=data.sign_reference,
+        prior=fit_motion_prior(truth[train], data.sequence.recording[train]),
+        scale=fit_spread_scale(mode_candidates(proba, bins), seen.positions_xyz, seen.orientations_quat_wxyz),
+        camera=data.sequence.camera,
+        split=data.split,
+        data_digest=data_digest(data.sequence),
+        configuration=_record(config, data.sequence),
+    )
+
+
+def data_digest(sequence: Sequence) -> str:
+    """Digest of a data set's frame names, times and poses: the same data set gives the same digest anywhere."""
+    digest = hashlib.sha256()
+    for path in sequence.image_paths:
+        digest.update(path.name.encode() + b"\0")
+    digest.update(sequence.timestamps_s.tobytes())
+    if sequence.truth is not None:
+        digest.update(sequence.truth.positions_xyz.tobytes())
+    return digest.hexdigest()
+
+
+def _record(config: ModelConfig, sequence: Sequence) -> dict[str, Any]:
+    return {**asdict(config), "split": str(config.split), "data": sequence.name, "n_frames": len(sequence)}
+
+
+def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, total: progress(stage, done, total)

@@ -1,0 +1,77 @@
+"""Errors of an estimated trajectory against the truth, frame by frame and without alignment."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import PoseError
+from .rotations import angle_between_quats
+from .trajectory import Trajectory
+
+# Matches what common tools use to pair estimated and true timestamps.
+MAX_TIME_DIFFERENCE_S = 0.01
+
+
+def position_errors_m(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
+    """Distance in metres between estimated and true camera centres, (n,)."""
+    _same_length(estimate, truth)
+    return np.asarray(np.linalg.norm(estimate.positions_xyz - truth.positions_xyz, axis=1))
+
+
+def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
+    """Angle in degrees between estimated and true orientations, (n,)."""
+    _same_length(estimate, truth)
+    angles = angle_between_quats(estimate.orientations_quat_wxyz, truth.orientations_quat_wxyz)
+    return np.asarray(np.degrees(angles))
+
+
+def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
+    """``rmse_m`` = sqrt(mean squared position error), ``rmse_deg`` alike, and the medians.
+
+    Raises
+    ------
+    PoseError
+        If the two differ in length or hold no pose.
+    """
+    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
+    if metres.size == 0:
+        raise PoseError("a trajectory without poses has no error")
+    return {
+        "rmse_m": float(np.sqrt(np.mean(metres**2))),
+        "rmse_deg": float(np.sqrt(np.mean(degrees**2))),
+        "median_m": float(np.median(metres)),
+        "median_deg": float(np.median(degrees)),
+    }
+
+
+def associate(
+    estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Pair every estimated pose with the nearest true one in time: indices into both, equally long.
+
+    Raises
+    ------
+    PoseError
+        If no pair is within `max_difference_s` seconds.
+    """
+    order = np.argsort(truth.timestamps_s, kind="stable")
+    times = truth.timestamps_s[order]
+    right = np.clip(np.searchsorted(times, estimate.timestamps_s), 1, max(len(times) - 1, 1))
+    right = np.minimum(right, len(times) - 1)
+    left = np.maximum(right - 1, 0)
+    closer_left = np.abs(times[left] - estimate.timestamps_s) <= np.abs(times[right] - estimate.timestamps_s)
+    nearest = np.where(closer_left, left, right)
+    matched = np.abs(times[nearest] - estimate.timestamps_s) <= max_difference_s
+    if not matched.any():
+        raise PoseError(
+            f"no estimated pose has a true one within {max_difference_s} s: estimates span "
+            f"{estimate.timestamps_s.min():.3f} to {estimate.timestamps_s.max():.3f} s, "
+            f"truth {times.min():.3f} to {times.max():.3f} s"
+        )
+    return np.flatnonzero(matched), order[nearest[matched]]
+
+
+def _same_length(estimate: Trajectory, truth: Trajectory) -> None:
+    if len(estimate) != len(truth):
+        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")

@@ -1,0 +1,58 @@
+"""What two frames say about the motion between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+
+class MotionStatus(StrEnum):
+    """What a pair of frames allowed; everything but ``OK`` leaves the direction out."""
+
+    OK = "ok"
+    LOW_PARALLAX = "low_parallax"  # rotation sound, direction not: pure rotation, or far too small a step
+    REPEATED = "repeated"  # the same picture twice
+    TOO_FEW = "too_few_corners"  # black, blank, blurred or covered
+    LOST = "lost"  # a cut: the corners are not found again
+    INCONSISTENT = "inconsistent"  # corners moved, but by no single motion
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeMotion:
+    """Motion from a previous camera frame to the next one.
+
+    Attributes
+    ----------
+    status
+        What the pair allowed.
+    R_prev_next
+        (3, 3) or None: takes directions from the next camera's frame to the previous one's, so that
+        ``R_world_next = R_world_prev @ R_prev_next``.
+    direction_prev
+        (3,) or None: unit vector from the previous camera centre to the next, in the previous camera's frame.
+    n_tracks, n_inliers
+        Corners followed, and those that agree with the motion.
+    parallax_rad
+        Median angle by which inliers moved beyond what rotation explains.
+    rotation_sigma_rad
+        Spread of the rotation's error about each axis.
+    direction_sigma_rad
+        Spread of the direction's error.
+    """
+
+    status: MotionStatus
+    R_prev_next: npt.NDArray[np.float64] | None = None
+    direction_prev: npt.NDArray[np.float64] | None = None
+    n_tracks: int = 0
+    n_inliers: int = 0
+    parallax_rad: float = 0.0
+    rotation_sigma_rad: float = np.inf
+    direction_sigma_rad: float = np.inf
+
+    @property
+    def reliable(self) -> bool:
+        """Whether at least the rotation can be trusted."""
+        return self.R_prev_next is not None

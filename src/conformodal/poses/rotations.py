@@ -1,0 +1,95 @@
+"""Rotations as unit quaternions in ``wxyz`` order, on top of SciPy.
+
+q and -q are one rotation. Where a single sign is needed (bins over quaternion components), it is fixed against a
+reference quaternion, so that one view always has one label; distances use ``|dot|``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from .errors import PoseError
+
+FloatArray = npt.NDArray[np.float64]
+
+# Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
+ORTHONORMAL_TOLERANCE = 1e-3
+
+
+def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:
+    """Return `matrices` (n, 3, 3), projected to exact rotations, after checking that they nearly are.
+
+    Raises
+    ------
+    PoseError
+        If an entry is not finite, or a matrix is not orthonormal within 1e-3 or mirrors space.
+    """
+    arr = np.asarray(matrices, dtype=np.float64)
+    if arr.ndim != 3 or arr.shape[1:] != (3, 3):
+        raise PoseError(f"{name} must have shape (n, 3, 3), got {arr.shape}")
+    if not np.isfinite(arr).all():
+        raise PoseError(f"{name} {int(np.argwhere(~np.isfinite(arr))[0][0])} holds NaN or infinity")
+    gap = np.abs(arr @ arr.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    if (gap > ORTHONORMAL_TOLERANCE).any():
+        i = int(np.argmax(gap))
+        raise PoseError(f"{name} {i} is no rotation: R R^T differs from the identity by {gap[i]:.3g}")
+    det = np.linalg.det(arr)
+    if (det < 0).any():
+        i = int(np.argmin(det))
+        raise PoseError(f"{name} {i} is no rotation: its determinant is {det[i]:.3g}, a mirror image; expected 1")
+    u, _, vt = np.linalg.svd(arr)
+    return np.asarray(u @ vt)
+
+
+def quat_wxyz_from_matrix(matrices: npt.ArrayLike) -> FloatArray:
+    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3); the sign is SciPy's choice."""
+    return np.asarray(Rotation.from_matrix(np.asarray(matrices, dtype=np.float64)).as_quat(scalar_first=True))
+
+
+def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
+    """Rotation matrices (n, 3, 3) of quaternions (n, 4), normalised first."""
+    return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
+
+
+def normalise_quat(quats: npt.ArrayLike) -> FloatArray:
+    """Quaternions (..., 4) at unit length.
+
+    Raises
+    ------
+    PoseError
+        If one has length zero or is not finite.
+    """
+    arr = np.asarray(quats, dtype=np.float64)
+    norm = np.linalg.norm(arr, axis=-1, keepdims=True)
+    if not (np.isfinite(norm).all() and (norm > 1e-12).all()):
+        raise PoseError("a quaternion of length zero (or not finite) has no direction")
+    return np.asarray(arr / norm)
+
+
+def angle_between_quats(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
+    """Angle in radians, [0, pi], between the rotations of quaternions (..., 4), whatever their signs or order."""
+    qa, qb = normalise_quat(a), normalise_quat(b)
+    # atan2 of half-chords keeps its digits near zero, where arccos of a dot product has none
+    minus = np.linalg.norm(qa - qb, axis=-1)
+    plus = np.linalg.norm(qa + qb, axis=-1)
+    return np.asarray(4 * np.arctan2(np.minimum(minus, plus), np.maximum(minus, plus)))
+
+
+def sign_reference(quats: npt.ArrayLike) -> FloatArray:
+    """The quaternion (4,) whose hemisphere holds `quats` (n, 4) best: their principal axis, sign-free.
+
+    Fixing signs against one reference gives a view one label. Fixing them along a sequence does not: after a
+    full turn the same view would come with the opposite sign.
+    """
+    arr = normalise_quat(quats)
+    _, vectors = np.linalg.eigh(arr.T @ arr)
+    axis = vectors[:, -1]
+    return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
+
+
+def fix_sign(quats: npt.ArrayLike, reference: npt.ArrayLike) -> FloatArray:
+    """`quats` (n, 4) with the sign that makes their dot product with `reference` (4,) non-negative."""
+    arr = np.asarray(quats, dtype=np.float64)
+    return np.where((arr @ np.asarray(reference))[:, None] < 0, -arr, arr)

@@ -1,0 +1,52 @@
+"""The TUM trajectory format: a line a pose, ``timestamp tx ty tz qx qy qz qw``; note the order of the quaternion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from .errors import PoseError, TrajectoryFileError
+from .trajectory import Trajectory
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory; microseconds and micrometres survive the round trip."""
+    q = trajectory.orientations_quat_wxyz
+    rows = np.column_stack((trajectory.timestamps_s, trajectory.positions_xyz, q[:, 1:], q[:, :1]))
+    header = "timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
+    np.savetxt(path, rows, fmt=["%.6f"] + ["%.9f"] * 7, header=header)
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory.
+
+    Raises
+    ------
+    TrajectoryFileError
+        If the file is missing, holds no pose, or a line is not eight finite numbers.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as exc:
+        raise TrajectoryFileError(f"{path}: cannot be read as a TUM trajectory: {exc}") from exc
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            row = [float(field) for field in line.replace(",", " ").split()]
+        except ValueError:
+            row = []
+        if len(row) != 8 or not np.isfinite(row).all():
+            raise TrajectoryFileError(
+                f"{path}, line {number}: expected eight numbers 'timestamp tx ty tz qx qy qz qw', got {line[:80]!r}"
+            )
+        rows.append(row)
+    if not rows:
+        raise TrajectoryFileError(f"{path}: holds no pose; expected lines 'timestamp tx ty tz qx qy qz qw'")
+    data = np.array(rows)
+    try:
+        return Trajectory(data[:, 0], data[:, 1:4], data[:, [7, 4, 5, 6]])
+    except PoseError as exc:
+        raise TrajectoryFileError(f"{path}: {exc}") from exc

@@ -1,0 +1,234 @@
+"""From probabilities to candidate poses, position and orientation apart.
+
+:func:`mode_candidates`, the default, cuts a target's range into basins, one a peak of the softmax, at the valleys
+between; a basin stands for its mean. :func:`interval_candidates` takes the paper's: one a cuboid of the region, at
+the mean of its intervals. Cut off at the region's ends the mean is worse (twice, on hand-held video), and a path of
+hundreds of frames cannot be confined to regions that are right nine times in ten.
+
+Means are taken in bin coordinates: bins have unequal widths, labels are spread evenly over bin numbers, so only
+there is the mean unbiased. The product over targets is built target by target, keeping the most probable; it is
+never formed whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import QuantileBins, Regions
+from conformodal.poses import angle_between_quats, normalise_quat
+
+FloatArray = npt.NDArray[np.float64]
+
+POSITION = (0, 1, 2)
+ORIENTATION = (3, 4, 5, 6)
+MAX_CANDIDATES = 48
+MIN_MASS = 1e-4
+# Two peaks are two modes where the probability between them falls below this share of the lower one.
+VALLEY_SHARE = 0.5
+# Four components chosen one by one need not be a unit quaternion; the further from one, the less they fit together.
+_NORM_SPREAD = 0.1
+# Medians of |N(0, 1)| and of the length of a standard normal vector in three dimensions.
+_MEDIAN_OF_ABS_NORMAL, _MEDIAN_OF_NORM3 = 0.6745, 1.5382
+
+Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidate poses of one frame, most probable first.
+
+    Attributes
+    ----------
+    positions_xyz, position_spreads
+        (m, 3) metres: means, and standard deviations within the cuboid.
+    position_log_mass
+        (m,) log probability of the cuboid's softmax mass.
+    orientations_quat_wxyz, orientation_spreads_rad, orientation_log_mass
+        (k, 4) unit quaternions, (k,) and (k,).
+    """
+
+    positions_xyz: FloatArray
+    position_spreads: FloatArray
+    position_log_mass: FloatArray
+    orientations_quat_wxyz: FloatArray
+    orientation_spreads_rad: FloatArray
+    orientation_log_mass: FloatArray
+
+    @property
+    def most_probable(self) -> tuple[FloatArray, FloatArray]:
+        """Position (3,) and quaternion (4,) of the most probable candidate."""
+        return self.positions_xyz[0], self.orientations_quat_wxyz[0]
+
+
+@dataclass(frozen=True)
+class SpreadScale:
+    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames."""
+
+    position: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    orientation: float = 1.0
+
+
+def mode_candidates(
+    proba: Probabilities,
+    bins: QuantileBins,
+    *,
+    scale: SpreadScale | None = None,
+    min_mass: float = MIN_MASS,
+    max_candidates: int = MAX_CANDIDATES,
+) -> list[Candidates]:
+    """Candidates of every frame: the modes of the softmax.
+
+    Parameters
+    ----------
+    proba
+        Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
+    bins
+        Bins of the seven targets.
+    scale
+        From :func:`fit_spread_scale`; None leaves spreads as the softmax has them.
+    min_mass
+        Combinations less probable than this are dropped (never the most probable one).
+    max_candidates
+        Kept per frame, for positions and for orientations.
+    """
+    found = []
+    for i in range(len(proba[0])):
+        rows = [p[i].astype(np.float64) for p in proba]
+        pieces = [_pieces(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
+        found.append(_combine(pieces, scale or SpreadScale(), np.log(min_mass), max_candidates))
+    return found
+
+
+def interval_candidates(
+    proba: Probabilities, regions: Regions, *, max_candidates: int = MAX_CANDIDATES
+) -> list[Candidates]:
+    """Candidates of every frame as in the paper: the cuboids of its region, each at the means of its intervals.
+
+    Where a target's set is empty, its most probable bin stands in.
+    """
+    found = []
+    for i in range(len(regions)):
+        pieces = []
+        for p, e, runs in zip(proba, regions.bins.edges_, regions.runs(i), strict=True):
+            best = int(np.argmax(p[i]))
+            intervals = [(int(a), int(b)) for a, b in runs] or [(best, best + 1)]
+            pieces.append(_pieces(p[i].astype(np.float64), intervals, e))
+        found.append(_combine(pieces, SpreadScale(), -np.inf, max_candidates))
+    return found
+
+
+def fit_spread_scale(
+    candidates: Sequence[Candidates], positions_xyz: FloatArray, quats_wxyz: FloatArray
+) -> SpreadScale:
+    """How large errors are in units of spreads, from frames with known poses that no network was trained on.
+
+    Takes the candidate nearest to the truth, and medians, so that wrong modes do not count as wide ones.
+    """
+    z_position, z_orientation = [], []
+    for c, p, q in zip(candidates, positions_xyz, quats_wxyz, strict=True):
+        k = int(np.argmin(np.linalg.norm(c.positions_xyz - p, axis=1)))
+        z_position.append(np.abs(c.positions_xyz[k] - p) / c.position_spreads[k])
+        angle = angle_between_quats(c.orientations_quat_wxyz, q)
+        k = int(np.argmin(angle))
+        z_orientation.append(angle[k] / c.orientation_spreads_rad[k])
+    x, y, z = np.maximum(np.median(z_position, axis=0) / _MEDIAN_OF_ABS_NORMAL, 0.05)
+    turn = max(float(np.median(z_orientation)) / _MEDIAN_OF_NORM3, 0.05)
+    return SpreadScale((float(x), float(y), float(z)), turn)
+
+
+def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
+    """Mean of every target under its softmax, in bin coordinates, (n, d): the estimate without regions or motion."""
+    return np.stack([_mean(p.astype(np.float64), e)[0] for p, e in zip(proba, bins.edges_, strict=True)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    mean: FloatArray
+    spread: FloatArray
+    log_mass: FloatArray
+
+
+def _mean(weights: FloatArray, edges: FloatArray, first: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Mean and spread of weights over bins ``first, first + 1, ...`` (last axis), in the target's unit."""
+    at = np.arange(first, first + weights.shape[-1]) + 0.5
+    total = weights.sum(axis=-1)
+    mean = (weights * at).sum(axis=-1) / total
+    # the width of the peak, not of its tails: squared weights of a Gaussian are a Gaussian, narrower by sqrt(2)
+    sharp = weights**2
+    centre = (sharp * at).sum(axis=-1) / sharp.sum(axis=-1)
+    spread = np.sqrt(2 * (sharp * (at - centre[..., None]) ** 2).sum(axis=-1) / sharp.sum(axis=-1) + 1 / 12)
+    grid = np.arange(edges.size)
+    low, high = np.interp(mean - spread, grid, edges), np.interp(mean + spread, grid, edges)
+    return np.interp(mean, grid, edges), np.maximum((high - low) / 2, 1e-9)
+
+
+def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> _Pieces:
+    means, spreads, masses = [], [], []
+    for a, b in runs:
+        weights = p[a:b] + 1e-12
+        mean, spread = _mean(weights, edges, a)
+        means.append(float(mean))
+        spreads.append(float(spread))
+        masses.append(float(weights.sum()))
+    return _Pieces(np.array(means), np.array(spreads), np.log(masses))
+
+
+def _basins(p: FloatArray) -> list[tuple[int, int]]:
+    """Cut all bins at the lowest between peaks that stand clear of it."""
+    cuts = [0]
+    peak = valley = p[0]
+    valley_at = 0
+    for k in range(1, len(p)):
+        if p[k] < valley:
+            valley, valley_at = p[k], k
+        elif valley < VALLEY_SHARE * min(peak, p[k]):
+            cuts.append(valley_at)
+            peak = valley = p[k]
+            valley_at = k
+        elif p[k] > peak:
+            peak = valley = p[k]
+            valley_at = k
+    return list(zip(cuts, [*cuts[1:], len(p)], strict=True))
+
+
+def _product(targets: list[_Pieces], limit: int) -> _Pieces:
+    """Combinations of one piece a target, the `limit` most probable, most probable first."""
+    mean, spread, log_mass = np.empty((1, 0)), np.empty((1, 0)), np.zeros(1)
+    for pieces in targets:
+        total = (log_mass[:, None] + pieces.log_mass[None, :]).ravel()
+        best = np.argsort(-total, kind="stable")[:limit]
+        left, right = np.divmod(best, len(pieces.log_mass))
+        mean = np.column_stack((mean[left], pieces.mean[right]))
+        spread = np.column_stack((spread[left], pieces.spread[right]))
+        log_mass = total[best]
+    return _Pieces(mean, spread, log_mass)
+
+
+def _combine(pieces: list[_Pieces], scale: SpreadScale, min_log_mass: float, limit: int) -> Candidates:
+    positions = _product([pieces[j] for j in POSITION], limit)
+    quats = _product([pieces[j] for j in ORIENTATION], limit)
+    norm = np.linalg.norm(quats.mean, axis=1)
+    quat_mass = quats.log_mass - 0.5 * ((norm - 1) / _NORM_SPREAD) ** 2
+    order = np.argsort(-quat_mass, kind="stable")
+    order = order[(norm[order] > 1e-6) & (quat_mass[order] >= min(min_log_mass, quat_mass[order[0]]))]
+    if len(order):
+        unit = normalise_quat(quats.mean[order])
+        # a quaternion moves half as far as the rotation turns
+        spread = 2 * np.sqrt(np.mean(quats.spread[order] ** 2, axis=1)) * scale.orientation
+        quat_mass = quat_mass[order]
+    else:  # components that cancel say nothing
+        unit, spread, quat_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
+    keep = positions.log_mass >= min(min_log_mass, positions.log_mass[0])
+    return Candidates(
+        positions.mean[keep],
+        positions.spread[keep] * scale.position,
+        positions.log_mass[keep],
+        unit,
+        spread,
+        quat_mass,
+    )

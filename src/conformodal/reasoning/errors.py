@@ -1,0 +1,9 @@
+"""Errors of the reasoning floor."""
+
+from __future__ import annotations
+
+from conformodal.conformal import ConformodalError
+
+
+class ReasoningError(ConformodalError):
+    """Candidates, motions or timestamps that do not belong together."""

@@ -1,0 +1,94 @@
+"""How the camera moves, learnt from the training trajectory: speeds, turning, and changes of velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import Trajectory, angle_between_quats
+
+from .errors import ReasoningError
+
+FloatArray = npt.NDArray[np.float64]
+
+_DECIMATIONS = (1, 2, 4, 8, 16)
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """Statistics of camera motion.
+
+    Attributes
+    ----------
+    turn_rate_rad_s
+        Root mean square of the turning rate.
+    intervals_s
+        Time steps that the rest was measured at. Real motion is no white noise: shaking is fast, flying is not.
+    top_speed_mps
+        Speed that hardly any step of that length exceeds (the 99.5th percentile, and a tenth more).
+    acceleration_density
+        Variance of velocity changes per second, m^2/s^3 and per axis.
+    """
+
+    turn_rate_rad_s: float
+    intervals_s: tuple[float, ...]
+    top_speed_mps: tuple[float, ...]
+    acceleration_density: tuple[float, ...]
+
+    def reach_m(self, step_s: float) -> float:
+        """How far the camera can get within a time step, in metres."""
+        return step_s * float(np.interp(step_s, self.intervals_s, self.top_speed_mps))
+
+    def density_at(self, step_s: FloatArray) -> FloatArray:
+        """Velocity-change density for mean time steps (n,), interpolated between the measured ones."""
+        logs = np.interp(np.log(step_s), np.log(self.intervals_s), np.log(self.acceleration_density))
+        return np.asarray(np.exp(logs))
+
+
+def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> MotionPrior:
+    """Learn the prior from the training frames, in order of time; gaps between them are allowed.
+
+    Raises
+    ------
+    ReasoningError
+        If no recording has three frames.
+    """
+    turns: list[FloatArray] = []
+    levels: dict[int, list[FloatArray]] = {}
+    for number in np.unique(recording):
+        part = truth[recording == number]
+        if len(part) < 3:
+            continue
+        quats = part.orientations_quat_wxyz
+        turns.append(angle_between_quats(quats[1:], quats[:-1]) / np.diff(part.timestamps_s))
+        for every in _DECIMATIONS:
+            thin = part[::every]
+            if len(thin) >= 3:
+                levels.setdefault(every, []).append(_changes(thin))
+    if not turns:
+        raise ReasoningError("a motion prior needs at least three frames of one recording")
+    table: list[tuple[float, float, float]] = []
+    for every in sorted(levels):
+        step, speed, density = np.concatenate(levels[every], axis=1)
+        if not table or np.median(step) > table[-1][0]:
+            # the mean of all but the top 2 % : a handful of jumps in the ground truth must not loosen everything
+            usual = density[density <= np.quantile(density, 0.98)].mean()
+            table.append((float(np.median(step)), 1.1 * float(np.quantile(speed, 0.995)), float(usual)))
+    intervals, speeds, densities = zip(*table, strict=True)
+    return MotionPrior(
+        turn_rate_rad_s=float(np.sqrt(np.mean(np.concatenate(turns) ** 2))) + 1e-9,
+        intervals_s=intervals,
+        top_speed_mps=tuple(max(v, 1e-9) for v in speeds),
+        acceleration_density=tuple(max(q, 1e-12) for q in densities),
+    )
+
+
+def _changes(part: Trajectory) -> FloatArray:
+    """Mean time step, speed, and squared velocity change per second and axis, (3, n - 2)."""
+    dt = np.diff(part.timestamps_s)
+    velocity = np.diff(part.positions_xyz, axis=0) / dt[:, None]
+    step = (dt[1:] + dt[:-1]) / 2
+    speed = np.linalg.norm(velocity, axis=1)[1:]
+    return np.stack((step, speed, np.sum(np.diff(velocity, axis=0) ** 2, axis=1) / 3 / step))

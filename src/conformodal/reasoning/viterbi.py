@@ -1,0 +1,160 @@
+"""Global reasoning: the sequence of candidates that is most probable as a whole (Viterbi 1967).
+
+Orientation and position are searched one after the other: relative rotations are trusted always, and the chosen
+orientations turn relative directions into the world. No mistake is final, because every candidate of every frame
+stays in play until the end; a jump, as at a cut, costs a bounded price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from conformodal.poses import RelativeMotion, angle_between_quats
+
+from .candidates import Candidates
+from .errors import ReasoningError
+from .prior import MotionPrior
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# The most that one step can cost, in nats: what it takes to believe in a jump.
+JUMP_COST = 25.0
+# What it takes to believe that a relative motion misleads: about one in twenty does.
+MISLED_COST = 3.0
+
+
+class Decoder:
+    """Viterbi's forward pass, one frame at a time, with the way back kept.
+
+    ``best`` is the best last candidate given all frames so far; :meth:`path` the best whole sequence.
+    """
+
+    def __init__(self) -> None:
+        self._score: FloatArray = np.empty(0)
+        self._back: list[IntArray] = []
+
+    def push(self, log_unary: FloatArray, log_transition: FloatArray | None = None) -> int:
+        """Add a frame of m candidates; `log_transition` is (m_before, m), None for the first frame. Returns best."""
+        if log_transition is None:
+            if self._back:
+                raise ReasoningError("only the first frame comes without transitions")
+            self._back.append(np.zeros(len(log_unary), dtype=np.int64))
+            self._score = log_unary.astype(np.float64)
+        else:
+            total = self._score[:, None] + log_transition
+            origin = np.argmax(total, axis=0)
+            self._back.append(origin)
+            self._score = total[origin, np.arange(len(log_unary))] + log_unary
+        self._score = self._score - self._score.max()  # long sequences must not run out of digits
+        return self.best
+
+    @property
+    def best(self) -> int:
+        """Index of the best last candidate."""
+        return int(np.argmax(self._score))
+
+    def path(self) -> IntArray:
+        """Indices of the best sequence, one a frame."""
+        chosen = np.empty(len(self._back), dtype=np.int64)
+        at = self.best
+        for t in range(len(self._back) - 1, -1, -1):
+            chosen[t] = at
+            at = int(self._back[t][at])
+        return chosen
+
+
+def viterbi(
+    candidates: Sequence[Candidates],
+    motions: Sequence[RelativeMotion | None],
+    timestamps_s: FloatArray,
+    prior: MotionPrior,
+) -> tuple[IntArray, IntArray]:
+    """Choose one candidate a frame over a whole recording.
+
+    Parameters
+    ----------
+    candidates
+        One a frame.
+    motions
+        ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
+    timestamps_s
+        (n,) seconds.
+    prior
+        Speeds and turning rates to expect.
+
+    Returns
+    -------
+    positions, orientations
+        (n,) indices into each frame's candidates.
+    """
+    if not len(candidates) == len(motions) == len(timestamps_s):
+        raise ReasoningError(f"{len(candidates)} candidates, {len(motions)} motions, {len(timestamps_s)} timestamps")
+    steps = np.diff(timestamps_s)
+    turn = Decoder()
+    turn.push(candidates[0].orientation_log_mass)
+    for t in range(1, len(candidates)):
+        cost = orientation_cost(candidates[t - 1], candidates[t], motions[t], steps[t - 1], prior)
+        turn.push(candidates[t].orientation_log_mass, -cost)
+    orientations = turn.path()
+    move = Decoder()
+    move.push(candidates[0].position_log_mass)
+    for t in range(1, len(candidates)):
+        q_prev = candidates[t - 1].orientations_quat_wxyz[orientations[t - 1]]
+        cost = position_cost(candidates[t - 1], candidates[t], q_prev, motions[t], steps[t - 1], prior)
+        move.push(candidates[t].position_log_mass, -cost)
+    return move.path(), orientations
+
+
+def orientation_cost(
+    before: Candidates, after: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior
+) -> FloatArray:
+    """Cost in nats of every pair of orientations, (m_before, m_after), bounded by :data:`JUMP_COST`.
+
+    The angle from where the relative rotation leads; or, at a price, from where turning as usual could have led.
+    """
+    start = Rotation.from_quat(before.orientations_quat_wxyz, scalar_first=True)
+    spread2 = before.orientation_spreads_rad[:, None] ** 2 + after.orientation_spreads_rad[None] ** 2
+
+    def cost(predicted: Rotation, sigma: float) -> FloatArray:
+        quats = np.atleast_2d(predicted.as_quat(scalar_first=True))
+        angle = angle_between_quats(quats[:, None], after.orientations_quat_wxyz[None])
+        return np.asarray(0.5 * angle**2 / (spread2 + sigma**2))
+
+    total = cost(start, prior.turn_rate_rad_s * step_s)
+    if motion is not None and motion.R_prev_next is not None:
+        led = cost(start * Rotation.from_matrix(motion.R_prev_next), motion.rotation_sigma_rad)
+        total = np.minimum(led, total + MISLED_COST)
+    return np.minimum(total, JUMP_COST)
+
+
+def position_cost(
+    before: Candidates,
+    after: Candidates,
+    q_prev_wxyz: FloatArray,
+    motion: RelativeMotion | None,
+    step_s: float,
+    prior: MotionPrior,
+) -> FloatArray:
+    """Cost in nats of every pair of positions, (m_before, m_after), bounded by :data:`JUMP_COST`.
+
+    The distance of the step from the stretch that the camera could have flown along the relative direction; or, at
+    a price, from the ball that it could have reached at all. In units of the candidates' spreads.
+    """
+    step = after.positions_xyz[None] - before.positions_xyz[:, None]
+    reach = prior.reach_m(step_s)
+    spread2 = before.position_spreads[:, None] ** 2 + after.position_spreads[None] ** 2  # (m, k, 3)
+    length = np.linalg.norm(step, axis=2, keepdims=True)
+    beyond = step * np.maximum(0, 1 - reach / np.maximum(length, 1e-9))
+    total = 0.5 * np.sum(beyond**2 / spread2, axis=2)
+    if motion is not None and motion.direction_prev is not None:
+        direction = Rotation.from_quat(q_prev_wxyz, scalar_first=True).apply(motion.direction_prev)
+        along = np.clip(step @ direction, 0, reach)[..., None]
+        miss = step - along * direction
+        sideways2 = spread2 + (motion.direction_sigma_rad * along) ** 2
+        total = np.minimum(0.5 * np.sum(miss**2 / sideways2, axis=2), total + MISLED_COST)
+    return np.asarray(np.minimum(total, JUMP_COST))

@@ -1,0 +1,159 @@
+"""The pictures a person wants first, as SVG text.
+
+Colours are those of Okabe and Ito, which colour-blind people can tell apart; truth is black and dashed as well.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from itertools import product
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from conformodal.odometry import OdometryRun
+from conformodal.poses import Trajectory
+
+COLOURS = {
+    "region": "#56B4E9",
+    "smoothed": "#0072B2",
+    "classical": "#D55E00",
+    "truth": "#000000",
+    "alike": "#009E73",
+    "wall": "#888888",
+}
+_BAND_ALPHA = 0.45
+
+
+def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Trajectory | None = None) -> str:
+    """Position over time with the region's bands: every interval of every frame is drawn, so modes show."""
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True)
+    start = run.timestamps_s[0]
+    times = run.timestamps_s - start
+    half = np.median(np.diff(times)) / 2 if len(times) > 1 else 0.5
+    intervals = [run.regions.intervals(i) for i in range(len(run.frames))]
+    for j, (axis, name) in enumerate(zip(axes, "xyz", strict=True)):
+        low, high = run.regions.bins.edges_[j][[0, -1]]
+        for t, parts in zip(times, intervals, strict=True):
+            for a, b in parts[j]:
+                a, b = max(a, low), min(b, high)  # noqa: PLW2901 - a whole-space band is drawn over the bins
+                box = Rectangle((t - half, a), 2 * half, b - a, color=COLOURS["region"], alpha=_BAND_ALPHA, lw=0)
+                axis.add_patch(box)
+        if classical is not None:
+            axis.plot(times, classical.positions_xyz[:, j], ".", ms=2.5, color=COLOURS["classical"])
+        axis.plot(times, run.trajectory.positions_xyz[:, j], "-", lw=1.4, color=COLOURS["smoothed"])
+        if truth is not None:
+            axis.plot(times, truth.positions_xyz[:, j], "--", lw=0.9, color=COLOURS["truth"])
+        axis.set_ylabel(f"{name} (m)")
+        axis.margins(x=0.005)
+    axes[-1].set_xlabel("time (s)")
+    _legend(figure, truth is not None, classical is not None, alike=False)
+    return _svg(figure)
+
+
+def plan_figure(
+    run: OdometryRun,
+    index: int,
+    truth: Trajectory | None,
+    *,
+    classical: Trajectory | None = None,
+    walls: Sequence[npt.NDArray[np.float64]] = (),
+    alike: npt.NDArray[np.float64] | None = None,
+    axes: tuple[int, int] = (0, 1),
+) -> str:
+    """One frame's disjoint regions seen from above, with the chosen pose.
+
+    Parameters
+    ----------
+    run, index
+        The frame.
+    truth, classical
+        Drawn at this frame, and the true path behind it.
+    walls
+        (2, 2) segments.
+    alike
+        (m, 3) other places with the same view.
+    axes
+        The two horizontal axes of the world.
+    """
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for wall in walls:
+        axis.plot(*wall.T, color=COLOURS["wall"], lw=1)
+    if truth is not None:
+        axis.plot(*truth.positions_xyz[:, axes].T, color=COLOURS["wall"], lw=0.4, alpha=0.6)
+    parts = run.regions.intervals(index)
+    edges = run.regions.bins.edges_
+    clip = [np.clip(parts[a], edges[a][0], edges[a][-1]) for a in axes]
+    for (a, b), (c, d) in product(*clip):
+        axis.add_patch(Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], alpha=0.5, ec=COLOURS["smoothed"], lw=1))
+    if alike is not None and len(alike):
+        axis.plot(*alike[:, axes].T, "s", ms=9, mfc="none", mew=1.6, color=COLOURS["alike"])
+    _marker(axis, run.trajectory, index, axes, "o", COLOURS["smoothed"], 9)
+    if classical is not None:
+        _marker(axis, classical, index, axes, "X", COLOURS["classical"], 9)
+    if truth is not None:
+        _marker(axis, truth, index, axes, "+", COLOURS["truth"], 14)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
+    axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
+    _legend(figure, truth is not None, classical is not None, alike=alike is not None and len(alike) > 0, points=True)
+    return _svg(figure)
+
+
+def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
+    """Share of frames below an error in metres, one curve a method; logarithmic, because methods differ in size."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    axis = figure.subplots()
+    styles = {"smoothed": ("-", COLOURS["smoothed"]), "classical": ("-", COLOURS["classical"])}
+    styles |= {"classical_smoothed": ("--", COLOURS["classical"]), "viterbi": ("--", COLOURS["smoothed"])}
+    styles |= {"greedy": (":", COLOURS["alike"]), "softmax_mean": (":", COLOURS["truth"])}
+    share = (np.arange(len(truth)) + 1) / len(truth)
+    for name, (line, colour) in styles.items():
+        if name in trajectories:
+            error = np.linalg.norm(trajectories[name].positions_xyz - truth.positions_xyz, axis=1)
+            label = name.replace("_", " ")
+            axis.plot(np.sort(np.maximum(error, 1e-4)), share, line, color=colour, label=label, lw=1.6)
+    axis.set_xscale("log")
+    axis.set_xlabel("position error (m)")
+    axis.set_ylabel("share of frames")
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower right", frameon=False)
+    return _svg(figure)
+
+
+def _marker(
+    axis: Axes, path: Trajectory, index: int, axes: tuple[int, int], shape: str, colour: str, size: int
+) -> None:
+    x, y = path.positions_xyz[index, axes]
+    axis.plot([x], [y], shape, ms=size, mew=2, color=colour, zorder=5)
+
+
+def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, points: bool = False) -> None:
+    entries = [Rectangle((0, 0), 1, 1, color=COLOURS["region"], alpha=0.5)]
+    labels = ["calibrated region"]
+    lines = [("smoothed", "conformal, after reasoning", "o", "-", True), ("truth", "truth", "+", "--", truth)]
+    lines.append(("classical", "classical regressor", "X" if points else ".", "", classical))
+    lines.append(("alike", "places that look the same", "s", "", alike))
+    for key, label, shape, line, shown in lines:
+        if shown:
+            fill = "none" if key == "alike" else COLOURS[key]
+            style = {"marker": shape, "ls": "", "mfc": fill, "ms": 8} if points or not line else {"ls": line}
+            entries.append(mpl.lines.Line2D([], [], color=COLOURS[key], **style))  # type: ignore[arg-type]
+            labels.append(label)
+    figure.legend(entries, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    # text as text keeps files small and searchable; a fixed salt keeps them the same from run to run
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "conformodal", "font.size": 10}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]

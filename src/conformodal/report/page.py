@@ -1,0 +1,65 @@
+"""The result page: one HTML file with everything in it, readable without a network."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from jinja2 import Environment, PackageLoader
+from PIL import Image
+
+_LABELS = {
+    "smoothed": "conformal: global search and smoothing (the answer)",
+    "viterbi": "conformal: global search",
+    "greedy": "conformal: greedy, the paper's reasoning",
+    "softmax_mean": "softmax mean, no reasoning",
+    "classical": "classical regressor",
+    "classical_smoothed": "classical regressor with the same smoother",
+}
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """What goes on the page.
+
+    Attributes
+    ----------
+    title, summary
+        First lines.
+    metrics
+        The content of ``metrics.json``.
+    figures
+        (heading, caption, SVG) in order.
+    image
+        (caption, (h, w, 3) RGB) of the frame whose regions are shown, or None.
+    """
+
+    title: str
+    summary: list[str]
+    metrics: dict[str, Any]
+    figures: list[tuple[str, str, str]] = field(default_factory=list)
+    image: tuple[str, npt.NDArray[np.uint8]] | None = None
+
+
+def write_page(path: Path, content: ReportContent) -> None:
+    """Write the page."""
+    environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
+    errors = content.metrics.get("errors") or {}
+    ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
+    baseline = errors.get("classical", {}).get("rmse_m")
+    image = None if content.image is None else (content.image[0], _data_url(content.image[1]))
+    html = environment.get_template("page.html.j2").render(
+        content=content, errors=ordered, baseline=baseline, image=image, coverage=content.metrics.get("coverage")
+    )
+    path.write_text(html, encoding="utf-8")
+
+
+def _data_url(image: npt.NDArray[np.uint8]) -> str:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

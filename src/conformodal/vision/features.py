@@ -1,0 +1,133 @@
+"""Features of image files, cached on disk by content: the same picture is never run through the network twice."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from conformodal.datasets import ImageError, read_image
+
+from .backbone import Backbone
+
+_BATCH = 16
+Progress = Callable[[int, int], None]
+
+
+def default_cache_dir() -> Path:
+    """``$CONFORMODAL_CACHE``, or ``conformodal`` under the user's cache directory."""
+    if "CONFORMODAL_CACHE" in os.environ:
+        return Path(os.environ["CONFORMODAL_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "conformodal"
+
+
+class FeatureCache:
+    """Feature vectors in small files named by the digest of backbone and image.
+
+    Parameters
+    ----------
+    folder
+        Where to keep them; None keeps nothing.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = None if folder is None else folder / "features"
+
+    def key(self, backbone: Backbone, image_file: Path) -> str:
+        """Digest of what decides the features of an image file.
+
+        Raises
+        ------
+        ImageError
+            If the file cannot be read.
+        """
+        try:
+            content = image_file.read_bytes()
+        except OSError as exc:
+            raise ImageError(f"{image_file}: image is missing or unreadable: {exc.strerror}") from exc
+        return hashlib.sha256(backbone.fingerprint.encode() + content).hexdigest()
+
+    def load(self, key: str) -> npt.NDArray[np.float16] | None:
+        """The vector of a key, or None where it is not there or not whole."""
+        if self.folder is None:
+            return None
+        try:
+            return np.asarray(load_tensors(self._path(key).read_bytes())["features"], dtype=np.float16)
+        except (OSError, SafetensorError, KeyError):
+            return None
+
+    def store(self, key: str, vector: npt.NDArray[np.float16]) -> None:
+        """Keep a vector; written beside and moved into place, so that a killed run leaves no half file."""
+        if self.folder is None:
+            return
+        target = self._path(key)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = target.with_suffix(f".{os.getpid()}.part")
+        part.write_bytes(save_tensors({"features": vector}))
+        part.replace(target)
+
+    def _path(self, key: str) -> Path:
+        assert self.folder is not None
+        return self.folder / key[:2] / f"{key}.safetensors"
+
+
+def extract_features(
+    image_files: Sequence[Path], backbone: Backbone, cache: FeatureCache, progress: Progress | None = None
+) -> npt.NDArray[np.float32]:
+    """Features of images, (n, F), from the cache where they are there.
+
+    Values are rounded to float16 whether cached or not, so that both give the same numbers.
+
+    Raises
+    ------
+    ImageError
+        Naming the first file that cannot be read.
+    """
+    out: npt.NDArray[np.float32] | None = None
+    done = 0
+    with ThreadPoolExecutor(max_workers=2) as pool:  # decode ahead while the network is busy
+        batches = [range(a, min(a + _BATCH, len(image_files))) for a in range(0, len(image_files), _BATCH)]
+        ahead = [pool.submit(_load_batch, image_files, b, backbone, cache) for b in batches[:3]]
+        for number, batch in enumerate(batches):
+            keys, vectors, images = ahead.pop(0).result()
+            if number + 3 < len(batches):
+                ahead.append(pool.submit(_load_batch, image_files, batches[number + 3], backbone, cache))
+            if images:
+                with torch.inference_mode():
+                    fresh = backbone(torch.from_numpy(np.stack(list(images.values())))).numpy().astype(np.float16)
+                for i, vector in zip(images, fresh, strict=True):
+                    vectors[i] = vector
+                    cache.store(keys[i], vector)
+            for i in batch:
+                if out is None:
+                    out = np.empty((len(image_files), vectors[i].size), dtype=np.float32)
+                out[i] = vectors[i]
+            done += len(batch)
+            if progress is not None:
+                progress(done, len(image_files))
+    return out if out is not None else np.empty((0, 0), dtype=np.float32)
+
+
+def _load_batch(
+    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache
+) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, npt.NDArray[np.uint8]]]:
+    keys: dict[int, str] = {}
+    vectors: dict[int, npt.NDArray[np.float16]] = {}
+    images: dict[int, npt.NDArray[np.uint8]] = {}
+    for i in batch:
+        keys[i] = cache.key(backbone, files[i])
+        cached = cache.load(keys[i])
+        if cached is None:
+            images[i] = backbone.prepare(read_image(files[i]))
+        else:
+            vectors[i] = cached
+    return keys, vectors, images

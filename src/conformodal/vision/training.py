@@ -1,0 +1,102 @@
+"""Training of heads on cached features: settings, losses, and the entry to the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from .errors import VisionError
+from .heads import Head
+
+Progress = Callable[[int, int], None]
+Loss = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a head is trained; the same for the conformal network and the classical regressor.
+
+    Attributes
+    ----------
+    epochs, batch_size, learning_rate, weight_decay
+        Of AdamW with a one-cycle schedule.
+    hidden, dropout
+        Of the :class:`~conformodal.vision.Head`.
+    seed
+        Of weights, dropout and the order of samples.
+    """
+
+    epochs: int = 100
+    batch_size: int = 32
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    hidden: int = 256
+    dropout: float = 0.3
+    seed: int = 0
+
+
+def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Mean over targets of the cross-entropy with order-aware labels; `targets` is (n, sum of K_j)."""
+    blocks = zip(head.split(raw), torch.split(targets, head.outputs, dim=1), strict=True)
+    losses = [-(t * torch.log_softmax(r, dim=1)).sum(dim=1).mean() for r, t in blocks]
+    return torch.stack(losses).mean()
+
+
+def mean_squared_error(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """The classical regressor's loss, on standardised targets (n, d)."""
+    return torch.nn.functional.mse_loss(raw, targets)
+
+
+def fit_head(
+    features: npt.NDArray[np.float32],
+    targets: npt.NDArray[np.floating[Any]],
+    outputs: list[int],
+    loss: Loss,
+    config: TrainingConfig,
+    *,
+    checkpoint_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> Head:
+    """Train a head.
+
+    Parameters
+    ----------
+    features, targets
+        (n, F), and (n, sum of outputs).
+    outputs
+        Outputs of each target.
+    loss
+        :func:`soft_cross_entropy` or :func:`mean_squared_error`.
+    config
+        See :class:`TrainingConfig`.
+    checkpoint_dir
+        Where to keep the state while training. A run that was stopped goes on from there if data and settings are
+        the same; when training ends, its state is removed.
+    progress
+        Called with epochs done and epochs in all.
+
+    Raises
+    ------
+    VisionError
+        If there are fewer samples than two, or shapes differ.
+    """
+    x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
+    y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))
+    if len(x) < 2 or len(x) != len(y) or y.shape[1] != sum(outputs):
+        raise VisionError(
+            f"training needs two samples or more, (n, F) and (n, {sum(outputs)}); got {x.shape}, {y.shape}"
+        )
+    from .loop import run_loop  # noqa: PLC0415 - Lightning takes seconds to import; running a model needs none of it
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        head = Head(x.shape[1], outputs, config.hidden, config.dropout)
+        head.standardise_by(x)
+        run_loop(head, x, y, loss, config, checkpoint_dir, progress)
+    return head.eval()
