@@ -156,7 +156,7 @@ class VisualOdometry:
             found = "no image" if image is None else f"image is {image.dtype} {image.shape}, expected uint8 {expected}"
             return Estimate(timestamp_s, None, None, None, None, False, found)
         with torch.inference_mode():
-            prepared = torch.from_numpy(np.ascontiguousarray(self.model.backbone.prepare(image))[None])
+            prepared = torch.from_numpy(np.stack([self.model.backbone.prepare(image)]))
             # rounded as the cache rounds, so that a stream and a data set give the same numbers
             features = self.model.backbone(prepared).numpy().astype(np.float16).astype(np.float32)
         proba = self.model.proba(features)

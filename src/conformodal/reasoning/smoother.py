@@ -120,10 +120,12 @@ def smooth_positions(
     differences = sparse.kron(first, sparse.eye_array(3)).tocsr()
     bends = sparse.kron(second, sparse.eye_array(3)).tocsr()
     now = positions_xyz.copy()
-    for _ in range(_ITERATIONS):
+    for turn in range(_ITERATIONS):
         miss = (now - positions_xyz) / spreads
         w_own = _cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3))[:, None] / spreads**2
-        w_bend = w_smooth * _cauchy(np.linalg.norm((second @ now), axis=1) * np.sqrt(w_smooth / 3))
+        bend = np.linalg.norm((second @ now), axis=1) * np.sqrt(w_smooth / 3)
+        # at the start nothing is missed yet, so a wrong answer would pass for a sharp turn: hold bends stiff once
+        w_bend = w_smooth * (_cauchy(bend / 2) if turn else 1.0)
         matrix = sparse.diags_array(w_own.ravel()) + bends.T @ sparse.diags_array(np.repeat(w_bend, 3)) @ bends
         if linked:
             move = np.diff(now, axis=0)[linked]

@@ -1,0 +1,40 @@
+"""The main job, end to end: what the project promises, on the corridor and on real video."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+
+pytestmark = pytest.mark.slow
+
+
+def invoke(*arguments):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def test_demo(tmp_path):
+    invoke("demo", "--out", tmp_path)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    errors = metrics["errors"]
+    assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
+    assert errors["classical_smoothed"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
+    assert all(row["inside_band"] for row in metrics["coverage"]["targets"].values())
+    assert not metrics["coverage"]["whole_space"]
+    assert metrics["ambiguity"]["n_places"] > 300
+    assert metrics["ambiguity"]["share_held"] >= 0.95
+    assert "Here or there" in (tmp_path / "report.html").read_text()
+
+
+def test_redkitchen_interleaved(redkitchen, tmp_path):
+    cache = tmp_path / "cache"
+    invoke("train", redkitchen, "--out", tmp_path / "model", "--classical", "--cache", cache)
+    invoke("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test", "--cache", cache)
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["n_answered"] == 200
+    assert metrics["errors"]["classical"]["rmse_m"] <= 0.040
+    assert metrics["errors"]["smoothed"]["rmse_m"] <= 0.020
+    assert all(row["inside_band"] for row in metrics["coverage"]["targets"].values())

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from conformodal.conformal import ConformalError, NotCalibratedError, QuantileBins
+
+finite = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+def test_bins_hold_equal_shares():
+    y = np.random.default_rng(0).exponential(size=1000)
+    codes = QuantileBins(20).fit(y).encode(y)
+    assert np.bincount(codes[:, 0]).tolist() == [50] * 20
+
+
+@given(hnp.arrays(np.float64, st.integers(1, 40), elements=finite), st.integers(1, 12))
+def test_every_training_value_is_in_the_bin_its_code_says(y, k):
+    bins = QuantileBins(k).fit(y)
+    edges, codes = bins.edges_[0], bins.encode(y)[:, 0]
+    assert (np.diff(edges) > 0).all()
+    assert (codes >= 0).all()
+    assert (edges[codes] <= y).all()
+    assert (y <= edges[codes + 1]).all()
+
+
+def test_edges_belong_to_the_bin_above_and_the_last_to_the_last():
+    bins = QuantileBins.from_edges([[0.0, 1.0, 2.0]])
+    assert bins.encode([0.0, 1.0, 2.0, -1e-12, 2.0000001])[:, 0].tolist() == [0, 1, 1, -1, -1]
+
+
+def test_repeated_and_constant_values():
+    two = QuantileBins(10).fit([1.0] * 50 + [2.0] * 50)
+    assert two.sizes == [2]  # ten bins would be empty but for the median between the two values
+    assert two.encode([1.0, 2.0])[:, 0].tolist() == [0, 1]
+    constant = QuantileBins(10).fit(np.full(5, 3.0))
+    assert constant.sizes == [1]
+    assert constant.encode([3.0, 3.1])[:, 0].tolist() == [0, -1]
+
+
+def test_margin_reaches_beyond_the_training_range():
+    bins = QuantileBins(4, margin=0.1).fit(np.linspace(0, 10, 41))
+    assert bins.edges_[0][0] == -1
+    assert bins.edges_[0][-1] == 11
+    assert bins.encode([-0.5, 10.5])[:, 0].tolist() == [0, 3]
+
+
+def test_soft_targets_peak_at_the_true_bin_and_average_to_the_true_place():
+    bins = QuantileBins.from_edges([np.array([0.0, 1, 3, 6, 10, 15])])
+    y = np.array([4.5, 3.0, 12.0])
+    soft = bins.soft_targets(y, 0.7)[0]
+    np.testing.assert_allclose(soft.sum(axis=1), 1)
+    assert soft[0].argmax() == 2
+    place = soft[0] @ (np.arange(5) + 0.5)
+    assert place == pytest.approx(2.5, abs=0.02)  # 4.5 lies half-way through bin 2
+    one_hot = bins.soft_targets(y, 0)[0]
+    assert one_hot.argmax(axis=1).tolist() == [2, 2, 4]
+    assert set(one_hot.ravel()) == {0.0, 1.0}
+    outside = bins.soft_targets(np.array([-100.0, 100.0]), 0.7)[0]
+    assert outside.argmax(axis=1).tolist() == [0, 4]
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: QuantileBins(0), "n_bins"),
+        (lambda: QuantileBins(2.5), "n_bins"),
+        (lambda: QuantileBins(5, margin=-1), "margin"),
+        (lambda: QuantileBins(5).fit([]), "at least one"),
+        (lambda: QuantileBins(5).fit([1.0, np.nan]), "row 1"),
+        (lambda: QuantileBins(5).fit(np.zeros((2, 2, 2))), "shape"),
+        (lambda: QuantileBins(5).fit(["a"]), "numeric"),
+        (lambda: QuantileBins.from_edges([[0.0, 0.0]]), "increasing"),
+        (lambda: QuantileBins.from_edges([]), "at least one"),
+        (lambda: QuantileBins(5).fit([1.0, 2.0]).encode(np.zeros((3, 2))), "expected 1"),
+        (lambda: QuantileBins(5).fit([1.0, 2.0]).soft_targets([1.0], -1), "sigma_bins"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make, match):
+    with pytest.raises(ConformalError, match=match):
+        make()
+
+
+def test_unfitted_bins_say_so():
+    with pytest.raises(NotCalibratedError):
+        QuantileBins(5).encode([1.0])

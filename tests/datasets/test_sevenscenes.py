@@ -1,0 +1,123 @@
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.datasets import DatasetError, ImageError, read_sevenscenes
+from conformodal.datasets.sevenscenes import pose_path
+from conformodal.poses import PoseError
+
+
+def write_recording(folder, n=4, suffix="png", size=(32, 24)):
+    folder.mkdir(parents=True)
+    (folder / "camera-intrinsics.txt").write_text("30 0 16\n0 30 12\n0 0 1\n")
+    for i in range(n):
+        Image.new("RGB", size, (i, 0, 0)).save(folder / f"frame-{i:06d}.color.{suffix}")
+        pose = np.eye(4)
+        pose[:3, 3] = i, 2 * i, 3 * i
+        np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose)
+    return folder
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_reads_frames_poses_and_camera(tmp_path, suffix):
+    sequence = read_sevenscenes(write_recording(tmp_path / "seq-01", suffix=suffix))
+    assert len(sequence) == 4
+    assert sequence.camera.fx == 30
+    assert sequence.image(2).shape == (24, 32, 3)
+    np.testing.assert_allclose(sequence.require_truth().positions_xyz[3], [3, 6, 9])
+    np.testing.assert_allclose(np.diff(sequence.timestamps_s), 1 / 30)
+
+
+def test_scene_of_several_recordings_is_kept_apart(tmp_path):
+    write_recording(tmp_path / "seq-01")
+    write_recording(tmp_path / "seq-02", n=3)
+    (tmp_path / "frame-rate.txt").write_text("10\n")
+    sequence = read_sevenscenes(tmp_path)
+    assert sequence.recording.tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert sequence.timestamps_s[1] == pytest.approx(0.1)
+    assert (np.diff(sequence.timestamps_s) > 0).all()
+
+
+def test_png_wins_where_both_are_there(tmp_path):
+    folder = write_recording(tmp_path / "seq-01")
+    Image.new("RGB", (32, 24)).save(folder / "frame-000001.color.jpg")
+    sequence = read_sevenscenes(folder)
+    assert [p.suffix for p in sequence.image_paths] == [".png"] * 4
+
+
+def test_frames_without_poses_can_be_run_on(tmp_path):
+    folder = write_recording(tmp_path / "seq-01")
+    for path in folder.glob("*.pose.txt"):
+        path.unlink()
+    sequence = read_sevenscenes(folder, require_poses=False)
+    assert sequence.truth is None
+    with pytest.raises(PoseError, match="no poses"):
+        sequence.require_truth()
+    with pytest.raises(DatasetError, match=r"frame-000000\.pose\.txt: pose is missing \(4 of 4"):
+        read_sevenscenes(folder)
+
+
+def spoil(name, text):
+    return lambda folder: (folder / name).write_text(text)
+
+
+IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+
+
+@pytest.mark.parametrize(
+    ("damage", "match"),
+    [
+        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "nan 0 0 0")), "frame-000002.*NaN"),
+        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "2 0 0 0")), "frame-000002.*no rotation"),
+        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "-1 0 0 0")), "frame-000002.*mirror"),
+        (spoil("frame-000002.pose.txt", "1 0 0\n"), "frame-000002.*3 numbers, expected 16"),
+        (spoil("frame-000002.pose.txt", IDENTITY.replace("0 0 0 1\n", "0 0 1 1\n")), "frame-000002.*last row"),
+        (spoil("frame-000002.pose.txt", "one two"), "frame-000002.*cannot be read"),
+        (lambda f: (f / "frame-000002.pose.txt").unlink(), r"frame-000002.*missing \(1 of 4"),
+        (spoil("camera-intrinsics.txt", "1 2\n"), "camera-intrinsics.*expected 9"),
+        (spoil("camera-intrinsics.txt", "-1 0 1\n0 1 1\n0 0 1\n"), "camera-intrinsics.*positive"),
+        (lambda f: (f / "camera-intrinsics.txt").unlink(), "no camera-intrinsics"),
+        (spoil("frame-rate.txt", "-3"), "frame-rate.*positive"),
+        (spoil("frame-000000.color.png", "not an image"), r"frame-000000\.color\.png"),
+        (shutil.rmtree, "no such folder"),
+        (lambda f: [p.unlink() for p in f.glob("frame-0*")], "holds no frame"),
+    ],
+)
+def test_damage_is_told_by_file(tmp_path, damage, match):
+    folder = write_recording(tmp_path / "seq-01")
+    damage(folder)
+    with pytest.raises(DatasetError, match=match):
+        read_sevenscenes(folder)
+
+
+def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
+    folder = tmp_path / "seq-01"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for i, suffix in enumerate(["jpg", "png", "png", "png"]):
+        path = folder / f"frame-{i:06d}.color.{suffix}"
+        Image.fromarray(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)).save(path)
+        (folder / f"frame-{i:06d}.pose.txt").write_text(IDENTITY)
+    sequence = read_sevenscenes(folder)
+    for i in (0, 1):
+        content = sequence.image_paths[i].read_bytes()
+        sequence.image_paths[i].write_bytes(content[: len(content) // 2])
+        with pytest.raises(ImageError, match=f"frame-00000{i}"):
+            sequence.image(i)
+    Image.new("RGB", (10, 10)).save(sequence.image_paths[2])
+    with pytest.raises(ImageError, match="10x10"):
+        sequence.image(2)
+    sequence.image_paths[3].unlink()
+    with pytest.raises(ImageError, match="missing"):
+        sequence.image(3)
+
+
+def test_real_recording(redkitchen):
+    sequence = read_sevenscenes(redkitchen)
+    assert len(sequence) == 1000
+    assert sequence.camera.fx == 585
+    assert sequence.image(999).shape == (480, 640, 3)
+    first = np.loadtxt(pose_path(sequence.image_paths[0]))
+    np.testing.assert_allclose(sequence.require_truth().poses_se3[0], first, atol=1e-4)

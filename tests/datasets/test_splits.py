@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+
+from conformodal.datasets import SplitError, make_split
+
+
+@pytest.mark.parametrize("kind", ["interleaved", "blocks"])
+def test_parts_are_disjoint_whole_and_seeded(kind):
+    recording = np.repeat([0, 1], [700, 300])
+    split = make_split(recording, kind, seed=4)
+    together = np.concatenate((split.train, split.calibration, split.test))
+    assert sorted(together.tolist()) == list(range(1000))
+    assert abs(len(split.test) - 200) <= 40
+    again, other = make_split(recording, kind, seed=4), make_split(recording, kind, seed=5)
+    assert again.test.tolist() == split.test.tolist() != other.test.tolist()
+
+
+def test_shares_of_an_interleaved_split_are_exact():
+    split = make_split(np.zeros(1000, int), "interleaved", test=0.2, calibration=0.16)
+    assert (len(split.train), len(split.calibration), len(split.test)) == (640, 160, 200)
+
+
+def test_blocks_are_contiguous_and_do_not_span_recordings():
+    recording = np.repeat([0, 1], [505, 495])
+    split = make_split(recording, "blocks", n_blocks=20)
+    runs = np.split(split.test, np.flatnonzero(np.diff(split.test) > 1) + 1)
+    assert max(len(r) for r in runs) >= 40
+    assert len(runs) <= 6
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: make_split(np.zeros(100, int), "random"), "interleaved"),
+        (lambda: make_split(np.zeros(100, int), "blocks", test=0.9, calibration=0.2), "shares"),
+        (lambda: make_split(np.zeros(3, int), "interleaved"), "too few"),
+    ],
+)
+def test_impossible_splits_are_refused(call, match):
+    with pytest.raises(SplitError, match=match):
+        call()
+
+
+def test_unknown_part():
+    with pytest.raises(SplitError, match="part"):
+        make_split(np.zeros(100, int), "blocks").part("validation")

@@ -1,0 +1,175 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.datasets import read_sevenscenes
+from conformodal.datasets.corridor import CorridorWorld, Renderer
+from conformodal.datasets.corridor.path import rotation_world_cam
+from conformodal.motion import CornerTracker, MotionFrontEnd, estimate_relative_motion
+from conformodal.poses import MotionStatus, PinholeCamera
+
+CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
+
+
+def two_views(rotvec, centre, n=200, seed=0, noise_px=0.0, plane=False):
+    """Pixels of random points in two cameras; the second has pose (R_prev_next, centre) in the first."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([-3, -2, 4], [3, 2, 9], (n, 3))
+    if plane:
+        points[:, 2] = 6 + 0.3 * points[:, 0]
+    R_prev_next = Rotation.from_rotvec(rotvec).as_matrix()
+
+    def project(x):
+        return x[:, :2] / x[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+
+    after = (points - centre) @ R_prev_next
+    noise = rng.normal(size=(2, n, 2)) * noise_px
+    return project(points) + noise[0], project(after) + noise[1], R_prev_next
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("plane", [False, True])
+def test_no_sign_or_order_error_survives(seed, plane):
+    rng = np.random.default_rng(seed)
+    rotvec, centre = rng.normal(size=3) * 0.08, rng.normal(size=3) * 0.5
+    before, after, R = two_views(rotvec, centre, seed=seed, plane=plane)
+    motion = estimate_relative_motion(before, after, CAMERA)
+    assert motion.status is MotionStatus.OK
+    np.testing.assert_allclose(motion.R_prev_next, R, atol=1e-4)
+    np.testing.assert_allclose(motion.direction_prev, centre / np.linalg.norm(centre), atol=2e-3)
+
+
+def test_outliers_do_not_matter():
+    before, after, R = two_views([0.05, -0.1, 0.02], np.array([0.4, 0.1, 0.2]), noise_px=0.3)
+    rng = np.random.default_rng(1)
+    after[:60] = rng.uniform(0, 480, (60, 2))
+    motion = estimate_relative_motion(before, after, CAMERA)
+    assert 110 < motion.n_inliers <= 150
+    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()) < 0.2
+
+
+def test_pure_rotation_keeps_the_rotation_and_drops_the_direction():
+    before, after, R = two_views([0.02, 0.1, -0.03], np.zeros(3), noise_px=0.2)
+    motion = estimate_relative_motion(before, after, CAMERA)
+    assert motion.status is MotionStatus.LOW_PARALLAX
+    assert motion.direction_prev is None
+    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()) < 0.1
+
+
+def test_repeated_frames_lost_corners_and_nonsense_are_named():
+    before, after, _ = two_views([0.01, 0, 0], np.array([0.3, 0, 0]))
+    repeated = estimate_relative_motion(before, before, CAMERA)
+    assert repeated.status is MotionStatus.REPEATED
+    np.testing.assert_array_equal(repeated.R_prev_next, np.eye(3))
+    assert repeated.direction_prev is None
+    assert estimate_relative_motion(before[:5], after[:5], CAMERA, 300).status is MotionStatus.LOST
+    assert estimate_relative_motion(before[:5], after[:5], CAMERA, 5).status is MotionStatus.TOO_FEW
+    assert estimate_relative_motion(before[:0], after[:0], CAMERA).status is MotionStatus.TOO_FEW
+    scrambled = np.random.default_rng(0).permutation(after)
+    nonsense = estimate_relative_motion(before, scrambled, CAMERA)
+    assert nonsense.status is MotionStatus.INCONSISTENT
+    assert not nonsense.reliable
+
+
+def flight(n=12, step=0.12):
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, :3, :3] = rotation_world_cam(np.radians(60 + 2.0 * np.arange(n)))
+    poses[:, :3, 3] = np.column_stack((2 + step * np.arange(n), np.full(n, 3.0), np.full(n, 1.3)))
+    renderer = Renderer(CorridorWorld(3, seed=0))
+    return poses, [renderer.render(p, i) for i, p in enumerate(poses)], renderer.camera
+
+
+def test_front_end_agrees_with_the_exact_poses_of_the_corridor():
+    poses, images, camera = flight()
+    front_end = MotionFrontEnd(camera)
+    assert front_end.measure(images[0]) is None
+    for t in range(1, len(images)):
+        motion = front_end.measure(images[t])
+        relative = np.linalg.inv(poses[t - 1]) @ poses[t]
+        turn = Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()
+        assert np.degrees(turn) < 2
+        truth = relative[:3, 3] / np.linalg.norm(relative[:3, 3])
+        assert motion.direction_prev @ truth > np.cos(np.radians(25))
+
+
+def test_motion_over_frames_passed_by_spans_them_all():
+    poses, images, camera = flight()
+    front_end = MotionFrontEnd(camera)
+    front_end.measure(images[0])
+    for image in images[1:4]:
+        front_end.pass_by(image)
+    motion = front_end.measure(images[4])
+    relative = np.linalg.inv(poses[0]) @ poses[4]
+    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()) < 2
+
+
+def test_renewed_corners_chain_rotations_and_leave_the_direction_out():
+    poses, images, camera = flight()
+    front_end = MotionFrontEnd(camera)
+    front_end.measure(images[0])
+    single = front_end.measure(images[1]).rotation_sigma_rad
+    front_end.reset()
+    front_end.measure(images[0])
+    front_end.pass_by(images[1])
+    front_end._bank()  # what happens when most corners are gone
+    front_end.pass_by(images[2])
+    motion = front_end.measure(images[3])
+    assert motion.rotation_sigma_rad == pytest.approx(single * 2**0.5)
+    assert motion.direction_prev is None
+    relative = np.linalg.inv(poses[0]) @ poses[3]
+    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()) < 3
+
+
+def test_black_blank_and_cut_frames_do_not_break_the_stream():
+    _, images, camera = flight()
+    black = np.zeros_like(images[0])
+    other = Renderer(CorridorWorld(3, seed=9)).render(np.linalg.inv(np.eye(4)) @ flight()[0][0])
+    front_end = MotionFrontEnd(camera)
+    statuses = [front_end.measure(i) for i in (images[0], images[1], black, black, images[2], images[3], other)]
+    assert statuses[1].status in (MotionStatus.OK, MotionStatus.LOW_PARALLAX)
+    assert statuses[2].status is MotionStatus.LOST
+    assert statuses[3].status is MotionStatus.TOO_FEW
+    assert statuses[4].status is MotionStatus.TOO_FEW
+    assert statuses[5].reliable
+    assert not statuses[6].reliable or statuses[6].n_tracks < statuses[5].n_tracks / 2
+
+
+def test_tracker_renews_corners_and_forgets():
+    _, images, _ = flight()
+    tracker = CornerTracker()
+    grey = [i.mean(axis=2).astype(np.uint8) for i in images]
+    tracker.mark()
+    assert not tracker.started
+    tracker.advance(grey[0])
+    tracker.mark()
+    born = tracker.n_at_mark
+    for image in grey[1:6]:
+        tracker.advance(image)
+    before, now = tracker.pairs()
+    assert 16 < len(before) == len(now) < born
+    tracker.mark()
+    assert tracker.n_at_mark > len(before)
+    tracker.reset()
+    assert not tracker.started
+
+
+def test_redkitchen_rotations(redkitchen):
+    sequence = read_sevenscenes(redkitchen)
+    poses = sequence.require_truth().poses_se3
+    front_end = MotionFrontEnd(sequence.camera)
+    errors, directions = [], []
+    for i in range(200, 400):
+        image = sequence.image(i)
+        if i % 5:
+            front_end.pass_by(image)
+            continue
+        motion = front_end.measure(image)
+        if motion is not None and motion.R_prev_next is not None:
+            relative = np.linalg.inv(poses[i - 5]) @ poses[i]
+            errors.append(np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()))
+            if motion.direction_prev is not None:
+                cosine = motion.direction_prev @ relative[:3, 3] / np.linalg.norm(relative[:3, 3])
+                directions.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    assert len(errors) >= 38
+    assert np.median(errors) < 0.6
+    assert np.median(directions) < 15

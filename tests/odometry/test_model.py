@@ -1,0 +1,186 @@
+import json
+
+import numpy as np
+import pytest
+
+from conformodal.datasets import read_sevenscenes
+from conformodal.odometry import (
+    ModelConfig,
+    ModelFileError,
+    OdometryError,
+    VisualOdometry,
+    data_digest,
+    load_model,
+    prepare_training_data,
+    save_model,
+    train_model,
+)
+from conformodal.poses import PinholeCamera
+from conformodal.vision import FeatureCache, TrainingConfig
+
+
+@pytest.fixture(scope="module")
+def sequence(small_world):
+    return read_sevenscenes(small_world.folder)
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+def test_a_saved_model_gives_the_same_answers(model, tmp_path):
+    save_model(model, tmp_path / "copy")
+    back = load_model(tmp_path / "copy")
+    x = np.random.default_rng(0).random((4, len(model.head.feature_mean))).astype(np.float32)
+    for a, b in zip(model.proba(x), back.proba(x), strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)
+    for part in ("train", "calibration", "test"):
+        np.testing.assert_array_equal(model.split.part(part), back.split.part(part))
+    assert back.prior == model.prior
+    assert back.scale == model.scale
+    assert back.camera == model.camera
+    assert back.configuration == model.configuration
+
+
+def edit_json(change):
+    def spoil(folder):
+        path = folder / "model.json"
+        record = json.loads(path.read_text())
+        change(record)
+        path.write_text(json.dumps(record))
+
+    return spoil
+
+
+def flip_a_bit(folder):
+    path = folder / "weights.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(bytes(content))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "match"),
+    [
+        (flip_a_bit, r"weights\.safetensors.*digest differs"),
+        (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-1'"),
+        (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
+        (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
+        (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
+        (lambda f: (f / "weights.safetensors").unlink(), r"weights\.safetensors.*cannot be read"),
+    ],
+)
+def test_altered_models_are_refused(model, tmp_path, spoil, match):
+    save_model(model, tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(ModelFileError, match=match):
+        load_model(tmp_path)
+
+
+def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
+    monkeypatch.setitem(vars(model.backbone), "fingerprint", "other")  # where cached_property keeps it
+    save_model(model, tmp_path)
+    monkeypatch.undo()
+    with pytest.raises(ModelFileError, match="another version"):
+        load_model(tmp_path)
+
+
+def test_recalibration_nests_regions(model, sequence, small_world):
+    cache = FeatureCache(small_world.cache)
+    odometry = VisualOdometry.load(small_world.model)
+    frames = model.split.test[:20]
+    wide = odometry.process(sequence, frames, cache=cache).regions
+    odometry.model.recalibrate(0.6)
+    narrow = odometry.process(sequence, frames, cache=cache).regions
+    assert (narrow.length <= wide.length).all()
+    assert narrow.length.sum() < wide.length.sum()
+
+
+def test_a_stream_gives_the_regions_of_the_whole_run(sequence, small_world):
+    odometry = VisualOdometry.load(small_world.model)
+    frames = np.arange(40, 60)
+    run = odometry.process(sequence, frames)
+    estimates = [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames]
+    for i, estimate in enumerate(estimates):
+        same = [np.array_equal(a[i], b[0]) for a, b in zip(run.regions.masks, estimate.region.masks, strict=True)]
+        assert all(same)
+        assert (estimate.relative_motion is None) == (i == 0)
+        assert estimate.reliable == run.reliable[i]
+    assert len(run.trajectory) == 20
+    np.testing.assert_allclose(estimates[5].pose.timestamps_s, sequence.timestamps_s[45])
+
+
+def test_bad_frames_do_not_end_a_stream(sequence, small_world):
+    odometry = VisualOdometry.load(small_world.model)
+    first = odometry.step(sequence.image(10), 1.0)
+    assert first.reliable
+    missing = odometry.step(None, 1.1)
+    assert (missing.pose, missing.region, missing.reliable) == (None, None, False)
+    wrong = odometry.step(np.zeros((5, 5, 3), np.uint8), 1.2)
+    assert not wrong.reliable
+    assert "(120, 160, 3)" in wrong.problem
+    black = odometry.step(np.zeros((120, 160, 3), np.uint8), 1.3)
+    assert not black.reliable
+    assert black.region is not None  # the network's region alone
+    assert black.problem
+    odometry.step(sequence.image(11), 1.4)
+    assert odometry.step(sequence.image(12), 1.5).reliable
+    with pytest.raises(OdometryError, match="must increase"):
+        odometry.step(sequence.image(12), 1.5)
+
+
+def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path):
+    import shutil
+
+    shutil.copytree(small_world.folder, tmp_path / "copy")
+    copy = read_sevenscenes(tmp_path / "copy")
+    copy.image_paths[12].write_bytes(b"no image")
+    run = VisualOdometry.load(small_world.model).process(copy, np.arange(10, 16))
+    assert run.frames.tolist() == [10, 11, 13, 14, 15]
+    assert "frame-000012" in run.unreadable[12]
+    for i in (20, 21):
+        copy.image_paths[i].unlink()
+    with pytest.raises(OdometryError, match="none of 2 frames"):
+        VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
+
+
+def test_another_camera_is_refused(model):
+    with pytest.raises(OdometryError, match="trained with"):
+        model.check_camera(PinholeCamera(120, 100, 79.5, 59.5, 160, 120))
+
+
+def test_recordings_are_not_linked(small_world, tmp_path):
+    import shutil
+
+    for name in ("seq-01", "seq-02"):
+        shutil.copytree(small_world.folder / "seq-01", tmp_path / name)
+    for name in ("camera-intrinsics.txt", "frame-rate.txt"):
+        shutil.copy(small_world.folder / name, tmp_path / name)
+    both = read_sevenscenes(tmp_path)
+    n = len(both) // 2
+    odometry = VisualOdometry.load(small_world.model)
+    run = odometry.process(both, np.array([n - 2, n - 1, n, n + 1]), cache=FeatureCache(small_world.cache))
+    assert run.motions[0] is None
+    assert run.motions[2] is None
+
+
+def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
+    config = ModelConfig(calibration=0.01, training=TrainingConfig(epochs=1))
+    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
+    model = train_model(data, config)
+    assert model.unbounded
+    run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
+    assert run.regions.unbounded.all()
+    assert np.isfinite(run.trajectory.positions_xyz).all()
+
+
+def test_data_sets_are_recognised_by_content(sequence, small_world, tmp_path):
+    import shutil
+
+    shutil.copytree(small_world.folder, tmp_path / "moved")
+    assert data_digest(read_sevenscenes(tmp_path / "moved")) == data_digest(sequence)
+    (tmp_path / "moved" / "seq-01" / "frame-000003.color.png").unlink()
+    assert data_digest(read_sevenscenes(tmp_path / "moved")) != data_digest(sequence)

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+
+from conformodal.conformal import QuantileBins, Regions
+from conformodal.reasoning import fit_spread_scale, interval_candidates, mode_candidates, softmax_mean
+
+K = 20
+
+
+def bumps(*peaks):
+    """A softmax row with Gaussian bumps at (bin coordinate, weight)."""
+    at = np.arange(K) + 0.5
+    p = sum(w * np.exp(-0.5 * ((at - c) / 0.8) ** 2) for c, w in peaks)
+    return (p / p.sum())[None]
+
+
+def pose_bins():
+    edges = np.linspace(-1, 1, K + 1)
+    return QuantileBins.from_edges([np.linspace(0, 20, K + 1) ** 1.2, *[np.linspace(0, 10, K + 1)] * 2, *[edges] * 4])
+
+
+def identity_quat():
+    return [bumps((19.5, 1.0)), *[bumps((10.0, 1.0))] * 3]
+
+
+def test_every_mode_is_a_candidate_at_its_mean():
+    proba = [bumps((4.3, 0.7), (15.6, 0.3)), bumps((10.0, 1)), bumps((5.0, 1)), *identity_quat()]
+    found = mode_candidates(proba, pose_bins())[0]
+    expected = np.interp([4.3, 15.6], np.arange(K + 1), pose_bins().edges_[0])
+    np.testing.assert_allclose(found.positions_xyz[:, 0], expected, rtol=0.02)
+    np.testing.assert_allclose(np.exp(found.position_log_mass), [0.7, 0.3], atol=0.01)
+    np.testing.assert_allclose(found.positions_xyz[:, 1:], [[5, 2.5]] * 2, atol=0.02)
+    assert abs(found.orientations_quat_wxyz[0, 0]) > 0.99
+
+
+def test_candidates_are_bounded_and_keep_the_most_probable():
+    many = bumps(*[(c, 1.0) for c in (1, 5, 9, 13, 17)])
+    proba = [many, many, many, *identity_quat()]
+    found = mode_candidates(proba, pose_bins(), max_candidates=10)[0]
+    assert len(found.positions_xyz) == 10
+    assert (np.diff(found.position_log_mass) <= 1e-12).all()
+    few = mode_candidates(proba, pose_bins(), min_mass=0.9)[0]
+    assert len(few.positions_xyz) == 1  # never none
+
+
+def test_intervals_stand_for_their_own_means_and_an_empty_set_for_its_best_bin():
+    proba = [bumps((4.5, 0.6), (15.5, 0.4)), bumps((10.0, 1)), bumps((5.5, 1)), *identity_quat()]
+    bins = pose_bins()
+    masks = [np.ones((1, K), bool) for _ in range(7)]
+    masks[0][:] = False
+    masks[0][0, [4, 15]] = True
+    masks[2][:] = False
+    found = interval_candidates(proba, Regions(bins, masks, np.zeros((1, 7), bool)))[0]
+    np.testing.assert_allclose(found.positions_xyz[:, 0], bins.centers[0][[4, 15]], rtol=1e-6)
+    np.testing.assert_allclose(found.positions_xyz[:, 2], bins.centers[2][5], rtol=1e-6)
+
+
+def test_softmax_mean_is_unbiased_in_bin_coordinates():
+    bins = pose_bins()
+    mean = softmax_mean([bumps((8.25, 1))] * 7, bins)
+    np.testing.assert_allclose(mean[0, 0], np.interp(8.25, np.arange(K + 1), bins.edges_[0]), rtol=1e-3)
+
+
+def test_components_that_cancel_give_an_orientation_of_no_weight():
+    centre = bumps((10.0, 1.0))  # 0 in every component
+    found = mode_candidates([centre] * 7, pose_bins())[0]
+    assert np.isfinite(found.orientations_quat_wxyz).all()
+
+
+def test_spread_scale_measures_errors_in_spreads():
+    rng = np.random.default_rng(0)
+    proba = [np.repeat(bumps((10.0, 1)), 400, axis=0)] * 3 + [np.repeat(q, 400, axis=0) for q in identity_quat()]
+    candidates = mode_candidates(proba, pose_bins())
+    spread = candidates[0].position_spreads[0]
+    truth = candidates[0].positions_xyz[0] + rng.normal(size=(400, 3)) * spread * [0.5, 1, 2]
+    scale = fit_spread_scale(candidates, truth, np.tile(candidates[0].orientations_quat_wxyz[0], (400, 1)))
+    np.testing.assert_allclose(scale.position, [0.5, 1, 2], rtol=0.15)
+    assert scale.orientation == pytest.approx(0.05)
+    scaled = mode_candidates(proba, pose_bins(), scale=scale)
+    np.testing.assert_allclose(scaled[0].position_spreads[0], spread * scale.position)

@@ -1,0 +1,218 @@
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.poses import MotionStatus, RelativeMotion, Trajectory, angle_between_quats
+from conformodal.reasoning import (
+    Candidates,
+    Decoder,
+    MotionPrior,
+    ReasoningError,
+    fit_motion_prior,
+    greedy,
+    orientation_cost,
+    position_cost,
+    smooth_orientations,
+    smooth_positions,
+    viterbi,
+)
+
+PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
+
+
+def path(n=40):
+    t = np.arange(n) * 0.1
+    positions = np.column_stack((np.sin(t), 0.4 * t, 0.1 * np.cos(2 * t)))
+    rotations = Rotation.from_euler("zyx", np.column_stack((0.4 * t, 0.1 * np.sin(t), 0 * t)))
+    return t, positions, rotations
+
+
+def exact_motions(positions, rotations):
+    motions = [None]
+    for t in range(1, len(positions)):
+        R = rotations[t - 1].inv() * rotations[t]
+        step = rotations[t - 1].inv().apply(positions[t] - positions[t - 1])
+        motions.append(
+            RelativeMotion(
+                MotionStatus.OK,
+                R.as_matrix(),
+                step / np.linalg.norm(step),
+                100,
+                100,
+                0.02,
+                np.radians(0.3),
+                np.radians(8),
+            )
+        )
+    return motions
+
+
+def ambiguous(positions, rotations, seed=0, period=4.0, favour=0.0):
+    """Candidates at the truth and one period on either side; `favour` makes the wrong ones more probable."""
+    rng = np.random.default_rng(seed)
+    quats = rotations.as_quat(scalar_first=True)
+    found = []
+    for p, q in zip(positions, quats, strict=True):
+        noisy = p + rng.normal(size=3) * 0.05
+        options = noisy + np.array([[0, 0, 0], [period, 0, 0], [-period, 0, 0]])
+        mass = np.log([0.4 - favour, 0.3 + favour, 0.3])
+        order = np.argsort(-mass)
+        turned = Rotation.from_rotvec([0, 0, np.pi / 2]) * Rotation.from_quat(q, scalar_first=True)
+        orientations = np.array([-q, turned.as_quat(scalar_first=True)])
+        spreads = np.full((3, 3), 0.05)
+        found.append(
+            Candidates(options[order], spreads, mass[order], orientations, np.full(2, 0.02), np.log([0.5, 0.5]))
+        )
+    return found
+
+
+def test_viterbi_is_the_best_of_all_sequences():
+    t, positions, rotations = path(5)
+    motions = exact_motions(positions, rotations)
+    candidates = ambiguous(positions, rotations, favour=0.05)
+    move, turn = viterbi(candidates, motions, t, PRIOR)
+
+    def total(sequence):
+        score = candidates[0].position_log_mass[sequence[0]]
+        for s in range(1, 5):
+            q = candidates[s - 1].orientations_quat_wxyz[turn[s - 1]]
+            cost = position_cost(candidates[s - 1], candidates[s], q, motions[s], 0.1, PRIOR)
+            score += candidates[s].position_log_mass[sequence[s]] - cost[sequence[s - 1], sequence[s]]
+        return score
+
+    best = max(product(range(3), repeat=5), key=total)
+    assert total(move) == pytest.approx(total(best))
+
+
+def test_viterbi_mends_a_wrong_start_and_greedy_does_not():
+    t, positions, rotations = path()
+    candidates = ambiguous(positions, rotations)
+    first = candidates[0]
+    wrong = Candidates(
+        first.positions_xyz[[1, 0, 2]], first.position_spreads, np.log([0.6, 0.2, 0.2]), *vars_orientation(first)
+    )
+    candidates[0] = wrong
+    motions = exact_motions(positions, rotations)
+    motions[20] = None  # blind for a moment
+    move, turn = viterbi(candidates, motions, t, PRIOR)
+    chosen = np.array([c.positions_xyz[k] for c, k in zip(candidates, move, strict=True)])
+    assert np.linalg.norm(chosen - positions, axis=1).max() < 0.5
+    quats = np.array([c.orientations_quat_wxyz[k] for c, k in zip(candidates, turn, strict=True)])
+    assert angle_between_quats(quats, rotations.as_quat(scalar_first=True)).max() < 0.01
+    followed, _ = greedy(candidates, motions)
+    assert np.linalg.norm(followed[1:19] - positions[1:19], axis=1).min() > 1
+
+
+def vars_orientation(c):
+    return c.orientations_quat_wxyz, c.orientation_spreads_rad, c.orientation_log_mass
+
+
+def test_greedy_follows_the_papers_equations_to_the_letter():
+    rng = np.random.default_rng(3)
+    _, positions, rotations = path(6)
+    motions = exact_motions(positions, rotations)
+    candidates = []
+    for _ in range(6):
+        q = rng.normal(size=(4, 4))
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
+        p = rng.normal(size=(5, 3))
+        candidates.append(Candidates(p, np.ones((5, 3)), np.sort(rng.random(5))[::-1], q, np.ones(4), np.zeros(4)))
+    found_p, found_q = greedy(candidates, motions)
+    p_prev, q_prev = candidates[0].positions_xyz[0], candidates[0].orientations_quat_wxyz[0]
+    for t in range(1, 6):
+        R_prev = Rotation.from_quat(q_prev, scalar_first=True).as_matrix()
+        q_next = Rotation.from_matrix(R_prev @ motions[t].R_prev_next).as_quat(scalar_first=True)
+        distance = [
+            min(np.linalg.norm(q - q_next), np.linalg.norm(q + q_next)) for q in candidates[t].orientations_quat_wxyz
+        ]
+        q_prev_new = candidates[t].orientations_quat_wxyz[int(np.argmin(distance))]
+        t_rel = R_prev @ motions[t].direction_prev
+        miss = [np.linalg.norm(t_rel - (p - p_prev) / np.linalg.norm(p - p_prev)) for p in candidates[t].positions_xyz]
+        p_prev, q_prev = candidates[t].positions_xyz[int(np.argmin(miss))], q_prev_new
+        np.testing.assert_array_equal(found_p[t], p_prev)
+        np.testing.assert_array_equal(found_q[t], q_prev)
+
+
+def test_greedy_takes_the_most_probable_where_motion_is_unknown():
+    _, positions, rotations = path(3)
+    candidates = ambiguous(positions, rotations)
+    p, q = greedy(candidates, [None, None, RelativeMotion(MotionStatus.LOST)])
+    np.testing.assert_array_equal(p, [c.positions_xyz[0] for c in candidates])
+    np.testing.assert_array_equal(q, [c.orientations_quat_wxyz[0] for c in candidates])
+
+
+def test_costs_are_bounded_and_smallest_at_the_truth():
+    _, positions, rotations = path(2)
+    before, after = ambiguous(positions, rotations)
+    motion = exact_motions(positions, rotations)[1]
+    turn = orientation_cost(before, after, motion, 0.1, PRIOR)
+    assert turn.argmin() in (0, 3)  # both kept, or both turned alike
+    assert turn[0, 1] == 25
+    move = position_cost(before, after, before.orientations_quat_wxyz[0], motion, 0.1, PRIOR)
+    assert (np.diag(move) < 5).all()
+    assert move[0, 1] == move[1, 0] == 25
+
+
+def test_the_online_decoder_agrees_with_the_path_it_ends_on():
+    rng = np.random.default_rng(0)
+    decoder = Decoder()
+    decoder.push(rng.normal(size=3))
+    for _ in range(20):
+        best = decoder.push(rng.normal(size=3), rng.normal(size=(3, 3)))
+    assert decoder.path()[-1] == best
+    with pytest.raises(ReasoningError, match="first frame"):
+        decoder.push(np.zeros(3))
+
+
+def test_lengths_that_differ_are_refused():
+    t, positions, rotations = path(3)
+    with pytest.raises(ReasoningError, match="motions"):
+        viterbi(ambiguous(positions, rotations), [None], t, PRIOR)
+
+
+def test_smoothing_improves_on_noise():
+    rng = np.random.default_rng(1)
+    t, positions, rotations = path(200)
+    motions = exact_motions(positions, rotations)
+    motions[50] = None
+    truth = Trajectory(t, positions, rotations.as_quat(scalar_first=True))
+    noisy_q = (Rotation.from_rotvec(rng.normal(size=(200, 3)) * 0.03) * rotations).as_quat(scalar_first=True)
+    noisy_p = positions + rng.normal(size=(200, 3)) * 0.1
+    noisy_p[100] += 3  # one wrong mode
+    q = smooth_orientations(noisy_q, np.full(200, 0.03), motions, t, PRIOR)
+    p = smooth_positions(noisy_p, np.full((200, 3), 0.1), q, motions, t, PRIOR)
+
+    def rms(x):
+        return np.sqrt(np.mean(x**2))
+
+    before_q = angle_between_quats(noisy_q, truth.orientations_quat_wxyz)
+    assert rms(angle_between_quats(q, truth.orientations_quat_wxyz)) < 0.4 * rms(before_q)
+    error = np.linalg.norm(p - positions, axis=1)
+    assert rms(error) < 0.09  # 0.17 before, without the outlier
+    assert error[100] < 0.4
+
+
+def test_smoothing_keeps_what_is_exact_and_short():
+    t, positions, rotations = path(30)
+    quats = rotations.as_quat(scalar_first=True)
+    motions = exact_motions(positions, rotations)
+    same = smooth_orientations(quats, np.full(30, 0.02), motions, t, PRIOR)
+    np.testing.assert_allclose(angle_between_quats(same, quats), 0, atol=1e-6)
+    assert smooth_orientations(quats[:1], np.ones(1), motions[:1], t[:1], PRIOR).shape == (1, 4)
+    assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], motions[:2], t[:2], PRIOR).shape == (2, 3)
+    with pytest.raises(ReasoningError, match="positive"):
+        smooth_positions(positions, np.zeros((30, 3)), quats, motions, t, PRIOR)
+
+
+def test_prior_learns_speeds_and_turns():
+    t = np.arange(400) * 0.1
+    circle = np.column_stack((2 * np.cos(0.5 * t), 2 * np.sin(0.5 * t), 0 * t))
+    quats = Rotation.from_rotvec(np.column_stack((0 * t, 0 * t, 0.5 * t))).as_quat(scalar_first=True)
+    prior = fit_motion_prior(Trajectory(t, circle, quats), np.zeros(400, int))
+    assert prior.turn_rate_rad_s == pytest.approx(0.5, rel=0.01)
+    assert prior.reach_m(0.1) == pytest.approx(0.11, rel=0.01)  # 1 m/s and a tenth more
+    assert (np.diff(prior.intervals_s) > 0).all()
+    with pytest.raises(ReasoningError, match="three frames"):
+        fit_motion_prior(Trajectory(t[:2], circle[:2], quats[:2]), np.zeros(2, int))

@@ -1,0 +1,173 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from conformodal.datasets import ImageError
+from conformodal.vision import (
+    Backbone,
+    BackboneConfig,
+    FeatureCache,
+    Head,
+    TrainingConfig,
+    VisionError,
+    extract_features,
+    fit_head,
+    mean_squared_error,
+    predict_proba,
+    predict_values,
+    soft_cross_entropy,
+)
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    return Backbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
+
+
+@pytest.fixture
+def images(tmp_path):
+    rng = np.random.default_rng(0)
+    paths = [tmp_path / f"{i}.png" for i in range(5)]
+    for path in paths:
+        Image.fromarray(rng.integers(0, 255, (128, 192, 3), dtype=np.uint8)).save(path)
+    return paths
+
+
+def test_the_network_is_lite0_with_imagenet_weights():
+    # 4.65 M parameters with its classifier of 1000 classes; the published top-1 needs the published weights
+    from efficientnet_lite_pytorch import EfficientNet
+
+    assert sum(p.numel() for p in EfficientNet.from_name("efficientnet-lite0").parameters()) == 4_652_008
+    backbone = Backbone(BackboneConfig())
+    assert not any(p.requires_grad for p in backbone.parameters())
+    assert backbone.layers[0].weight.abs().max() > 0.5  # a fresh initialisation stays well below
+
+
+def test_features_know_where_things_are(backbone):
+    image = np.zeros((1, 64, 96, 3), np.uint8)
+    image[0, :32, :32] = 255
+    mirrored = image[:, :, ::-1].copy()
+    with torch.inference_mode():
+        a, b = (backbone(torch.from_numpy(x)).numpy().reshape(80, 2, 3) for x in (image, mirrored))
+    assert np.abs(a - b).max() > 0.1
+    assert np.abs(a - b[:, :, ::-1]).mean() < 0.5 * np.abs(a - b).mean()
+
+
+def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_path, monkeypatch):
+    cache = FeatureCache(tmp_path / "cache")
+    seen = []
+    first = extract_features(images, backbone, cache, lambda done, total: seen.append((done, total)))
+    assert first.shape == (5, 480)
+    assert seen[-1] == (5, 5)
+    np.testing.assert_array_equal(extract_features(images, backbone, FeatureCache(None)), first)
+    monkeypatch.setattr(Backbone, "forward", lambda *_: pytest.fail("the network was run again"))
+    moved = tmp_path / "elsewhere.png"
+    images[2].rename(moved)
+    np.testing.assert_array_equal(extract_features([moved], backbone, cache), first[2:3])
+
+
+def test_damaged_cache_files_are_computed_again(backbone, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    first = extract_features(images, backbone, cache)
+    for path in (tmp_path / "cache").rglob("*.safetensors"):
+        path.write_bytes(path.read_bytes()[:100])
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), first)
+
+
+def test_other_settings_are_other_features(backbone, images, tmp_path):
+    other = Backbone(BackboneConfig(width=96, height=64, grid=(2, 3), block=4))
+    assert other.fingerprint != backbone.fingerprint
+    cache = FeatureCache(tmp_path / "cache")
+    assert extract_features(images, backbone, cache).shape != extract_features(images, other, cache).shape
+
+
+def test_unreadable_images_are_named(backbone, images, tmp_path):
+    images[3].write_bytes(images[3].read_bytes()[:200])
+    with pytest.raises(ImageError, match=r"3\.png"):
+        extract_features(images, backbone, FeatureCache(None))
+    with pytest.raises(ImageError, match="absent"):
+        extract_features([tmp_path / "absent.png"], backbone, FeatureCache(None))
+
+
+def test_no_images_no_features(backbone):
+    assert extract_features([], backbone, FeatureCache(None)).size == 0
+
+
+@pytest.mark.parametrize("config", [BackboneConfig(name="vgg"), BackboneConfig(block=99)])
+def test_unknown_networks_are_refused(config):
+    with pytest.raises(VisionError, match=r"backbone must be|block must be"):
+        Backbone(config)
+
+
+def toy(n=120, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(n, 6)).astype(np.float32)
+    return x, np.stack([x[:, 0] > 0, x[:, 0] <= 0], axis=1).astype(np.float32)
+
+
+CONFIG = TrainingConfig(epochs=12, hidden=16, dropout=0.0, learning_rate=1e-2, batch_size=16)
+
+
+def test_training_learns_and_is_seeded():
+    x, y = toy()
+    head = fit_head(x, y, [2], soft_cross_entropy, CONFIG)
+    proba = predict_proba(head, x)[0]
+    np.testing.assert_allclose(proba.sum(axis=1), 1)
+    assert ((proba[:, 0] > 0.5) == (y[:, 0] > 0.5)).mean() > 0.95
+    np.testing.assert_array_equal(predict_proba(fit_head(x, y, [2], soft_cross_entropy, CONFIG), x)[0], proba)
+
+
+def test_regression_shares_the_trunk():
+    x, _ = toy()
+    y = x[:, :2] * 0.5
+    head = fit_head(
+        x, y, [1, 1], mean_squared_error, TrainingConfig(epochs=60, hidden=32, dropout=0.0, learning_rate=1e-2)
+    )
+    assert np.sqrt(np.mean((predict_values(head, x) - y) ** 2)) < 0.15
+
+
+def test_training_goes_on_where_it_was_stopped(tmp_path):
+    x, y = toy()
+    config = TrainingConfig(epochs=25, hidden=16)
+    epochs = []
+
+    def stop_at_15(done, _):
+        epochs.append(done)
+        if done == 15:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop_at_15)
+    assert list(tmp_path.rglob("last.ckpt"))
+    again = []
+    fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: again.append(d))
+    assert again[0] == 11  # from the state kept at 10
+    assert again[-1] == 25
+    assert not list(tmp_path.rglob("last.ckpt"))
+
+
+def test_state_of_other_data_is_not_taken_up(tmp_path):
+    x, y = toy()
+    config = TrainingConfig(epochs=11, hidden=16)
+
+    def stop(done, _):
+        if done == 10:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop)
+    seen = []
+    fit_head(x + 1, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: seen.append(d))
+    assert seen[0] == 1
+
+
+def test_head_splits_its_outputs_by_target():
+    head = Head(4, [2, 3])
+    blocks = head.split(head(torch.zeros(5, 4)))
+    assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
+
+
+def test_too_little_data_is_refused():
+    with pytest.raises(VisionError, match="two samples"):
+        fit_head(np.zeros((1, 3), np.float32), np.zeros((1, 2)), [2], soft_cross_entropy, CONFIG)
