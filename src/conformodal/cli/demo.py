@@ -112,7 +112,7 @@ def _page(
         f"{len(run.frames)} were held out ({outcome.metrics['split_note']})",
         f"Position RMSE: {errors['smoothed']['rmse_m']:.3f} m, against {errors['classical']['rmse_m']:.2f} m for a "
         f"regressor on the same features ({ratio:.0f} times).",
-        f"{record['n_frames']} frames have other places with exactly the same view; the regions hold "
+        f"{record['n_frames']} frames have other places with the same view; the regions hold "
         f"{100 * record['share_held']:.1f} % of these {record['n_places']} places.",
     ]
     image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,8 @@ from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_erro
 
 from .errors import ExperimentError
 
-LEARNING_RATES = (1e-3, 3e-3, 1e-2)
+START_RATES = (1e-3, 3e-3)
+_RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 _FILES = ("classical.json", "classical.safetensors")
 
 
@@ -83,10 +84,12 @@ class ClassicalRegressor:
 def train_classical(
     data: TrainingData,
     config: TrainingConfig,
-    learning_rates: Sequence[float] = LEARNING_RATES,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> ClassicalRegressor:
     """Search the learning rate, then train on training and calibration parts together.
+
+    The search walks down and up from :data:`START_RATES` in factors of about three until the best rate has a worse one
+    on either side.
 
     Parameters
     ----------
@@ -94,38 +97,44 @@ def train_classical(
         What the conformal model was trained on.
     config
         What it was trained with; only the learning rate changes.
-    learning_rates
-        To search.
     progress
-        Called with stage, epochs done and epochs in all.
+        Called with stage, trainings done and trainings in all (as far as known).
     """
     train, check = data.split.train, data.split.calibration
     everything = np.sort(np.concatenate((train, check)))
     mean = data.targets[everything].mean(axis=0)
     scale = np.maximum(data.targets[everything].std(axis=0), 1e-6)
     standard = (data.targets - mean) / scale
-    n_epochs = config.epochs * (len(learning_rates) + 1)
 
-    def fit(rows: npt.NDArray[np.int64], rate: float, turn: int) -> Head:
-        report = None
-        if progress is not None:
-            report = lambda done, _: progress("classical", turn * config.epochs + done, n_epochs)  # noqa: E731
+    def fit(rows: npt.NDArray[np.int64], rate: float) -> Head:
         settings = replace(config, learning_rate=rate)
         outputs = [1] * standard.shape[1]
-        return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, settings, progress=report)
+        return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, settings)
 
-    errors = []
-    for turn, rate in enumerate(learning_rates):
-        values = predict_values(fit(train, rate, turn), data.features[check]) * scale + mean
-        errors.append(values - data.targets[check])
-    best = int(np.argmin([np.sqrt(np.mean(np.sum(e[:, :3] ** 2, axis=1))) for e in errors]))
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress("classical", done, total)
+
+    errors: dict[float, npt.NDArray[np.float64]] = {}
+    waiting = list(START_RATES)
+    while waiting:
+        report(len(errors), len(errors) + len(waiting) + 1)
+        rate = waiting.pop(0)
+        errors[rate] = predict_values(fit(train, rate), data.features[check]) * scale + mean - data.targets[check]
+        if not waiting:
+            best = min(errors, key=lambda r: float(np.mean(np.sum(errors[r][:, :3] ** 2, axis=1))))
+            beside = _RATES[max(_RATES.index(best) - 1, 0) : _RATES.index(best) + 2]
+            waiting = [r for r in beside if r not in errors]
+    report(len(errors), len(errors) + 1)
+    head = fit(everything, best)
+    report(len(errors) + 1, len(errors) + 1)
     truth = data.targets[check]
     angle = angle_between_quats(truth[:, 3:] + errors[best][:, 3:], truth[:, 3:])
     return ClassicalRegressor(
-        head=fit(everything, learning_rates[best], len(learning_rates)),
+        head=head,
         mean=mean,
         scale=scale,
-        learning_rate=learning_rates[best],
+        learning_rate=best,
         spread_m=np.sqrt(np.mean(errors[best][:, :3] ** 2, axis=0)),
         spread_rad=float(np.sqrt(np.mean(angle**2))),
     )

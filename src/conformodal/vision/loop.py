@@ -36,7 +36,9 @@ class _Module(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         cfg = self.config
-        optimizer = torch.optim.AdamW(self.head.parameters(), lr=cfg.learning_rate, weight_decay=cfg.weight_decay)
+        optimizer = torch.optim.AdamW(
+            self.head.parameters(), lr=cfg.learning_rate, weight_decay=cfg.weight_decay, fused=True
+        )
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimizer, max_lr=cfg.learning_rate, total_steps=self.n_steps, pct_start=0.1
         )
