@@ -14,7 +14,8 @@ from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity
 from conformodal.odometry import ModelConfig, PoseModel, write_metrics
-from conformodal.report import ReportContent, plan_figure, write_page
+from conformodal.poses import Trajectory
+from conformodal.report import PageFigure, ReportContent, plan_figure, write_page
 from conformodal.vision import TrainingConfig
 
 from .console import console, kind_errors, print_where, progress_bars
@@ -87,8 +88,8 @@ def _page(
     """The standard page, with the plan replaced by a frame that has several look-alike places and all of them held."""
     run, truth = outcome.run, outcome.truth
     content = page_of(outcome, sequence, "conformodal: a corridor of identical rooms")
-    most = [len(p) if held.all() else 0 for p, held in zip(alike.places, alike.held, strict=True)]
-    index = int(np.argmax(most))
+    assert truth is not None
+    index = _telling_frame(outcome, truth, alike)
     name = sequence.image_paths[run.frames[index]].name
     svg = plan_figure(
         run,
@@ -99,11 +100,11 @@ def _page(
         alike=alike.places[index],
     )
     caption = (
-        f"{name}, from above. The camera image fits {most[index] + 1} places equally well; the region names them all, "
+        f"{name}, from above. The image fits {len(alike.places[index]) + 1} places equally well; the region names all, "
         "and motion through the corridor chooses among them. A regressor answers in between, where nothing is."
     )
     figures = list(content.figures)
-    figures[1] = ("Here or there, not in between", caption, svg)
+    figures[1] = PageFigure("plan", "Here or there, not in between", caption, svg)
     errors, record = outcome.metrics["errors"], outcome.metrics["ambiguity"]
     ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
     summary = [
@@ -117,3 +118,16 @@ def _page(
     ]
     image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))
     return ReportContent(content.title, summary, outcome.metrics, figures, image)
+
+
+def _telling_frame(outcome: Outcome, truth: Trajectory, alike: AmbiguityCheck) -> int:
+    """Of the frames with most look-alike places, all held, the one whose regressor is furthest from any of them."""
+    classical = outcome.run.trajectories["classical"].positions_xyz
+    counts = [len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]
+    best, furthest = 0, -1.0
+    for i in np.flatnonzero(np.array(counts) == max(counts)):
+        places = np.concatenate((alike.places[i], truth.positions_xyz[i : i + 1]))
+        distance = float(np.linalg.norm(places - classical[i], axis=1).min())
+        if distance > furthest:
+            best, furthest = int(i), distance
+    return best

@@ -31,7 +31,7 @@ from conformodal.odometry import (
     write_run,
 )
 from conformodal.poses import Trajectory
-from conformodal.report import ReportContent, error_figure, plan_figure, trajectory_figure, write_page
+from conformodal.report import PageFigure, ReportContent, error_figure, plan_figure, trajectory_figure, write_page
 from conformodal.vision import FeatureCache, default_cache_dir, extract_features
 
 from .console import Report, console, kind_errors, print_errors, print_where, progress_bars
@@ -141,15 +141,16 @@ def page_of(outcome: Outcome, sequence: Sequence, title: str) -> ReportContent:
     counts = " x ".join(str(k) for k in run.regions.n_intervals[index, :3])
     name = sequence.image_paths[run.frames[index]].name
     caption = "One band per interval. Where there are several at one time, the camera could be in any of them."
-    figures = [("Trajectory with its region", caption, trajectory_figure(run, truth, classical))]
-    spread = np.ptp(run.trajectory.positions_xyz, axis=0)
-    plan_axes = tuple(sorted(np.argsort(-spread)[:2].tolist()))
-    plan = plan_figure(run, index, truth, classical=classical, axes=(plan_axes[0], plan_axes[1]))
+    bands = trajectory_figure(run, truth, classical)
+    figures = [PageFigure("trajectory", "Trajectory with its region", caption, bands)]
+    first, second = sorted(np.argsort(-np.ptp(run.trajectory.positions_xyz, axis=0))[:2].tolist())
+    plan = plan_figure(run, index, truth, classical=classical, axes=(first, second))
     text = f"{name}: {counts} intervals in x, y, z, the most of all frames. The axes are the two it moves most along."
-    figures.append(("The region of one frame", text, plan))
+    figures.append(PageFigure("plan", "The region of one frame", text, plan))
     if truth is not None:
-        what = "Share of frames whose position error is below a value."
-        figures.append(("Errors of all frames", what, error_figure(run.trajectories, truth)))
+        text = "Share of frames whose position error is below a value."
+        svg = error_figure(run.trajectories, truth)
+        figures.append(PageFigure("errors", "Errors of all frames", text, svg))
     summary = [
         f"{sequence.name}: {len(run.frames)} frames answered, {outcome.metrics['split_note']}",
         f"{outcome.metrics['n_unreliable']} frames without reliable motion, {len(run.unreadable)} unreadable.",

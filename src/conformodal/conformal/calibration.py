@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,19 @@ from .regions import Regions
 from .scores import Score, resolve_score
 
 Joint = Literal["none", "bonferroni"]
+
+
+def as_joint(joint: str) -> Joint:
+    """Check the name of a kind of joint coverage.
+
+    Raises
+    ------
+    ConformalError
+        If it is unknown.
+    """
+    if joint not in get_args(Joint):
+        raise ConformalError(f"joint must be one of {list(get_args(Joint))}, got {joint!r}")
+    return cast(Joint, joint)
 
 
 class SplitConformal:
@@ -48,12 +61,10 @@ class SplitConformal:
     def __init__(
         self, bins: QuantileBins, alpha: Alpha = 0.1, score: str | Score = "lac", joint: Joint = "none"
     ) -> None:
-        if joint not in get_args(Joint):
-            raise ConformalError(f"joint must be one of {list(get_args(Joint))}, got {joint!r}")
         self.bins = bins
         self.alpha = alpha
         self.score = resolve_score(score)
-        self.joint = joint
+        self.joint = as_joint(joint)
         as_alpha(alpha)
 
     @property

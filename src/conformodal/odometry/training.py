@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import ConformalError, QuantileBins, SplitConformal
+from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.scores import resolve_score
 from conformodal.datasets import Sequence, Split, SplitKind, make_split
 from conformodal.poses import sign_reference
 from conformodal.reasoning import fit_motion_prior, fit_spread_scale, mode_candidates
@@ -55,6 +57,11 @@ class ModelConfig:
         Of the split and of training.
     training
         Of the head.
+
+    Raises
+    ------
+    ConformalError
+        If a setting cannot be used; before any frame is read.
     """
 
     split: SplitKind = SplitKind.INTERLEAVED
@@ -68,6 +75,14 @@ class ModelConfig:
     calibration: float = 0.16
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
+
+    def __post_init__(self) -> None:
+        as_alpha(self.alpha)
+        as_joint(self.joint)
+        resolve_score(self.score)
+        QuantileBins(self.n_bins, self.margin)
+        if not self.sigma_bins >= 0:
+            raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,19 +132,10 @@ def prepare_training_data(
 def train_model(
     data: TrainingData, config: ModelConfig, *, checkpoint_dir: Path | None = None, progress: Progress | None = None
 ) -> PoseModel:
-    """Train on the training part, calibrate on the calibration part; the test part is not touched.
-
-    Raises
-    ------
-    ConformalError
-        If alpha, bins or scores are not as they should be; before anything is trained.
-    """
-    as_alpha(config.alpha)
-    if config.joint not in ("none", "bonferroni"):
-        raise ConformalError(f"joint must be none or bonferroni, got {config.joint!r}")
+    """Train on the training part, calibrate on the calibration part; the test part is not touched."""
     train, held_out = data.split.train, data.split.calibration
     bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
-    calibration = SplitConformal(bins, config.alpha, config.score, "none" if config.joint == "none" else "bonferroni")
+    calibration = SplitConformal(bins, config.alpha, config.score, as_joint(config.joint))
     labels = np.concatenate(bins.soft_targets(data.targets[train], config.sigma_bins), axis=1)
     head = fit_head(
         data.features[train],

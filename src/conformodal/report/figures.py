@@ -27,7 +27,8 @@ COLOURS = {
     "alike": "#009E73",
     "wall": "#888888",
 }
-_BAND_ALPHA = 0.45
+_BAND_ALPHA = 0.6
+_LONGEST_CELL_S = 2.0
 
 
 def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Trajectory | None = None) -> str:
@@ -36,15 +37,13 @@ def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Tra
     axes = figure.subplots(3, 1, sharex=True)
     start = run.timestamps_s[0]
     times = run.timestamps_s - start
-    half = np.median(np.diff(times)) / 2 if len(times) > 1 else 0.5
+    left, right = _time_cells(times)
     intervals = [run.regions.intervals(i) for i in range(len(run.frames))]
     for j, (axis, name) in enumerate(zip(axes, "xyz", strict=True)):
         low, high = run.regions.bins.edges_[j][[0, -1]]
-        for t, parts in zip(times, intervals, strict=True):
-            for a, b in parts[j]:
-                a, b = max(a, low), min(b, high)  # noqa: PLW2901 - a whole-space band is drawn over the bins
-                box = Rectangle((t - half, a), 2 * half, b - a, color=COLOURS["region"], alpha=_BAND_ALPHA, lw=0)
-                axis.add_patch(box)
+        for t0, t1, parts in zip(left, right, intervals, strict=True):
+            for a, b in np.clip(parts[j], low, high):  # the whole line is drawn over the bins
+                axis.add_patch(Rectangle((t0, a), t1 - t0, b - a, color=COLOURS["region"], alpha=_BAND_ALPHA, lw=0))
         if classical is not None:
             axis.plot(times, classical.positions_xyz[:, j], ".", ms=2.5, color=COLOURS["classical"])
         axis.plot(times, run.trajectory.positions_xyz[:, j], "-", lw=1.4, color=COLOURS["smoothed"])
@@ -126,6 +125,15 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right", frameon=False)
     return _svg(figure)
+
+
+def _time_cells(
+    times: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """From and to when a frame's bands are drawn: half-way to its neighbours, but no further than a second."""
+    gaps = np.minimum(np.diff(times), _LONGEST_CELL_S) / 2
+    ends = np.median(gaps) if len(gaps) else 0.5
+    return times - np.concatenate(([ends], gaps)), times + np.concatenate((gaps, [ends]))
 
 
 def _marker(

@@ -24,6 +24,16 @@ _LABELS = {
 
 
 @dataclass(frozen=True)
+class PageFigure:
+    """A figure: a name for its file, what stands above and below it, and the SVG."""
+
+    name: str
+    heading: str
+    caption: str
+    svg: str
+
+
+@dataclass(frozen=True)
 class ReportContent:
     """What goes on the page.
 
@@ -34,7 +44,7 @@ class ReportContent:
     metrics
         The content of ``metrics.json``.
     figures
-        (heading, caption, SVG) in order.
+        In order.
     image
         (caption, (h, w, 3) RGB) of the frame whose regions are shown, or None.
     """
@@ -42,12 +52,16 @@ class ReportContent:
     title: str
     summary: list[str]
     metrics: dict[str, Any]
-    figures: list[tuple[str, str, str]] = field(default_factory=list)
+    figures: list[PageFigure] = field(default_factory=list)
     image: tuple[str, npt.NDArray[np.uint8]] | None = None
 
 
 def write_page(path: Path, content: ReportContent) -> None:
-    """Write the page."""
+    """Write the page, and its figures as files under ``figures`` beside it."""
+    folder = path.parent / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    for figure in content.figures:
+        (folder / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
     environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
     errors = content.metrics.get("errors") or {}
     ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
