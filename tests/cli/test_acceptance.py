@@ -17,7 +17,9 @@ def invoke(*arguments):
 
 
 def test_demo(tmp_path):
-    invoke("demo", "--out", tmp_path)
+    # benchmarks/main_job.py measures seeds 0 to 2, all above what is asserted; this one lies furthest from the line, so
+    # that another processor's rounding does not decide
+    invoke("demo", "--out", tmp_path, "--seed", "1")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     errors = metrics["errors"]
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
@@ -25,8 +27,7 @@ def test_demo(tmp_path):
     assert all(row["inside_band"] for row in metrics["coverage"]["targets"].values())
     assert not metrics["coverage"]["whole_space"]
     assert metrics["ambiguity"]["n_places"] > 300
-    # the benchmark measures 0.95 to 0.96; room for another processor's rounding
-    assert metrics["ambiguity"]["share_held"] >= 0.94
+    assert metrics["ambiguity"]["share_held"] >= 0.95
     assert "Here or there" in (tmp_path / "report.html").read_text()
 
 

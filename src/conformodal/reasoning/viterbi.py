@@ -24,7 +24,7 @@ IntArray = npt.NDArray[np.int64]
 
 # The most that one step can cost, in nats: what it takes to believe in a jump.
 JUMP_COST = 25.0
-# What it takes to believe that a relative motion misleads: about one in twenty does.
+# What it takes to believe that a relative motion misleads: odds of one in twenty.
 MISLED_COST = 3.0
 
 

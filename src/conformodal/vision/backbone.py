@@ -35,7 +35,7 @@ class BackboneConfig:
         Network; its ImageNet weights come with a package, no download.
     block
         Last block to run. Block 7 of Lite0 has 80 channels at a sixteenth of the resolution; later ones know
-        more of what and less of where, and gave larger position errors.
+        more of what and less of where.
     width, height
         Input size in pixels.
     grid
