@@ -1,29 +1,43 @@
-"""Regression sets that may fall apart: bins, scores, calibration, regions, diagnostics.
+"""Regression sets that may fall apart: bins, scores, calibration, regions, diagnostics, a scikit-learn estimator.
 
-Works on arrays of probabilities, so any classifier fits. Needs NumPy and SciPy only.
+Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 """
 
 from .bins import QuantileBins
-from .calibration import SplitConformal
+from .calibration import CrossConformal, MondrianConformal, SplitConformal, WeightedConformal, weighted_quantile
 from .diagnostics import CoverageCheck, check_coverage, coverage_band
 from .errors import ConformalError, ConformodalError, NotCalibratedError
+from .learning import ConformalRegressor, StackedDensity
+from .online import Aci, ConformalPid, DtAci, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
-from .scores import Density, Lac, Score
+from .scores import Aps, Density, Lac, LinearDensity, Score
 
 __all__ = [
+    "Aci",
+    "Aps",
     "ConformalError",
+    "ConformalPid",
+    "ConformalRegressor",
     "ConformodalError",
     "CoverageCheck",
+    "CrossConformal",
     "Density",
+    "DtAci",
     "Lac",
+    "LinearDensity",
+    "MondrianConformal",
     "NotCalibratedError",
+    "OnlineConformal",
     "QuantileBins",
     "Regions",
     "Score",
     "SplitConformal",
+    "StackedDensity",
+    "WeightedConformal",
     "check_coverage",
     "conformal_quantile",
     "conformal_rank",
     "coverage_band",
+    "weighted_quantile",
 ]

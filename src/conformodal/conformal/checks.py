@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from .blocks import for_blocks
 from .errors import ConformalError
 
 Alpha: TypeAlias = float | str | Decimal | Fraction
@@ -65,7 +66,7 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
 
 
 def as_probabilities(
-    proba: Probabilities, n_bins: Sequence[int], name: str = "proba"
+    proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
 ) -> list[npt.NDArray[np.floating[Any]]]:
     """Return one checked ``(n, K_j)`` array per target, without copying what is already an array.
 
@@ -76,6 +77,10 @@ def as_probabilities(
         ``(n, K_j)``.
     n_bins
         Bins per target, ``[K_1, ..., K_d]``.
+    name
+        What errors call the probabilities.
+    check
+        False leaves the values unchecked, and checks the shapes alone.
 
     Raises
     ------
@@ -99,19 +104,34 @@ def as_probabilities(
             raise ConformalError(f"{name} of target {j} has shape {part.shape}, expected ({n}, {k}): {k} bins")
         if not np.issubdtype(part.dtype, np.floating):
             parts[j] = part.astype(np.float64)
-        _check_rows(parts[j], f"{name} of target {j}")
+        if check:
+            check_rows(parts[j], f"{name} of target {j}")
     return parts
 
 
-def _check_rows(part: npt.NDArray[Any], name: str) -> None:
-    if part.size == 0:
+def check_rows(part: npt.NDArray[Any], name: str) -> None:
+    """Check that rows (the last axis) are probabilities, block by block so that each is read from memory once.
+
+    Raises
+    ------
+    ConformalError
+        On NaN, negative values, or rows that do not sum to one.
+    """
+    for_blocks(part.shape[0], lambda rows: check_block(part[rows], name, rows.start))
+
+
+def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
+    """:func:`check_rows` for some rows, of which the first is row `first_row` of the whole."""
+    if block.size == 0:
         return
-    low = part.min()
+    low = block.min()
     if not low >= 0:  # also catches NaN
         what = "NaN" if np.isnan(low) else f"negative values (smallest {low:g})"
-        raise ConformalError(f"{name} holds {what}; expected probabilities")
-    sums = part.sum(axis=1, dtype=np.float64)
-    off = np.abs(sums - 1)
+        raise ConformalError(f"{name}, shape (..., {block.shape[-1]}), holds {what}; expected probabilities")
+    # einsum reads memory at full speed where sum(axis=-1) does not; infinities end up in off as well
+    sums = np.einsum("...k->...", block)
+    off = np.abs(sums - 1).max(axis=tuple(range(1, sums.ndim)))
     if not (off <= ROW_SUM_TOLERANCE).all():
-        row = int(np.argmax(off))
-        raise ConformalError(f"{name} must sum to 1 in every row; row {row} sums to {sums[row]:.6g}")
+        row = int(np.argmax(~(off <= ROW_SUM_TOLERANCE)))
+        total = sums[row].flat[np.abs(sums[row] - 1).argmax()]
+        raise ConformalError(f"{name} must sum to 1 in every row; row {first_row + row} sums to {total:.6g}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,8 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     """
     if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
         raise ConformalError(f"n must be a whole number of calibration scores, at least 0, got {n!r}")
-    return ceil((int(n) + 1) * (1 - as_alpha(alpha)))
+    rate = as_alpha(alpha)
+    return -((int(n) + 1) * (rate.numerator - rate.denominator) // rate.denominator)  # a ceiling, in whole numbers
 
 
 def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> npt.NDArray[np.floating[Any]]:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .bins import QuantileBins
+from .blocks import for_blocks
 from .checks import as_targets
 from .errors import ConformalError
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
 
 
 class Regions:
@@ -22,7 +28,7 @@ class Regions:
     bins
         The bins of the targets.
     masks
-        One (n, K_j) boolean array a target: which bins belong to the set.
+        One (n, K_j) boolean array a target: which bins belong to the set. They are kept, not copied.
     unbounded
         (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask says.
         This is the honest answer when the calibration data is too short for alpha.
@@ -42,16 +48,57 @@ class Regions:
                 raise ConformalError(f"mask of target {j} must be boolean ({n}, {k}), got {mask.dtype} {mask.shape}")
         if unbounded.shape != (n, bins.n_targets):
             raise ConformalError(f"unbounded must have shape ({n}, {bins.n_targets}), got {unbounded.shape}")
+        whole = np.atleast_1d(unbounded.any(axis=0))
         self.bins = bins
-        self.masks = [mask | unbounded[:, j, None] for j, mask in enumerate(masks)]
+        self.masks = [mask | unbounded[:, j, None] if whole[j] else mask for j, mask in enumerate(masks)]
         self.unbounded = unbounded
 
     def __len__(self) -> int:
         return int(self.unbounded.shape[0])
 
+    def __repr__(self) -> str:
+        return f"Regions(samples={len(self)}, targets={self.bins.n_targets}, bins={self.bins.sizes})"
+
     def __getitem__(self, index: slice | npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Regions:
         """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
+        if np.ndim(np.empty(0) if isinstance(index, slice) else index) != 1:
+            raise ConformalError(f"regions are indexed by a slice or a vector, got {index!r}; intervals(i) gives one's")
         return Regions(self.bins, [m[index] for m in self.masks], self.unbounded[index])
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Regions]) -> Regions:
+        """Regions of all the samples of `parts`, in order.
+
+        Raises
+        ------
+        ConformalError
+            If there are no parts, or their bins differ.
+        """
+        if not parts:
+            raise ConformalError("parts must hold at least one Regions, got none")
+        for part in parts[1:]:
+            _same_bins(parts[0], part)
+        masks = [np.concatenate([p.masks[j] for p in parts]) for j in range(parts[0].bins.n_targets)]
+        return cls(parts[0].bins, masks, np.concatenate([p.unbounded for p in parts]))
+
+    def intersection(self, other: Regions) -> Regions:
+        """What both hold, sample by sample; also ``self & other``.
+
+        The promise does not survive it unchanged: two regions at alpha / 2 each intersect in one at alpha.
+
+        Raises
+        ------
+        ConformalError
+            If bins or numbers of samples differ.
+        """
+        _same_bins(self, other)
+        if len(self) != len(other):
+            raise ConformalError(f"regions of {len(self)} and {len(other)} samples cannot be intersected")
+        masks = [a & b for a, b in zip(self.masks, other.masks, strict=True)]
+        return Regions(self.bins, masks, self.unbounded & other.unbounded)
+
+    def __and__(self, other: Regions) -> Regions:
+        return self.intersection(other)
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
         """Whether each set holds the value: (n, d), or (n,) when all targets must hold at once.
@@ -62,50 +109,138 @@ class Regions:
             (n, d) values, or (n,) for one target.
         joint
             True asks for all targets together.
+
+        Raises
+        ------
+        ConformalError
+            If `y` is not finite, or has another number of rows or targets.
         """
         codes = self.bins.encode(as_targets(y, n_targets=self.bins.n_targets))
         if codes.shape[0] != len(self):
             raise ConformalError(f"y has {codes.shape[0]} rows, the regions have {len(self)}")
         inside = self.unbounded.copy()
-        rows = np.arange(len(self))
-        for j, mask in enumerate(self.masks):
-            known = codes[:, j] >= 0
-            inside[known, j] = mask[rows[known], codes[known, j]]
+
+        def look_up(rows: slice) -> None:
+            at = np.arange(rows.start, rows.stop)
+            for j, mask in enumerate(self.masks):
+                code = codes[rows, j]
+                inside[rows, j] |= mask[at, code] & (code >= 0)  # -1 reads the last bin, which is then discarded
+
+        for_blocks(len(self), look_up)
         return np.asarray(inside.all(axis=1)) if joint else inside
 
     def runs(self, i: int) -> list[npt.NDArray[np.int64]]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
-        return [_runs(mask[i]) for mask in self.masks]
+        return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
 
-    def intervals(self, i: int) -> list[npt.NDArray[np.float64]]:
-        """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded."""
+    def intervals(self, i: int) -> list[FloatArray]:
+        """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded.
+
+        An interval holds its lower end, and its upper end only if that is the target's last edge.
+        """
         found = []
         for j, (edges, runs) in enumerate(zip(self.bins.edges_, self.runs(i), strict=True)):
             whole = np.array([[-np.inf, np.inf]])
             found.append(whole if self.unbounded[i, j] else edges[runs])
         return found
 
+    def flat_intervals(self, target: int = 0) -> tuple[npt.NDArray[np.int64], FloatArray]:
+        """All intervals of one target at once.
+
+        Returns
+        -------
+        offsets : (n + 1,)
+            Sample i has the rows ``offsets[i]:offsets[i + 1]`` of `ends`.
+        ends : (m, 2)
+            Lower and upper ends, in the order of the samples; ``[-inf, inf]`` where unbounded.
+        """
+        counts, runs = _flat_runs(self.masks[target])
+        ends = self.bins.edges_[target][runs]
+        ends[np.repeat(self.unbounded[:, target], counts)] = (-np.inf, np.inf)
+        return np.concatenate(([0], np.cumsum(counts))), ends
+
+    @property
+    def hull(self) -> FloatArray:
+        """Smallest single interval that holds each set, (n, d, 2); NaN for an empty set."""
+        ends = np.empty((len(self), self.bins.n_targets, 2))
+        for j, (mask, edges) in enumerate(zip(self.masks, self.bins.edges_, strict=True)):
+            ends[:, j, 0] = edges[mask.argmax(axis=1)]
+            ends[:, j, 1] = edges[mask.shape[1] - mask[:, ::-1].argmax(axis=1)]
+            ends[~mask.any(axis=1), j] = np.nan
+        ends[self.unbounded] = (-np.inf, np.inf)
+        return ends
+
     @property
     def n_intervals(self) -> npt.NDArray[np.int64]:
         """Number of disjoint intervals, (n, d); 0 for an empty set."""
-        counts = [m[:, 0].astype(np.int64) + (m[:, 1:] & ~m[:, :-1]).sum(axis=1) for m in self.masks]
-        return np.stack(counts, axis=1)
+        return self._per_block(_count_runs, np.int64)
 
     @property
-    def length(self) -> npt.NDArray[np.float64]:
+    def length(self) -> FloatArray:
         """Total length of the intervals in the target's unit, (n, d); ``inf`` where unbounded."""
-        lengths = np.stack([m @ w for m, w in zip(self.masks, self.bins.widths, strict=True)], axis=1)
-        return np.where(self.unbounded, np.inf, lengths)
+        widths = self.bins.widths
+        lengths = self._per_block(lambda mask, j: mask.astype(np.float64) @ widths[j], np.float64)
+        lengths[self.unbounded] = np.inf
+        return lengths
 
     @property
-    def volume(self) -> npt.NDArray[np.float64]:
+    def volume(self) -> FloatArray:
         """Product of the lengths over targets, (n,); 0 if any set is empty."""
         length = self.length
         with np.errstate(invalid="ignore"):
             product = length.prod(axis=1)
         return np.where((length == 0).any(axis=1), 0.0, product)
 
+    @property
+    def empty(self) -> BoolArray:
+        """Whether each set is empty, (n, d)."""
+        return np.stack([~mask.any(axis=1) for mask in self.masks], axis=1)
 
-def _runs(mask: BoolArray) -> npt.NDArray[np.int64]:
-    padded = np.concatenate(([False], mask, [False]))
-    return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)
+    def to_arrow(self) -> pa.Table:
+        """As an Arrow table, one row a sample; see :mod:`conformodal.conformal.arrow` for the columns."""
+        from .arrow import regions_to_arrow  # noqa: PLC0415 - pyarrow is an optional extra
+
+        return regions_to_arrow(self)
+
+    @classmethod
+    def from_arrow(cls, table: pa.Table) -> Regions:
+        """Regions from a table that :meth:`to_arrow` made.
+
+        Raises
+        ------
+        ConformalError
+            If the table is no such table.
+        """
+        from .arrow import regions_from_arrow  # noqa: PLC0415 - pyarrow is an optional extra
+
+        return regions_from_arrow(table)
+
+    def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
+        out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
+
+        def fill(rows: slice) -> None:
+            for j, mask in enumerate(self.masks):
+                out[rows, j] = measure(mask[rows], j)
+
+        for_blocks(len(self), fill)
+        return out
+
+
+def _count_runs(mask: BoolArray, _target: int) -> npt.NDArray[np.int64]:
+    starts = np.count_nonzero(mask[:, 1:] & ~mask[:, :-1], axis=1)
+    return np.asarray(starts + mask[:, 0], dtype=np.int64)
+
+
+def _flat_runs(mask: BoolArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Runs a row (n,), and all runs (m, 2) as first bin and one past the last."""
+    n, k = mask.shape
+    padded = np.zeros((n, k + 2), dtype=bool)
+    padded[:, 1:-1] = mask
+    rows, at = np.nonzero(padded[:, 1:] != padded[:, :-1])
+    return np.bincount(rows, minlength=n) // 2, at.reshape(-1, 2)
+
+
+def _same_bins(a: Regions, b: Regions) -> None:
+    same = a.bins.n_targets == b.bins.n_targets and all(map(np.array_equal, a.bins.edges_, b.bins.edges_))
+    if not same:
+        raise ConformalError("regions over different bins cannot be combined: refit, or use the same bins")

@@ -1,13 +1,11 @@
-"""Nonconformity scores over bins: how strange each bin would be as the answer.
+"""Nonconformity scores of bins: how badly each value would fit. The lower, the better a bin fits.
 
-A score is one small class. It sees one target's probabilities and bin widths, and returns a score for every bin;
-calibration picks the true bin's entry, prediction compares all entries with the threshold. Both go through the
-same function, so membership and score agree to the last bit.
+A new score is one small class with a name and ``of_bins``; see :class:`Score`.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -15,15 +13,25 @@ import numpy.typing as npt
 from .errors import ConformalError
 
 FloatArray = npt.NDArray[np.floating[Any]]
+WidthArray = npt.NDArray[np.float64]
 
 
+@runtime_checkable
 class Score(Protocol):
-    """What a score must offer."""
+    """What calibration needs of a score.
+
+    ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
+    probabilities' own floating type. A row's scores may depend on nothing but that row.
+
+    Two attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
+    (n, K * cells). ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never
+    rises with the probability; sets are then found without computing a score.
+    """
 
     name: str
 
-    def of_bins(self, proba: FloatArray, widths: npt.NDArray[np.float64]) -> FloatArray:
-        """Score every bin: `proba` (n, K) and `widths` (K,) in, (n, K) out, larger is stranger."""
+    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+        """Scores of all bins."""
         ...
 
 
@@ -34,8 +42,9 @@ class Lac:
     """
 
     name = "lac"
+    elementwise = True
 
-    def of_bins(self, proba: FloatArray, widths: npt.NDArray[np.float64]) -> FloatArray:
+    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """``1 - proba``."""
         return np.asarray(1 - proba)
 
@@ -48,13 +57,98 @@ class Density:
     """
 
     name = "density"
+    elementwise = True
 
-    def of_bins(self, proba: FloatArray, widths: npt.NDArray[np.float64]) -> FloatArray:
+    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """``-proba / widths``."""
         return np.asarray(proba * (-1 / widths).astype(proba.dtype))
 
 
-SCORES: dict[str, Score] = {score.name: score for score in (Lac(), Density())}
+class LinearDensity:
+    """Minus the density, linear between bin centres instead of constant in each bin.
+
+    Every bin is cut into equal cells, and each cell scored at its middle, so that an interval may end within a
+    bin. Beyond the outermost centres the density is that of the outermost bin.
+
+    Parameters
+    ----------
+    cells
+        Cells a bin, at least 1.
+    """
+
+    name = "linear_density"
+
+    def __init__(self, cells: int = 4) -> None:
+        if cells < 1:
+            raise ConformalError(f"cells must be at least 1, got {cells}")
+        self.cells = cells
+
+    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+        """Minus the interpolated density at the middle of every cell, (n, K * cells)."""
+        density = proba * (1 / widths).astype(proba.dtype)
+        if widths.size == 1:
+            return np.repeat(-density, self.cells, axis=1)
+        edges = np.concatenate(([0.0], np.cumsum(widths)))
+        centers = (edges[1:] + edges[:-1]) / 2
+        middles = np.interp((np.arange(widths.size * self.cells) + 0.5) / self.cells, np.arange(edges.size), edges)
+        left = np.clip(np.searchsorted(centers, middles) - 1, 0, widths.size - 2)
+        share = np.clip((middles - centers[left]) / np.diff(centers)[left], 0, 1).astype(proba.dtype)
+        return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
+
+
+class Aps:
+    """Adaptive prediction sets: the probability of all bins that are more probable, and a random part of the bin's.
+
+    The random number of a row is a hash of the row's probabilities and the seed. It is thus the same whenever the
+    row is scored, in whatever order, and the score stays a fixed function of the sample, as the guarantee needs.
+
+    Source: Romano, Sesia and Candes (2020). Ordered by density instead, these are the highest-density sets of
+    Izbicki, Shimizu and Stern (2022).
+
+    Parameters
+    ----------
+    order
+        ``"probability"`` or ``"density"``: by which bins are ranked.
+    randomized
+        False counts the bin's own probability in full: larger sets, never an empty one.
+    seed
+        Of the hash.
+    """
+
+    def __init__(
+        self, order: Literal["probability", "density"] = "probability", randomized: bool = True, seed: int = 0
+    ) -> None:
+        if order not in ("probability", "density"):
+            raise ConformalError(f"order must be 'probability' or 'density', got {order!r}")
+        self.order = order
+        self.randomized = randomized
+        self.seed = seed
+        self.name = "aps" if order == "probability" else "hpd"
+
+    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+        """Probability ranked before the bin, plus the row's random share of the bin's own."""
+        keys = proba if self.order == "probability" else proba / widths
+        order = np.argsort(-keys, axis=1, kind="stable")
+        ranked = np.take_along_axis(proba, order, axis=1)
+        share = row_uniforms(proba, self.seed)[:, None].astype(proba.dtype) if self.randomized else proba.dtype.type(1)
+        before = np.cumsum(ranked, axis=1, dtype=proba.dtype) - ranked
+        scores = np.empty_like(proba)
+        np.put_along_axis(scores, order, before + share * ranked, axis=1)
+        return scores
+
+
+def row_uniforms(rows: FloatArray, seed: int = 0) -> npt.NDArray[np.float64]:
+    """One number in [0, 1) a row, a hash of its bits and `seed`: equal rows share theirs, others are unrelated."""
+    bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
+    odd = np.random.default_rng(seed).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    # the top bits of a float differ least between rows; folding brings them down before the multiplication
+    hashed = ((bits ^ (bits >> np.uint64(32))) * odd).sum(axis=1, dtype=np.uint64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        hashed = (hashed ^ (hashed >> np.uint64(shift))) * np.uint64(factor)
+    return np.asarray(((hashed ^ (hashed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53)
+
+
+SCORES: dict[str, Score] = {score.name: score for score in (Lac(), Density(), LinearDensity(), Aps(), Aps("density"))}
 
 
 def resolve_score(score: str | Score) -> Score:
@@ -72,3 +166,8 @@ def resolve_score(score: str | Score) -> Score:
     if not callable(getattr(score, "of_bins", None)):
         raise ConformalError(f"score must be a name or have of_bins(proba, widths), got {type(score).__name__}")
     return score
+
+
+def cells_of(score: Score) -> int:
+    """Cells into which `score` cuts every bin; 1 if it does not."""
+    return int(getattr(score, "cells", 1))

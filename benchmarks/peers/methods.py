@@ -1,0 +1,323 @@
+"""conformodal and its peers behind one call: a split in, sets for the test part out.
+
+Every peer gets the learner it is best with, tuned by cross-validation on the training part; the same training,
+calibration and test samples; standardised inputs where it is a network.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import tempfile
+import types
+import warnings
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from measure import Sets, merged, one_interval
+from problems import Split
+from sklearn.base import clone
+from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor, RandomForestRegressor
+from sklearn.metrics import make_scorer, mean_pinball_loss
+from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict
+from sklearn.preprocessing import StandardScaler
+
+from conformodal.conformal import ConformalRegressor, StackedDensity
+from conformodal.conformal.learning.location import StackedLocation
+
+FloatArray = npt.NDArray[np.float64]
+JOBS = 2
+# gradient steps of r2ccp at its own batch of 32; its default of 1000 epochs is kept where that is fewer
+R2CCP_STEPS = 20_000
+NETWORK_STEPS = 8_000  # TorchCP's; its training does nothing unless it is told to be verbose
+BOOSTING_GRID = {"learning_rate": [0.03, 0.1], "max_leaf_nodes": [15, 63]}
+BOOSTING = {"max_iter": 300, "min_samples_leaf": 10, "max_features": 0.5}
+
+
+def conformodal_default(split: Split, alpha: float) -> Sets:
+    return _conformodal(split, alpha, StackedDensity(random_state=split.seed, n_jobs=JOBS), "density")
+
+
+def _conformodal(split: Split, alpha: float, estimator: Any, score: str) -> Sets:
+    reg = ConformalRegressor(estimator, alpha=alpha, score=score, calibration_size=0, random_state=split.seed)
+    reg.fit(split.X["train"], split.y["train"]).conformalize(split.X["cal"], split.y["cal"])
+    regions = reg.predict_region(split.X["test"])
+    offsets, ends = regions.flat_intervals(0)
+    last = ends[:, 1] == regions.bins.edges_[0][-1]
+    high = np.where(last | np.isinf(ends[:, 1]), ends[:, 1], np.nextafter(ends[:, 1], -np.inf))
+    return Sets(len(regions), np.repeat(np.arange(len(regions)), np.diff(offsets)), ends[:, 0], high)
+
+
+def mapie_cqr_boosting(split: Split, alpha: float) -> Sets:
+    """MAPIE's conformalised quantile regression; boosting tuned by the pinball losses of both quantiles."""
+    from mapie.regression import ConformalizedQuantileRegressor
+
+    folds = KFold(3, shuffle=True, random_state=split.seed)
+
+    def tuned(level: float) -> Any:
+        pinball = make_scorer(mean_pinball_loss, alpha=level, greater_is_better=False)
+        model = HistGradientBoostingRegressor(loss="quantile", quantile=level, random_state=split.seed, **BOOSTING)
+        search = GridSearchCV(model, BOOSTING_GRID, scoring=pinball, cv=folds)
+        return search.fit(split.X["train"], split.y["train"]).best_estimator_
+
+    models = [tuned(level) for level in (alpha / 2, 1 - alpha / 2, 0.5)]
+    cqr = ConformalizedQuantileRegressor(models, confidence_level=1 - alpha, prefit=True)
+    cqr.conformalize(split.X["cal"], split.y["cal"])
+    _, intervals = cqr.predict_interval(split.X["test"], allow_infinite_bounds=True, symmetric_correction=True)
+    return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
+
+
+def mapie_cqr_forest(split: Split, alpha: float) -> Sets:
+    """MAPIE's CQR on a quantile forest, leaf size tuned by the sum of the pinball losses."""
+    from mapie.regression import ConformalizedQuantileRegressor
+    from quantile_forest import RandomForestQuantileRegressor
+
+    levels = (alpha / 2, 1 - alpha / 2, 0.5)
+    best: tuple[float, int] | None = None
+    for leaf in (1, 5, 20):
+        forest = RandomForestQuantileRegressor(
+            200, min_samples_leaf=leaf, max_features=0.5, n_jobs=JOBS, random_state=split.seed
+        )
+        forest.fit(split.X["train"], split.y["train"])
+        out = forest.predict(split.X["train"], quantiles=list(levels), oob_score=True)
+        loss = sum(mean_pinball_loss(split.y["train"], out[:, i], alpha=q) for i, q in enumerate(levels[:2]))
+        if best is None or loss < best[0]:
+            best, chosen = (loss, leaf), forest
+
+    class AtLevel:
+        """One quantile of the forest, as MAPIE wants three fitted regressors."""
+
+        def __init__(self, level: float) -> None:
+            self.level = level
+            self.n_features_in_ = chosen.n_features_in_
+
+        def fit(self, X: FloatArray, y: FloatArray) -> AtLevel:
+            return self
+
+        def predict(self, X: FloatArray) -> FloatArray:
+            return np.asarray(chosen.predict(X, quantiles=[self.level])).ravel()
+
+        def __sklearn_is_fitted__(self) -> bool:
+            return True
+
+    cqr = ConformalizedQuantileRegressor([AtLevel(q) for q in levels], confidence_level=1 - alpha, prefit=True)
+    cqr.conformalize(split.X["cal"], split.y["cal"])
+    _, intervals = cqr.predict_interval(split.X["test"], allow_infinite_bounds=True, symmetric_correction=True)
+    return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
+
+
+def _best_regressor(split: Split) -> Any:
+    """Boosting from its grid, or a forest, whichever has the smallest cross-validated squared error."""
+    X, y = split.X["train"], split.y["train"]
+    folds = KFold(3, shuffle=True, random_state=split.seed)
+    boosting = HistGradientBoostingRegressor(random_state=split.seed, **BOOSTING)
+    search = GridSearchCV(boosting, BOOSTING_GRID, scoring="neg_mean_squared_error", cv=folds).fit(X, y)
+    found = [(-search.best_score_, search.best_estimator_)]
+    for kind in (RandomForestRegressor, ExtraTreesRegressor):
+        model = kind(200, n_jobs=JOBS, random_state=split.seed)
+        error = float(np.mean((cross_val_predict(model, X, y, cv=folds) - y) ** 2))
+        found.append((error, model.fit(X, y)))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def crepes_normalized(split: Split, alpha: float) -> Sets:
+    """crepes: residuals scaled by a difficulty learnt from cross-validated residuals of nearest neighbours."""
+    from crepes import WrapRegressor
+    from crepes.extras import DifficultyEstimator
+
+    best = _best_regressor(split)
+    folds = KFold(3, shuffle=True, random_state=split.seed)
+    X, y = split.X["train"], split.y["train"]
+    residuals = y - cross_val_predict(clone(best), X, y, cv=folds)
+    difficulty = DifficultyEstimator()
+    difficulty.fit(X=X, residuals=residuals, k=25, scaler=True, beta=0.05)
+    wrapped = WrapRegressor(best)
+    wrapped.calibrate(split.X["cal"], split.y["cal"], de=difficulty)
+    intervals = wrapped.predict_int(split.X["test"], confidence=1 - alpha)
+    return one_interval(intervals[:, 0], intervals[:, 1])
+
+
+class _Stack:
+    """The locations and spreads that conformodal's default learns, offered to a peer."""
+
+    def __init__(self, split: Split) -> None:
+        X, y = split.X["train"], split.y["train"]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self.location = StackedLocation(split.seed, JOBS).fit(X, y)
+        summary = self.location.summary(self.location.out_of_fold_)
+        residual = np.abs(y - summary[:, 0])
+        self.least = 0.1 * float(np.median(residual)) or 1e-6
+        self.forest = RandomForestRegressor(200, min_samples_leaf=10, max_features=0.5, n_jobs=JOBS, random_state=0)
+        self.forest.fit(np.column_stack((X, summary)), np.log(residual + self.least))
+
+    def fit(self, X: FloatArray, y: FloatArray) -> _Stack:
+        return self
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        return self.location.summary(self.location.predict(X))[:, 0]
+
+    def apply(self, X: FloatArray) -> FloatArray:
+        summary = self.location.summary(self.location.predict(X))
+        return np.exp(self.forest.predict(np.column_stack((X, summary))))
+
+
+def crepes_on_our_stack(split: Split, alpha: float) -> Sets:
+    """crepes around conformodal's own location and spread: what is left is the gain of the density and the score."""
+    from crepes import WrapRegressor
+
+    stack = _Stack(split)
+    wrapped = WrapRegressor(stack)
+    wrapped.fitted_ = True
+    wrapped.calibrate(split.X["cal"], split.y["cal"], de=stack)
+    intervals = wrapped.predict_int(split.X["test"], confidence=1 - alpha)
+    return one_interval(intervals[:, 0], intervals[:, 1])
+
+
+def _import_torchcp_regression() -> Any:
+    """torchcp without its parts for graphs and language models, whose packages are not installed."""
+    if "torchcp" not in sys.modules:
+        spec = find_spec("torchcp")
+        if spec is None or spec.origin is None:
+            raise ImportError("torchcp is not installed: pip install --no-deps -r benchmarks/peers/requirements.txt")
+        package = types.ModuleType("torchcp")
+        package.__path__ = [str(Path(spec.origin).parent)]
+        sys.modules["torchcp"] = package
+    import torchcp.regression as regression
+
+    return regression
+
+
+def _loaders(split: Split) -> tuple[dict[str, Any], StandardScaler]:
+    scaler = StandardScaler().fit(split.X["train"])
+    loaders = {}
+    for part in ("train", "cal"):
+        X, y = (torch.tensor(a, dtype=torch.float32) for a in (scaler.transform(split.X[part]), split.y[part]))
+        loaders[part] = torch.utils.data.DataLoader(
+            torch.utils.data.TensorDataset(X, y), batch_size=64, shuffle=part == "train"
+        )
+    return loaders, scaler
+
+
+def torchcp_cqr(split: Split, alpha: float) -> Sets:
+    """TorchCP's CQR on its own network, 64 units; dropout chosen on a tenth of the training part."""
+    regression = _import_torchcp_regression()
+    from torchcp.regression.utils import build_regression_model
+
+    loaders, scaler = _loaders(split)
+    whole = loaders["train"].dataset
+    epochs = int(np.clip(NETWORK_STEPS // len(loaders["train"]), 30, 1000))
+    n_val = max(len(whole) // 10, 1)
+    generator = torch.Generator().manual_seed(split.seed)
+    seen, held = torch.utils.data.random_split(whole, [len(whole) - n_val, n_val], generator=generator)
+    X_held, y_held = whole[held.indices]
+
+    def trained(data: Any, dropout: float) -> Any:
+        torch.manual_seed(split.seed)
+        model = build_regression_model("NonLinearNet")(X_held.shape[1], 2, 64, dropout)
+        predictor = regression.SplitPredictor(regression.CQR(), model, alpha=alpha)
+        loader = torch.utils.data.DataLoader(data, batch_size=64, shuffle=True)
+        predictor.train(loader, alpha=alpha, epochs=epochs, lr=3e-3)
+        return predictor
+
+    def loss(dropout: float) -> float:
+        predictor = trained(seen, dropout)
+        predictor._model.eval()
+        with torch.no_grad():
+            out = predictor._model(X_held).numpy()
+        return sum(mean_pinball_loss(y_held, out[:, i], alpha=q) for i, q in enumerate((alpha / 2, 1 - alpha / 2)))
+
+    predictor = trained(whole, min((0.0, 0.1, 0.5), key=loss))
+    predictor.calibrate(loaders["cal"])
+    X = torch.tensor(scaler.transform(split.X["test"]), dtype=torch.float32)
+    intervals = predictor.predict(X)[:, 0].numpy()
+    return one_interval(intervals[:, 0], intervals[:, 1])
+
+
+def torchcp_r2ccp(split: Split, alpha: float) -> Sets:
+    """TorchCP's regression-as-classification, 50 midpoints, its default network of 1000 units and loss."""
+    regression = _import_torchcp_regression()
+    from torchcp.regression.utils import build_regression_model, calculate_midpoints
+
+    loaders, scaler = _loaders(split)
+    torch.manual_seed(split.seed)
+    midpoints = calculate_midpoints(loaders["train"], 50)
+    model = build_regression_model("NonLinearNet_with_Softmax")(split.X["train"].shape[1], 50, 1000, 0.0)
+    predictor = regression.SplitPredictor(regression.R2CCP(midpoints), model, alpha=alpha)
+    epochs = int(np.clip(NETWORK_STEPS // len(loaders["train"]), 30, 1000))
+    predictor.train(loaders["train"], epochs=epochs, lr=1e-3)
+    predictor.calibrate(loaders["cal"])
+    X = torch.tensor(scaler.transform(split.X["test"]), dtype=torch.float32)
+    flat = predictor.predict(X).numpy().astype(np.float64)
+    low, high = flat[:, 0::2], flat[:, 1::2]
+    rows = np.repeat(np.arange(len(flat)), low.shape[1])
+    return merged(len(flat), rows, low.ravel(), high.ravel())
+
+
+def _import_r2ccp() -> Any:
+    """r2ccp; torchvision, which it imports for images, is replaced by nothing."""
+    import lightning.pytorch as pl
+
+    for name in ("torchvision", "torchvision.models"):
+        sys.modules.setdefault(name, types.ModuleType(name))
+    sys.modules["torchvision"].models = sys.modules["torchvision.models"]  # type: ignore[attr-defined]
+    sys.modules.setdefault("pytorch_lightning", pl)
+    sys.modules.setdefault("pytorch_lightning.callbacks", pl.callbacks)
+    from R2CCP.main import R2CCP
+
+    return R2CCP
+
+
+def r2ccp(split: Split, alpha: float) -> Sets:
+    """The r2ccp package at its defaults, on our split: its own shuffle is undone beforehand."""
+    from sklearn.model_selection import train_test_split
+
+    R2CCP = _import_r2ccp()
+    n_train, n_cal = len(split.y["train"]), len(split.y["cal"])
+    share = (n_cal - 0.5) / (n_train + n_cal)  # it rounds up
+    for name in ("pytorch_lightning", "lightning.pytorch", "lightning.pytorch.utilities.rank_zero", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    first, second = train_test_split(np.arange(n_train + n_cal), test_size=share, random_state=split.seed)
+    assert (len(first), len(second)) == (n_train, n_cal)
+    X = np.empty((n_train + n_cal, split.X["train"].shape[1]))
+    y = np.empty(n_train + n_cal)
+    X[first], X[second], y[first], y[second] = split.X["train"], split.X["cal"], split.y["train"], split.y["cal"]
+    epochs = int(np.clip(R2CCP_STEPS // int(np.ceil(n_train / 32)), 10, 1000))
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        options = {"model_path": f"{folder}/model.pth", "max_epochs": epochs, "seed": split.seed, "alpha": alpha}
+        model = R2CCP({**options, "test_size": share})
+        plain = sys.modules["R2CCP.main"].pl.Trainer
+
+        def quiet(**kwargs: Any) -> Any:
+            off = {"enable_progress_bar": False, "logger": False, "enable_checkpointing": False}
+            return plain(**kwargs, **off, enable_model_summary=False, limit_val_batches=0)
+
+        sys.modules["R2CCP.main"].pl = types.SimpleNamespace(Trainer=quiet)
+        try:
+            model.fit(X, y)
+            found = model.get_intervals(split.X["test"])
+        finally:
+            sys.modules["R2CCP.main"].pl = types.SimpleNamespace(Trainer=plain)
+    rows = np.repeat(np.arange(len(found)), [len(f) for f in found])
+    ends = np.array([pair for f in found for pair in f], dtype=np.float64).reshape(-1, 2)
+    return Sets(len(found), rows, ends[:, 0], ends[:, 1])
+
+
+OURS = "conformodal"
+PROBE = "crepes on conformodal's learner"
+METHODS: dict[str, Callable[[Split, float], Sets]] = {
+    OURS: conformodal_default,
+    "MAPIE CQR, boosting": mapie_cqr_boosting,
+    "MAPIE CQR, quantile forest": mapie_cqr_forest,
+    "crepes, normalised": crepes_normalized,
+    "TorchCP CQR": torchcp_cqr,
+    "TorchCP R2CCP": torchcp_r2ccp,
+    "r2ccp": r2ccp,
+    PROBE: crepes_on_our_stack,
+}

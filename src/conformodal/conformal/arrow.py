@@ -1,0 +1,106 @@
+"""Regions as Arrow tables and Parquet files (the optional extra ``arrow``).
+
+One row a sample; one column ``target_J`` a target, ``list<fixed_size_list<double>[2]>``: the sorted, disjoint
+intervals, ``[-inf, inf]`` for the whole space, an empty list for an empty set. The schema's metadata holds the edges,
+key ``conformodal.edges``, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .bins import QuantileBins
+from .errors import ConformalError
+from .regions import Regions
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_EDGES = b"conformodal.edges"
+
+
+def _need_pyarrow() -> None:
+    try:
+        import pyarrow  # noqa: F401, PLC0415
+    except ImportError:
+        raise ConformalError("Arrow and Parquet need pyarrow: pip install 'conformodal[arrow]'") from None
+
+
+def regions_to_arrow(regions: Regions) -> pa.Table:
+    """Arrow table of `regions`; the columns are in the module's description."""
+    _need_pyarrow()
+    import pyarrow as pa  # noqa: PLC0415
+
+    columns = []
+    for j in range(regions.bins.n_targets):
+        offsets, ends = regions.flat_intervals(j)
+        pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), 2)
+        columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
+    edges = json.dumps([e.tolist() for e in regions.bins.edges_])
+    names = [f"target_{j}" for j in range(len(columns))]
+    return pa.table(columns, names=names).replace_schema_metadata({_EDGES: edges.encode()})
+
+
+def regions_from_arrow(table: pa.Table) -> Regions:
+    """Regions from a table made by :func:`regions_to_arrow`.
+
+    Raises
+    ------
+    ConformalError
+        If the edges or a column are missing, or an interval does not start and end on edges.
+    """
+    raw = (table.schema.metadata or {}).get(_EDGES)
+    if raw is None:
+        raise ConformalError("table has no 'conformodal.edges' in its metadata; it was not made by Regions.to_arrow")
+    bins = QuantileBins.from_edges(json.loads(raw))
+    masks, unbounded = [], np.zeros((table.num_rows, bins.n_targets), dtype=bool)
+    for j, edges in enumerate(bins.edges_):
+        name = f"target_{j}"
+        if name not in table.column_names:
+            raise ConformalError(f"table has no column {name!r}; found {table.column_names}")
+        column = table.column(name).combine_chunks()
+        counts = np.asarray(column.value_lengths())
+        ends = np.asarray(column.flatten().flatten(), dtype=np.float64).reshape(-1, 2)
+        rows = np.repeat(np.arange(table.num_rows), counts)
+        whole = np.isinf(ends).all(axis=1)
+        unbounded[rows[whole], j] = True
+        at = np.searchsorted(edges, ends[~whole])
+        if (at >= edges.size).any() or not np.array_equal(edges[at], ends[~whole]):
+            raise ConformalError(f"column {name!r} holds an interval that does not start and end on the edges")
+        steps = np.zeros((table.num_rows, edges.size), dtype=np.int8)
+        np.add.at(steps, (rows[~whole], at[:, 0]), 1)
+        np.add.at(steps, (rows[~whole], at[:, 1]), -1)
+        masks.append(steps.cumsum(axis=1)[:, :-1] > 0)
+    return Regions(bins, masks, unbounded)
+
+
+def write_regions(regions: Regions, path: str | PathLike[str]) -> None:
+    """Write `regions` as a Parquet file."""
+    _need_pyarrow()
+    from pyarrow import parquet  # noqa: PLC0415
+
+    parquet.write_table(regions_to_arrow(regions), Path(path))
+
+
+def read_regions(path: str | PathLike[str]) -> Regions:
+    """Read regions from a Parquet file that :func:`write_regions` wrote.
+
+    Raises
+    ------
+    ConformalError
+        If the file is missing, is no Parquet file, or holds something else.
+    """
+    _need_pyarrow()
+    import pyarrow as pa  # noqa: PLC0415
+    from pyarrow import parquet  # noqa: PLC0415
+
+    try:
+        table = parquet.read_table(Path(path))
+    except (OSError, pa.ArrowInvalid) as exc:
+        raise ConformalError(f"{path} cannot be read as a Parquet file: {exc}") from None
+    return regions_from_arrow(table)

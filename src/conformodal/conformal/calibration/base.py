@@ -1,0 +1,195 @@
+"""What all calibrators share: scoring true values, and finding the bins whose score is at most a threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ..bins import QuantileBins
+from ..blocks import blocks, for_blocks
+from ..checks import Alpha, Probabilities, as_alpha, as_probabilities, as_targets, check_block, check_rows
+from ..errors import ConformalError
+from ..regions import BoolArray, Regions
+from ..scores import Score, cells_of, resolve_score
+from .joint import Joint, JointRule
+
+Empty = Literal["allow", "mode"]
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+class Calibrator:
+    """Bins, a score, a rate and what it is about. See the subclasses for how thresholds are found.
+
+    Parameters
+    ----------
+    bins
+        Fitted bins.
+    alpha
+        Miscoverage rate in (0, 1).
+    score
+        A name from :data:`~conformodal.conformal.scores.SCORES` (``"lac"`` is the paper's), or a
+        :class:`~conformodal.conformal.scores.Score`.
+    joint
+        ``"none"``: the promise holds for each target alone (the paper's). ``"bonferroni"``: every target is
+        calibrated at alpha / d, so that the promise holds for all together. ``"max"``: one threshold over the largest
+        of the targets' scores, scaled by :meth:`fit_scale`; holds for all together.
+    empty
+        What becomes of an empty set. ``"allow"``: it stays; the sets are exactly the values whose score is at most
+        the threshold. ``"mode"``: the best bin is put in; coverage can only rise.
+    """
+
+    def __init__(
+        self,
+        bins: QuantileBins,
+        alpha: Alpha = 0.1,
+        score: str | Score = "lac",
+        joint: Joint = "none",
+        empty: Empty = "allow",
+    ) -> None:
+        if empty not in get_args(Empty):
+            raise ConformalError(f"empty must be one of {list(get_args(Empty))}, got {empty!r}")
+        as_alpha(alpha)
+        self.bins = bins
+        self.alpha = alpha
+        self.score = resolve_score(score)
+        self.cells = bins.refine(cells_of(self.score))
+        self.rule = JointRule(joint, bins.n_targets)
+        self.empty: Empty = empty
+
+    @property
+    def joint(self) -> Joint:
+        """What the promise is about."""
+        return self.rule.joint
+
+    @property
+    def alpha_per_target(self) -> Fraction:
+        """The rate at which each calibrated column is calibrated: alpha, or alpha / d for ``bonferroni``."""
+        return self.rule.alpha_per_column(self.alpha)
+
+    def fit_scale(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
+        """Scale the targets' scores for ``joint="max"``, on data that is not the calibration data.
+
+        Training data will do: the promise holds whatever the scales, they only balance the targets.
+        """
+        self.rule.fit_scale(self.score_samples(proba, y), self.alpha)
+        return self
+
+    def score_samples(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
+        """Scores of the true values, (n, d): what calibration ranks, ``+inf`` outside the edges.
+
+        Raises
+        ------
+        ConformalError
+            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+        """
+        parts = as_probabilities(proba, self.bins.sizes)
+        values = as_targets(y, n_targets=self.bins.n_targets)
+        if values.shape[0] != parts[0].shape[0]:
+            raise ConformalError(f"y has {values.shape[0]} rows, proba has {parts[0].shape[0]}")
+        codes = self.cells.encode(values)
+        scores = np.full(codes.shape, np.inf, dtype=np.result_type(*parts))
+        for j, (part, widths) in enumerate(zip(parts, self.bins.widths, strict=True)):
+            known = np.flatnonzero(codes[:, j] >= 0)
+            at = codes[known, j]
+            if self._elementwise:
+                scores[known, j] = self.score.of_bins(part[known, at][None], widths[at])[0]
+                continue
+            for rows in blocks(known.size):
+                all_bins = self.score.of_bins(part[known[rows]], widths)
+                scores[known[rows], j] = all_bins[np.arange(all_bins.shape[0]), at[rows]]
+        return scores
+
+    def regions_at(self, proba: Probabilities, thresholds: FloatArray) -> Regions:
+        """Regions of all bins whose score is at most a threshold: (d,) for all samples, or (n, d).
+
+        ``+inf`` gives the whole space, ``-inf`` the empty set.
+        """
+        whole = proba if isinstance(proba, np.ndarray) and proba.ndim == 3 and proba.flags.c_contiguous else None
+        parts = as_probabilities(proba, self.bins.sizes, check=whole is None)
+        n, d = parts[0].shape[0], self.bins.n_targets
+        limits = np.asarray(thresholds)
+        if limits.shape not in ((d,), (n, d)):
+            raise ConformalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
+        if whole is not None and limits.ndim == 1 and self._elementwise and np.issubdtype(whole.dtype, np.floating):
+            masks = self._masks_at_once(whole, limits)
+        else:
+            for part in parts if whole is not None else []:
+                check_rows(part, "proba")
+            masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
+        unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
+        if self.empty == "mode":
+            self._fill_empty(parts, masks)
+        return Regions(self.cells, masks, unbounded)
+
+    @property
+    def _elementwise(self) -> bool:
+        return bool(getattr(self.score, "elementwise", False))
+
+    def _masks_at_once(self, proba: FloatArray, limits: FloatArray) -> list[BoolArray]:
+        """Check and compare all targets in one pass over contiguous (n, d, K): memory is read once."""
+        n, d, k = proba.shape
+        cuts = [
+            lowest_probability(self.score, w, t, proba.dtype) for w, t in zip(self.bins.widths, limits, strict=True)
+        ]
+        flat_cuts = np.concatenate(cuts)
+        masks = np.empty((n, d, k), dtype=bool)
+
+        def fill(rows: slice) -> None:
+            check_block(proba[rows], "proba", rows.start)
+            np.greater_equal(proba[rows].reshape(-1, d * k), flat_cuts, out=masks[rows].reshape(-1, d * k))
+
+        for_blocks(n, fill)
+        return [masks[:, j] for j in range(d)]
+
+    def _mask(self, part: FloatArray, j: int, limit: FloatArray) -> BoolArray:
+        widths = self.bins.widths[j]
+        mask = np.empty((part.shape[0], self.cells.sizes[j]), dtype=bool)
+        cut = None
+        if limit.ndim == 0 and self._elementwise:
+            cut = lowest_probability(self.score, widths, limit, part.dtype)
+
+        def fill(rows: slice) -> None:
+            if cut is not None:
+                np.greater_equal(part[rows], cut, out=mask[rows])
+            else:
+                each = limit if limit.ndim == 0 else limit[rows, None]
+                np.less_equal(self.score.of_bins(part[rows], widths), each, out=mask[rows])
+
+        for_blocks(part.shape[0], fill)
+        return mask
+
+    def _fill_empty(self, parts: Sequence[FloatArray], masks: Sequence[BoolArray]) -> None:
+        for part, widths, mask in zip(parts, self.bins.widths, masks, strict=True):
+            rows = np.flatnonzero(~mask.any(axis=1))
+            if rows.size:
+                mask[rows, self.score.of_bins(part[rows], widths).argmin(axis=1)] = True
+
+
+def lowest_probability(
+    score: Score, widths: npt.NDArray[np.float64], threshold: npt.ArrayLike, dtype: np.dtype[Any]
+) -> FloatArray:
+    """Smallest probability of each bin whose score is at most `threshold`, ``+inf`` if there is none.
+
+    For an elementwise score this turns a set into one comparison a bin. It is found by bisection over the floating
+    numbers themselves, so ``proba >= cut`` and ``score <= threshold`` agree for every one of them.
+    """
+    kind = {2: np.uint16, 4: np.uint32, 8: np.uint64}[dtype.itemsize]
+    # rows may sum to a little more than one; the bits of positive floats are ordered as they are
+    low = np.zeros(widths.size, dtype=np.uint64)
+    high = np.full(widths.size, np.array([2], dtype=dtype).view(kind)[0], dtype=np.uint64)
+
+    def fits(bits: npt.NDArray[np.uint64]) -> BoolArray:
+        return np.asarray(score.of_bins(bits.astype(kind).view(dtype)[None], widths)[0] <= threshold)
+
+    never = ~fits(high)
+    while (low < high).any():
+        middle = (low + high) // 2
+        ok = fits(middle)
+        low, high = np.where(ok, low, np.minimum(middle + 1, high)), np.where(ok, middle, high)
+    cut = low.astype(kind).view(dtype).copy()
+    cut[never] = np.inf
+    return np.asarray(cut)

@@ -1,0 +1,112 @@
+"""Cross-conformal sets over folds that the caller names (Vovk 2015; Barber, Candes, Ramdas and Tibshirani 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..checks import Probabilities, as_probabilities
+from ..errors import ConformalError, NotCalibratedError
+from ..rank import conformal_rank
+from ..regions import Regions
+from .base import Calibrator
+from .mondrian import as_groups
+
+
+class CrossConformal(Calibrator):
+    """Every sample is scored by a model that did not see its fold; every fold's model then speaks for new samples.
+
+    A value belongs to the set if fewer than k of the n calibration scores are smaller than its own, each compared
+    with the score by that fold's model; k is :func:`~conformodal.conformal_rank`. With one fold this is split
+    conformal prediction.
+
+    With exchangeable samples and folds of equal size drawn at random, coverage is proven to be at least
+    ``1 - 2 alpha`` less a term that falls with n (Barber et al., theorem 4), and is about ``1 - alpha`` in practice.
+    Folds that are contiguous blocks of a recording measure how models do on stretches they have not seen; nothing is
+    proven for them, as blocks are not exchangeable. The bins must not depend on the samples in any other way than
+    through their set as a whole: fit them once.
+
+    Parameters
+    ----------
+    bins, alpha, score, empty
+        As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+    joint
+        ``"none"`` or ``"bonferroni"``.
+    """
+
+    scores_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+
+    def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
+        """Score all samples out of fold.
+
+        Parameters
+        ----------
+        proba
+            (n, d, K), or a list of d arrays: row i by the model that was fitted without the samples of `folds[i]`.
+        y
+            (n, d) true values, or (n,) for one target.
+        folds
+            (n,) labels.
+
+        Raises
+        ------
+        ConformalError
+            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+        """
+        if self.joint == "max":
+            raise ConformalError('joint="max" has no cross-conformal form here; use "none" or "bonferroni"')
+        scores = self.score_samples(proba, y)
+        labels = as_groups(folds, scores.shape[0], "folds")
+        self.scores_ = {fold.item(): np.sort(scores[labels == fold], axis=0) for fold in np.unique(labels)}
+        return self
+
+    @property
+    def rank(self) -> int:
+        """Rank k: a value with k or more smaller scores is left out; n + 1 means the whole space."""
+        return conformal_rank(sum(s.shape[0] for s in self._calibrated().values()), self.alpha_per_target)
+
+    def predict(self, proba: Mapping[Hashable, Probabilities]) -> Regions:
+        """Regions of new samples.
+
+        Parameters
+        ----------
+        proba
+            For every fold, the probabilities that its model (fitted without it) gives the new samples.
+
+        Raises
+        ------
+        NotCalibratedError
+            Before :meth:`calibrate`.
+        ConformalError
+            If folds are missing, or on probabilities that are no probabilities or do not fit the bins.
+        """
+        calibrated = self._calibrated()
+        if set(proba) != set(calibrated):
+            names = sorted(map(str, calibrated))
+            raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, proba))}")
+        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in proba.items()}
+        n = next(iter(parts.values()))[0].shape[0]
+        masks = []
+        for j, (widths, size) in enumerate(zip(self.bins.widths, self.cells.sizes, strict=True)):
+            smaller = np.zeros((n, size), dtype=np.int64)
+            for fold, scores in calibrated.items():
+                if parts[fold][j].shape[0] != n:
+                    raise ConformalError(f"proba[{fold!r}] has {parts[fold][j].shape[0]} rows, expected {n}")
+                smaller += np.searchsorted(scores[:, j], self.score.of_bins(parts[fold][j], widths), side="left")
+            mask = smaller < self.rank
+            if self.empty == "mode":
+                rows = np.flatnonzero(~mask.any(axis=1))
+                mask[rows, smaller[rows].argmin(axis=1)] = True
+            masks.append(mask)
+        # a value outside the edges scores +inf by every model: all finite scores are smaller
+        finite = sum(np.isfinite(s).sum(axis=0) for s in calibrated.values())
+        unbounded = np.broadcast_to(finite < self.rank, (n, self.bins.n_targets)).copy()
+        return Regions(self.cells, masks, unbounded)
+
+    def _calibrated(self) -> dict[Hashable, npt.NDArray[np.floating[Any]]]:
+        if not hasattr(self, "scores_"):
+            raise NotCalibratedError("CrossConformal is not calibrated yet: call calibrate(proba, y, folds) first")
+        return self.scores_

@@ -1,0 +1,94 @@
+"""What the promise is about when there are several targets: each alone, or all at once."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ..checks import Alpha, as_alpha
+from ..errors import ConformalError, NotCalibratedError
+from ..rank import conformal_quantile
+
+Joint = Literal["none", "bonferroni", "max"]
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+def as_joint(joint: str) -> Joint:
+    """Check the name of a kind of joint coverage.
+
+    Raises
+    ------
+    ConformalError
+        If it is unknown.
+    """
+    if joint not in get_args(Joint):
+        raise ConformalError(f"joint must be one of {list(get_args(Joint))}, got {joint!r}")
+    return cast(Joint, joint)
+
+
+class JointRule:
+    """Maps scores of d targets to the columns that are calibrated, and their thresholds back to the targets.
+
+    ``none`` and ``bonferroni`` calibrate d columns; ``max`` calibrates one, the largest of the targets' scores after
+    each was shifted and scaled by what :meth:`fit_scale` saw.
+    """
+
+    loc_: npt.NDArray[np.float64]
+    scale_: npt.NDArray[np.float64]
+
+    def __init__(self, joint: Joint, n_targets: int) -> None:
+        self.joint = as_joint(joint)
+        self.n_targets = n_targets
+
+    def alpha_per_column(self, alpha: Alpha) -> Fraction:
+        """The rate at which every column is calibrated, an exact fraction."""
+        rate = as_alpha(alpha)
+        return rate / self.n_targets if self.joint == "bonferroni" else rate
+
+    def fit_scale(self, scores: FloatArray, alpha: Alpha) -> None:
+        """Take shift and scale of every target's scores (n, d) from data that is not the calibration data.
+
+        The shift is the median; the scale the way from there to the rank of alpha / d: with equal upper tails, every
+        target gives up its share.
+        """
+        half, tail = Fraction(1, 2), as_alpha(alpha) / self.n_targets
+        self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
+        for j in range(self.n_targets):
+            finite = scores[np.isfinite(scores[:, j]), j].astype(np.float64)
+            if finite.size == 0:
+                raise ConformalError(f"no training value of target {j} lies within its bins: nothing to scale by")
+            self.loc_[j] = np.minimum(conformal_quantile(finite, half), finite.max())
+            reach = float(np.minimum(conformal_quantile(finite, tail), finite.max()) - self.loc_[j])
+            self.scale_[j] = reach or float(finite.std()) or 1.0
+
+    def columns(self, scores: FloatArray) -> FloatArray:
+        """The calibrated columns of scores (n, d): (n, d), or (n, 1) for ``max``."""
+        if self.joint != "max":
+            return scores
+        self._scaled()
+        return np.asarray(((scores - self.loc_) / self.scale_).max(axis=1, keepdims=True))
+
+    def per_target(self, thresholds: FloatArray) -> FloatArray:
+        """Thresholds of the targets' own scores, (..., d), from those of the columns.
+
+        For ``max`` each is the largest number whose shifted and scaled value is at most the threshold, so that
+        membership and score agree to the last bit.
+        """
+        if self.joint != "max":
+            return thresholds
+        self._scaled()
+        limit = np.broadcast_to(thresholds, (*thresholds.shape[:-1], self.n_targets)).astype(np.float64)
+        raw = self.loc_ + self.scale_ * limit
+        finite = np.isfinite(raw)
+        while (over := finite & ((raw - self.loc_) / self.scale_ > limit)).any():
+            raw = np.where(over, np.nextafter(raw, -np.inf), raw)
+        while (room := finite & ((np.nextafter(raw, np.inf) - self.loc_) / self.scale_ <= limit)).any():
+            raw = np.where(room, np.nextafter(raw, np.inf), raw)
+        return np.asarray(raw)
+
+    def _scaled(self) -> None:
+        if not hasattr(self, "loc_"):
+            raise NotCalibratedError('joint="max" needs scales: call fit_scale(proba_train, y_train) first')

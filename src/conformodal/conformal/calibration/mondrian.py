@@ -1,0 +1,132 @@
+"""A threshold for every group, so that the promise holds within each (Vovk et al. 2003)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ..bins import QuantileBins
+from ..checks import Alpha, Probabilities
+from ..errors import ConformalError, NotCalibratedError
+from ..rank import conformal_quantile
+from ..regions import Regions
+from ..scores import Score
+from .base import Calibrator, Empty
+from .joint import Joint
+
+Fallback = Literal["whole", "pooled"]
+
+
+class MondrianConformal(Calibrator):
+    """Mondrian (group-conditional) conformal sets.
+
+    If the calibration samples of a group and a new sample of that group are exchangeable, the promise holds within
+    the group, not only on average over groups.
+
+    Parameters
+    ----------
+    bins, alpha, score, joint, empty
+        As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+    min_group
+        Groups with fewer calibration samples fall back. By default those too small for any finite threshold do.
+    fallback
+        For groups that are too small or were never seen. ``"whole"``: the whole space, which keeps the promise.
+        ``"pooled"``: the threshold of all calibration samples together; for such a group the promise is then an
+        average over everyone's, no longer its own.
+
+    Attributes
+    ----------
+    thresholds_ : dict of group to (d,) thresholds
+    sizes_ : dict of group to its number of calibration samples
+    pooled_ : (d,) thresholds of all samples together
+    """
+
+    thresholds_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    sizes_: dict[Hashable, int]
+    pooled_: npt.NDArray[np.floating[Any]]
+
+    def __init__(
+        self,
+        bins: QuantileBins,
+        alpha: Alpha = 0.1,
+        score: str | Score = "lac",
+        joint: Joint = "none",
+        empty: Empty = "allow",
+        min_group: int = 0,
+        fallback: Fallback = "whole",
+    ) -> None:
+        super().__init__(bins, alpha, score, joint, empty)
+        if fallback not in get_args(Fallback):
+            raise ConformalError(f"fallback must be one of {list(get_args(Fallback))}, got {fallback!r}")
+        self.min_group = min_group
+        self.fallback: Fallback = fallback
+
+    def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
+        """Set a threshold for each of the `groups`, (n,) labels.
+
+        Raises
+        ------
+        ConformalError
+            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+        """
+        scores = self.rule.columns(self.score_samples(proba, y))
+        labels = as_groups(groups, scores.shape[0])
+        alpha = self.alpha_per_target
+        self.pooled_ = self.rule.per_target(conformal_quantile(scores, alpha))
+        self.thresholds_, self.sizes_ = {}, {}
+        for label in np.unique(labels):
+            own = scores[labels == label]
+            self.sizes_[label.item()] = own.shape[0]
+            self.thresholds_[label.item()] = self.rule.per_target(conformal_quantile(own, alpha))
+        return self
+
+    @property
+    def fallback_groups(self) -> list[Hashable]:
+        """Groups seen in calibration that fall back."""
+        self._calibrated()
+        return [g for g, n in self.sizes_.items() if n < self.min_group or np.isposinf(self.thresholds_[g]).any()]
+
+    def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
+        """Regions of new samples, each by its group's threshold.
+
+        Raises
+        ------
+        NotCalibratedError
+            Before :meth:`calibrate`.
+        ConformalError
+            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+        """
+        self._calibrated()
+        n = len(proba[0]) if isinstance(proba, (list, tuple)) else len(np.asarray(proba))
+        labels = as_groups(groups, n)
+        spare = self.pooled_ if self.fallback == "pooled" else np.full_like(self.pooled_, np.inf)
+        small = set(self.fallback_groups)
+        limits = np.empty((n, self.bins.n_targets), dtype=self.pooled_.dtype)
+        for label in np.unique(labels):
+            group = label.item()
+            known = group in self.thresholds_ and group not in small
+            limits[labels == label] = self.thresholds_[group] if known else spare
+        return self.regions_at(proba, limits)
+
+    def _calibrated(self) -> None:
+        if not hasattr(self, "pooled_"):
+            raise NotCalibratedError("MondrianConformal is not calibrated yet: call calibrate(proba, y, groups) first")
+
+
+def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
+    """Return one label a sample.
+
+    Raises
+    ------
+    ConformalError
+        On another shape than (n,), or NaN labels.
+    """
+    labels = np.asarray(groups)
+    if labels.shape != (n,):
+        raise ConformalError(f"{name} must have one label a sample, shape ({n},), got {labels.shape}")
+    if labels.dtype.kind == "f" and np.isnan(labels).any():
+        raise ConformalError(f"{name} must not hold NaN")
+    return labels

@@ -1,0 +1,134 @@
+"""Calibration under covariate shift, with likelihood ratios given (Tibshirani, Barber, Candes and Ramdas 2019)."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from fractions import Fraction
+from itertools import accumulate
+from math import ceil
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..checks import Alpha, Probabilities, as_alpha
+from ..errors import ConformalError, NotCalibratedError
+from ..regions import Regions
+from .base import Calibrator
+
+
+def weighted_quantile(
+    scores: npt.NDArray[np.floating[Any]], weights: npt.ArrayLike, new_weights: npt.ArrayLike, alpha: Alpha
+) -> npt.NDArray[np.floating[Any]]:
+    """Threshold for each new sample: the smallest score that carries ``1 - alpha`` of the weight.
+
+    The total weight is that of the calibration samples and the new sample's own, which stands at ``+inf``. Weights
+    are added and compared in exact arithmetic; equal weights give :func:`~conformodal.conformal_quantile`.
+
+    Parameters
+    ----------
+    scores
+        (n,) calibration scores.
+    weights
+        (n,) weights of the calibration samples: at least 0, on any common scale.
+    new_weights
+        (m,) weights of the new samples, on that scale.
+    alpha
+        Miscoverage rate in (0, 1).
+
+    Returns
+    -------
+    (m,) thresholds, ``+inf`` where no score carries enough.
+
+    Raises
+    ------
+    ConformalError
+        If weights are negative, not finite, or of another shape; if scores hold NaN.
+    """
+    own = as_weights(weights, "weights")
+    new = as_weights(new_weights, "new_weights")
+    if scores.shape != own.shape:
+        raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
+    if np.isnan(scores).any():
+        raise ConformalError("scores must not hold NaN; a sample that cannot be scored should score +inf")
+    keep = 1 - as_alpha(alpha)
+    order = np.argsort(scores, kind="stable")
+    ranked = np.append(scores[order], np.inf).astype(scores.dtype)
+    # Floats are fractions over powers of two: over their common denominator the sums are whole numbers.
+    exact = [Fraction(w) for w in own[order].tolist()]
+    distinct, which = np.unique(new, return_inverse=True)
+    exact_new = [Fraction(w) for w in distinct.tolist()]
+    scale = max((w.denominator for w in (*exact, *exact_new)), default=1)
+    reached = list(accumulate((int(w * scale) for w in exact), initial=0))
+    # the sum up to and including rank i must reach keep * total
+    ranks = [max(bisect_left(reached, ceil(keep * (reached[-1] + w * scale))), 1) - 1 for w in exact_new]
+    return np.asarray(ranked[np.minimum(ranks, scores.size)][which])
+
+
+def as_weights(weights: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    """Return weights as a float64 vector.
+
+    Raises
+    ------
+    ConformalError
+        If they are negative, not finite, or no vector.
+    """
+    arr = np.asarray(weights, dtype=np.float64)
+    if arr.ndim != 1:
+        raise ConformalError(f"{name} must be a vector, got shape {arr.shape}")
+    bad = ~(np.isfinite(arr) & (arr >= 0))
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise ConformalError(f"{name} must be finite and at least 0, found {arr[at]} at position {at}")
+    return arr
+
+
+class WeightedConformal(Calibrator):
+    """Weighted conformal sets: calibration data from one distribution of inputs, new samples from another.
+
+    If calibration samples are drawn independently from P(x) P(y | x) and the new one from Q(x) P(y | x), the
+    promise holds with weights proportional to dQ/dP at each sample. With estimated ratios it holds approximately.
+
+    Parameters
+    ----------
+    bins, alpha, score, joint, empty
+        As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+    """
+
+    scores_: npt.NDArray[np.floating[Any]]
+    weights_: npt.NDArray[np.float64]
+
+    def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
+        """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale.
+
+        Raises
+        ------
+        ConformalError
+            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
+        """
+        scores = self.rule.columns(self.score_samples(proba, y))
+        checked = as_weights(weights, "weights")
+        if checked.shape != (scores.shape[0],):
+            raise ConformalError(f"weights must have shape ({scores.shape[0]},), got {checked.shape}")
+        self.scores_, self.weights_ = scores, checked
+        return self
+
+    def thresholds(self, weights: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+        """Thresholds of new samples with the given likelihood ratios, (m, d)."""
+        if not hasattr(self, "scores_"):
+            raise NotCalibratedError("WeightedConformal is not calibrated: call calibrate(proba, y, weights) first")
+        alpha = self.alpha_per_target
+        columns = [weighted_quantile(column, self.weights_, weights, alpha) for column in self.scores_.T]
+        return self.rule.per_target(np.stack(columns, axis=1))
+
+    def predict(self, proba: Probabilities, weights: npt.ArrayLike) -> Regions:
+        """Regions of new samples; `weights` (m,) are their likelihood ratios.
+
+        Raises
+        ------
+        NotCalibratedError
+            Before :meth:`calibrate`.
+        ConformalError
+            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
+        """
+        return self.regions_at(proba, self.thresholds(weights))

@@ -1,0 +1,6 @@
+"""Conditional densities over bins, learnt from a table; and the scikit-learn estimator around them."""
+
+from .regressor import ConformalRegressor
+from .stacked import StackedDensity
+
+__all__ = ["ConformalRegressor", "StackedDensity"]

@@ -1,0 +1,115 @@
+"""A stack of regressors whose predictions of the training data are out of fold."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import nnls
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, HistGradientBoostingRegressor
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+from sklearn.model_selection import KFold
+from sklearn.neural_network import MLPRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+FloatArray = npt.NDArray[np.float64]
+
+_FOLDS = 5
+_NETWORKS = 3
+# gradient steps of a network: rows times epochs, within limits
+_ROWS_SEEN = 600_000
+# beyond so many rows a Gaussian process, whose cost is cubic, is left out
+_GAUSSIAN_PROCESS_ROWS = 1500
+
+
+class StackedLocation:
+    """Boosted trees, random trees, networks and, on small tables, a Gaussian process; non-negative least squares.
+
+    Source: Breiman (1996), stacked regressions.
+
+    Attributes
+    ----------
+    out_of_fold_ : (n, m) predictions of every training value by models that did not see it
+    weights_ : (m,) of the stack, sum to one
+    """
+
+    out_of_fold_: FloatArray
+    weights_: FloatArray
+
+    def __init__(self, random_state: int, n_jobs: int | None) -> None:
+        self.random_state = random_state
+        self.n_jobs = n_jobs
+
+    def fit(self, X: FloatArray, y: FloatArray) -> Self:
+        """Fit on (n, p) features and (n,) values of about unit spread; n is at least 2."""
+        members = self._members(y.size)
+        self.out_of_fold_ = np.empty((y.size, len(members)))
+        folds = KFold(min(_FOLDS, y.size), shuffle=True, random_state=self.random_state)
+        for seen, left_out in folds.split(X):
+            for j, member in enumerate(members):
+                self.out_of_fold_[left_out, j] = clone(member).fit(X[seen], y[seen]).predict(X[left_out])
+        weights, _ = nnls(self.out_of_fold_, y)
+        self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(len(members), 1 / len(members))
+        self.members_ = [member.fit(X, y) for member in members]
+        return self
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        """Predictions of all members, (n, m)."""
+        return np.column_stack([member.predict(X) for member in self.members_])
+
+    def summary(self, predictions: FloatArray) -> FloatArray:
+        """The stack's mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
+        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
+
+    def _members(self, n: int) -> list[Any]:
+        seed = self.random_state
+
+        def boosted(leaves: int, rounds: int, least: int) -> Any:
+            return HistGradientBoostingRegressor(
+                learning_rate=0.05,
+                max_iter=rounds,
+                max_leaf_nodes=leaves,
+                min_samples_leaf=least,
+                l2_regularization=1.0,
+                max_features=0.5,
+                early_stopping=False,
+                random_state=seed,
+            )
+
+        def networks(decay: float, rate: float) -> Any:
+            one = MLPRegressor(
+                hidden_layer_sizes=(64, 64),
+                alpha=decay,
+                learning_rate_init=rate,
+                max_iter=int(np.clip(_ROWS_SEEN // n, 30, 400)),
+                n_iter_no_change=1000,  # trained to the end: the stack's folds are what guards against overfitting
+                random_state=seed,
+            )
+            bag = BaggingRegressor(one, _NETWORKS, bootstrap=False, n_jobs=self.n_jobs, random_state=seed)
+            return make_pipeline(StandardScaler(), bag)
+
+        trees = ExtraTreesRegressor(200, n_jobs=self.n_jobs, random_state=seed)
+        members = [boosted(31, 500, 10), boosted(8, 1000, 5), trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
+        if n <= _GAUSSIAN_PROCESS_ROWS:
+            members.append(make_pipeline(StandardScaler(), _AnisotropicProcess()))
+        return members
+
+
+class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Gaussian process with a length scale a feature (Rasmussen and Williams 2006, chapter 5), for small tables."""
+
+    def fit(self, X: FloatArray, y: FloatArray) -> Self:
+        kernel = ConstantKernel(1.0) * Matern(np.ones(X.shape[1]), nu=1.5) + WhiteKernel(0.05)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # a useless feature's length scale runs to its bound
+            self.process_ = GaussianProcessRegressor(kernel, normalize_y=True).fit(X, y)
+        return self
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        return np.asarray(self.process_.predict(X))

@@ -1,0 +1,216 @@
+"""A scikit-learn regressor whose honest answer is a region."""
+
+from __future__ import annotations
+
+from types import MethodType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from ..bins import QuantileBins
+from ..calibration import Joint, SplitConformal
+from ..checks import Alpha
+from ..errors import ConformalError, NotCalibratedError
+from ..regions import Regions
+from ..scores import Score
+from .labels import fit_classifier, proba_of_bins
+from .stacked import StackedDensity
+
+FloatArray = npt.NDArray[np.float64]
+
+# Values a little beyond the training range still get a finite score.
+_MARGIN = 0.02
+_BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
+
+
+class _ScoreName:
+    """Lets the parameter `score` share its name with scikit-learn's method ``score``.
+
+    As in every scikit-learn estimator the parameter lives in the instance's ``__dict__``, where ``get_params`` finds
+    it; the attribute is the method.
+    """
+
+    def __get__(self, estimator: Any, owner: type) -> Any:
+        return self if estimator is None else MethodType(RegressorMixin.score, estimator)
+
+    def __set__(self, estimator: Any, value: str | Score) -> None:
+        estimator.__dict__["score"] = value
+
+
+class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Regression by classification into bins, with calibrated regions that may fall apart.
+
+    ``fit`` splits off calibration data, cuts the targets into quantile bins, fits one density or classifier a target
+    and calibrates. If calibration samples and a new sample are exchangeable, ``predict_region`` holds the truth with
+    probability at least ``1 - alpha``, on average over samples: of each target alone, or of all together as `joint`
+    says.
+
+    Parameters
+    ----------
+    estimator
+        None for :class:`StackedDensity`; or any classifier with ``predict_proba``, fitted on bin numbers; or an object
+        with ``fit_bins(X, y, edges)`` and ``predict_proba``.
+    n_bins
+        Bins a target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
+    alpha
+        Miscoverage rate in (0, 1).
+    score
+        ``"density"`` (shortest sets), ``"linear_density"``, ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
+    joint
+        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`.
+    calibration_size
+        Share of the samples that ``fit`` holds out to calibrate on, in [0, 1). With 0 all are learnt from, and
+        :meth:`conformalize` must follow.
+    label_sigma
+        Order-aware labels for a classifier: each sample is learnt four times, with labels spread like a Gaussian of
+        so many bins around where in its bin the value lies. 0 learns each once, as plain classification does.
+    random_state
+        Seed of the split and of a fresh estimator, or None.
+
+    Attributes
+    ----------
+    bins_ : QuantileBins
+    estimators_ : list of d fitted estimators
+    calibrator_ : SplitConformal
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.ensemble import RandomForestClassifier
+    >>> from conformodal.conformal import ConformalRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(-1, 1, (1000, 1))
+    >>> y = rng.choice([-1, 1], 1000) * (1 + X[:, 0]) + rng.normal(0, 0.05, 1000)
+    >>> forest = RandomForestClassifier(min_samples_leaf=20, random_state=0)
+    >>> reg = ConformalRegressor(forest, n_bins=30, random_state=0).fit(X, y)
+    >>> [[float(round(end)) for end in interval] for interval in reg.predict_region([[0.9]]).intervals(0)[0]]
+    [[-2.0, -2.0], [2.0, 2.0]]
+    """
+
+    score: Any = _ScoreName()
+
+    def __init__(
+        self,
+        estimator: Any = None,
+        n_bins: int | None = None,
+        alpha: Alpha = 0.1,
+        score: str | Score = "density",
+        joint: Joint = "none",
+        calibration_size: float = 0.2,
+        label_sigma: float = 0.7,
+        random_state: Any = None,
+    ) -> None:
+        self.estimator = estimator
+        self.n_bins = n_bins
+        self.alpha = alpha
+        self.score = score
+        self.joint = joint
+        self.calibration_size = calibration_size
+        self.label_sigma = label_sigma
+        self.random_state = random_state
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Parameters of the estimator, and of its estimator if `deep`; as in scikit-learn."""
+        params: dict[str, Any] = super().get_params(deep=deep)
+        params = {name: value for name, value in params.items() if not name.startswith("score__")}
+        return params | {"score": self.__dict__["score"]}
+
+    def fit(self, X: npt.ArrayLike, y: npt.ArrayLike) -> Self:
+        """Learn and calibrate.
+
+        Parameters
+        ----------
+        X
+            (n, p) features.
+        y
+            (n,) or (n, d) values.
+
+        Raises
+        ------
+        ConformalError
+            If a parameter cannot be used, or there are too few samples to split.
+        """
+        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True)
+        features, values = np.asarray(X), np.asarray(y, dtype=np.float64)
+        self._one_target = values.ndim == 1
+        values = values.reshape(len(values), -1)
+        if not 0 <= self.calibration_size < 1:
+            raise ConformalError(f"calibration_size must be a share in [0, 1), got {self.calibration_size!r}")
+        random = check_random_state(self.random_state)
+        order = random.permutation(len(features))
+        n_held = int(np.ceil(self.calibration_size * len(features)))
+        held, seen = order[:n_held], order[n_held:]
+        if seen.size < 2:
+            raise ConformalError(
+                f"X has n_samples={len(features)}, {n_held} of which are held out to calibrate: at least 2 must be left"
+            )
+        base = StackedDensity(random_state=random.randint(2**31 - 1)) if self.estimator is None else self.estimator
+        dense = hasattr(base, "fit_bins")
+        n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
+        self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
+        self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
+        self.estimators_ = []
+        for j, edges in enumerate(self.bins_.edges_):
+            model = clone(base)
+            if dense:
+                model.fit_bins(features[seen], values[seen, j], edges)
+            else:
+                model = fit_classifier(model, features[seen], values[seen, j], edges, self.label_sigma)
+            self.estimators_.append(model)
+        if self.joint == "max":
+            self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
+        if n_held:
+            self.calibrator_.calibrate(self._proba(features[held]), values[held])
+        return self
+
+    def conformalize(self, X_cal: npt.ArrayLike, y_cal: npt.ArrayLike) -> Self:
+        """Calibrate on data of one's own, none of which was learnt from; replaces the earlier calibration."""
+        check_is_fitted(self, "bins_")
+        X_cal, y_cal = validate_data(self, X_cal, y_cal, multi_output=True, y_numeric=True, reset=False)
+        self.calibrator_.calibrate(self._proba(np.asarray(X_cal)), np.asarray(y_cal, dtype=np.float64))
+        return self
+
+    def predict_proba(self, X: npt.ArrayLike) -> list[FloatArray]:
+        """Probabilities of the bins: d arrays (n, K_d)."""
+        check_is_fitted(self, "bins_")
+        return self._proba(np.asarray(validate_data(self, X, reset=False)))
+
+    def predict(self, X: npt.ArrayLike) -> FloatArray:
+        """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes."""
+        centers = zip(self.predict_proba(X), self.bins_.centers, strict=True)
+        means = np.column_stack([proba @ c for proba, c in centers])
+        return means[:, 0] if self._one_target else means
+
+    def predict_region(self, X: npt.ArrayLike, alpha: Alpha | None = None) -> Regions:
+        """Calibrated regions of new samples.
+
+        Parameters
+        ----------
+        X
+            (n, p) features.
+        alpha
+            Another miscoverage rate than the estimator's, from the same calibration data.
+
+        Raises
+        ------
+        NotCalibratedError
+            If there is no calibration data yet.
+        """
+        proba = self.predict_proba(X)
+        if not hasattr(self.calibrator_, "scores_"):
+            raise NotCalibratedError("calibration_size is 0: call conformalize(X_cal, y_cal) before predict_region")
+        if alpha is None:
+            return self.calibrator_.predict(proba)
+        return self.calibrator_.at(alpha).predict(proba)
+
+    def _proba(self, features: npt.NDArray[Any]) -> list[FloatArray]:
+        return [proba_of_bins(m, features, k) for m, k in zip(self.estimators_, self.bins_.sizes, strict=True)]
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        return tags

@@ -1,0 +1,68 @@
+"""The past scores of a sequence, kept in order."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import deque
+from fractions import Fraction
+from math import ceil, inf, isnan
+
+from ..errors import ConformalError
+
+
+class PastScores:
+    """Scores seen so far, or the last `window` of them.
+
+    Parameters
+    ----------
+    window
+        How many to keep; None keeps all.
+    """
+
+    def __init__(self, window: int | None = None) -> None:
+        if window is not None and window < 1:
+            raise ConformalError(f"window must be at least 1 score, or None for all, got {window}")
+        self._order: deque[float] = deque()
+        self._sorted: list[float] = []
+        self.window = window
+
+    def __len__(self) -> int:
+        return len(self._sorted)
+
+    def add(self, score: float) -> None:
+        """Remember a score; the oldest one beyond the window is forgotten."""
+        insort(self._sorted, score)
+        self._order.append(score)
+        if self.window is not None and len(self._order) > self.window:
+            del self._sorted[bisect_left(self._sorted, self._order.popleft())]
+
+    def threshold(self, alpha: Fraction | float) -> float:
+        """The score of rank ``ceil((n + 1)(1 - alpha))``, exactly: ``inf`` beyond n, ``-inf`` below 1."""
+        k = ceil((len(self) + 1) * (1 - Fraction(alpha)))
+        if k > len(self):
+            return inf
+        return self._sorted[k - 1] if k >= 1 else -inf
+
+    def p_value(self, score: float) -> float:
+        """``(1 + number of scores at least as large) / (n + 1)``: the smallest alpha at which `score` is missed."""
+        return (1 + len(self) - bisect_left(self._sorted, score)) / (len(self) + 1)
+
+    def spread(self) -> float:
+        """Largest less smallest finite score; 1 where there is none."""
+        finite = bisect_left(self._sorted, inf)
+        low = bisect_left(self._sorted, -inf)
+        width = self._sorted[finite - 1] - self._sorted[low] if finite > low else 0.0
+        return width if width > 0 else 1.0
+
+
+def as_score(score: float) -> float:
+    """Return a score as a float.
+
+    Raises
+    ------
+    ConformalError
+        If it is NaN.
+    """
+    if isnan(score):
+        raise ConformalError("a score must not be NaN; a sample that cannot be scored should score +inf")
+    return float(score)
