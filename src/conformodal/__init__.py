@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from .conformal import (
     ConformalError,
+    ConformalRegressor,
     ConformodalError,
     CoverageCheck,
     NotCalibratedError,
@@ -34,6 +35,7 @@ _LATE = {"VisualOdometry": ".odometry", "Trajectory": ".poses", "read_sevenscene
 
 __all__ = [
     "ConformalError",
+    "ConformalRegressor",
     "ConformodalError",
     "CoverageCheck",
     "NotCalibratedError",

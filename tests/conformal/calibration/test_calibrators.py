@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformodal.conformal import (
+    ConformalError,
+    CrossConformal,
+    MondrianConformal,
+    NotCalibratedError,
+    QuantileBins,
+    SplitConformal,
+    WeightedConformal,
+    conformal_quantile,
+    weighted_quantile,
+)
+
+SCORES = ["lac", "density", "linear_density", "aps", "hpd"]
+
+
+def problem(seed, n=80, d=2, k=7, dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, k + 1)) for _ in range(d)])
+    proba = rng.dirichlet(np.full(k, 0.5), size=(n, d)).astype(dtype)
+    y = np.column_stack([rng.uniform(e[0] - 0.1, e[-1] + 0.1, n) for e in bins.edges_])
+    for j, e in enumerate(bins.edges_):
+        y[: k + 1, j] = e
+    return bins, proba, y
+
+
+@settings(deadline=None, max_examples=80)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from(SCORES),
+    st.sampled_from(["none", "bonferroni", "max"]),
+    st.sampled_from([0.1, 0.33, 0.7]),
+    st.sampled_from([np.float32, np.float64]),
+)
+def test_membership_is_score_at_most_threshold(seed, score, joint, alpha, dtype):
+    bins, proba, y = problem(seed, dtype=dtype)
+    cal = SplitConformal(bins, alpha, score, joint).fit_scale(proba[60:], y[60:]).calibrate(proba[:50], y[:50])
+    scores = cal.score_samples(proba, y)
+    for p in (proba, [proba[:, j] for j in range(2)]):
+        np.testing.assert_array_equal(cal.predict(p).contains(y), scores <= cal.thresholds_)
+    inside = cal.predict(proba).contains(y, joint=True)
+    if joint == "max":
+        np.testing.assert_array_equal(inside, cal.p_values(proba, y)[:, 0] > alpha)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10_000), st.sampled_from(SCORES))
+def test_one_group_equal_weights_and_one_fold_are_split_conformal(seed, score):
+    bins, proba, y = problem(seed)
+    split = SplitConformal(bins, 0.2, score).calibrate(proba[:40], y[:40]).predict(proba[40:])
+    same = np.full(40, 0.1)
+    others = [
+        MondrianConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
+        WeightedConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
+        CrossConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict({0.1: proba[40:]}),
+    ]
+    for other in others:
+        np.testing.assert_array_equal(other.unbounded, split.unbounded)
+        for a, b in zip(other.masks, split.masks, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_equal_weights_give_the_exact_rank():
+    for n in range(1, 120):
+        scores = np.arange(n, dtype=float)
+        for alpha in range(5, 1000, 35):
+            found = weighted_quantile(scores, np.full(n, 0.1), [0.1], f"{alpha / 1000}")[0]
+            assert found == conformal_quantile(scores, f"{alpha / 1000}")
+
+
+def test_mondrian_keeps_the_promise_in_every_group_and_falls_back():
+    rng = np.random.default_rng(0)
+    bins = QuantileBins.from_edges([np.linspace(-9, 9, 2001)])
+    center = bins.centers[0]
+    proba = np.exp(-0.5 * center**2)[None].repeat(4000, axis=0)
+    proba /= proba.sum(axis=1, keepdims=True)
+    group = np.tile([0, 1], 2000)
+    y = rng.normal(size=4000) * np.where(group, 1.8, 0.5)
+    sets = MondrianConformal(bins, 0.1).calibrate(proba[:2000], y[:2000], group[:2000])
+    inside = sets.predict(proba[2000:], group[2000:]).contains(y[2000:])[:, 0]
+    assert abs(inside[::2].mean() - 0.9) < 0.04  # 0.04: three standard deviations of the Beta-binomial law
+    assert abs(inside[1::2].mean() - 0.9) < 0.04
+    assert sets.predict(proba[:1], [7]).unbounded.all()
+    pooled = MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba[:2000], y[:2000], group[:2000])
+    assert not pooled.predict(proba[:1], [7]).unbounded.any()
+
+
+def test_errors_name_the_argument():
+    bins, proba, y = problem(0)
+    with pytest.raises(NotCalibratedError, match="fit_scale"):
+        SplitConformal(bins, joint="max").calibrate(proba, y)
+    with pytest.raises(ConformalError, match="weights must be finite"):
+        WeightedConformal(bins).calibrate(proba, y, np.full(80, -1.0))
+    with pytest.raises(ConformalError, match="groups must have one label"):
+        MondrianConformal(bins).calibrate(proba, y, [1])
+    with pytest.raises(ConformalError, match="must name the folds"):
+        CrossConformal(bins).calibrate(proba, y, np.zeros(80)).predict({})

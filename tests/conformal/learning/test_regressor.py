@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.model_selection import GridSearchCV
+from sklearn.utils.estimator_checks import estimator_checks_generator
+
+from conformodal.conformal import ConformalError, ConformalRegressor, NotCalibratedError
+
+
+def forest():
+    return RandomForestClassifier(20, min_samples_leaf=5, random_state=0)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_it_is_a_scikit_learn_estimator():
+    for estimator, check in estimator_checks_generator(ConformalRegressor(forest(), n_bins=10, random_state=0)):
+        check(estimator)
+
+
+def bimodal(n, seed=0):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 1))
+    return X, rng.choice([-1, 1], n) * (1.5 + X[:, 0]) + rng.normal(0, 0.1, n)
+
+
+def test_two_modes_and_the_parameter_named_score():
+    X, y = bimodal(2000)
+    reg = ConformalRegressor(forest(), n_bins=30, score="lac", random_state=0)
+    assert clone(reg).get_params()["score"] == "lac"
+    reg.fit(X[:1500], y[:1500])
+    regions = reg.predict_region(X[1500:])
+    assert abs(regions.contains(y[1500:]).mean() - 0.9) < 0.05
+    assert np.median(regions.n_intervals) == 2
+    assert reg.score(X, y) < 0.5
+    wide = reg.predict_region(X[1500:], alpha=0.02)
+    assert (wide.length >= regions.length).all()
+
+
+def test_grid_search_sees_the_parameters():
+    X, y = bimodal(300)
+    search = GridSearchCV(
+        ConformalRegressor(forest(), random_state=0), {"n_bins": [5, 10], "estimator__max_depth": [3]}
+    )
+    assert search.fit(X, y).best_params_["n_bins"] in (5, 10)
+
+
+@pytest.mark.slow
+def test_the_default_density_on_two_targets():
+    X, y = bimodal(500)
+    Y = np.column_stack((y, X[:, 0] * 2 + np.random.default_rng(1).normal(0, 0.1, 500)))
+    reg = ConformalRegressor(random_state=0, calibration_size=0).fit(X[:250], Y[:250])
+    with pytest.raises(NotCalibratedError, match="conformalize"):
+        reg.predict_region(X)
+    regions = reg.conformalize(X[250:400], Y[250:400]).predict_region(X[400:])
+    assert (regions.contains(Y[400:]).mean(axis=0) > 0.8).all()
+    assert np.abs(regions.n_intervals.mean(axis=0) - [2, 1]).max() < 0.5
+    assert reg.predict(X).shape == (500, 2)
+
+
+def test_errors():
+    with pytest.raises(ConformalError, match="calibration_size"):
+        ConformalRegressor(forest(), calibration_size=1.5).fit(*bimodal(20))
+    with pytest.raises(ConformalError, match="n_samples=2"):
+        ConformalRegressor(forest()).fit(*bimodal(2))
