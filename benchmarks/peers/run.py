@@ -33,31 +33,30 @@ Run = dict[str, Any]
 
 def run_all(tables: list[str], store: Path, methods: list[str]) -> None:
     done = {(r["key"], r["method"]) for r in load(store)}
-    for table in tables:
-        for split in splits([table], range(SEEDS.get(table, 3)), ALPHA):
-            for name in methods:
-                if (split.key, name) in done:
-                    continue
-                start = time.perf_counter()
-                record: Run = {"key": split.key, "table": table, "target": split.target, "seed": split.seed}
-                record |= {"method": name, "n_cal": len(split.y["cal"]), "n_test": len(split.y["test"])}
-                record |= {"optimal": split.optimal_length, "failed": None}
-                try:
-                    with warnings.catch_warnings():
-                        warnings.simplefilter("ignore")
-                        sets = METHODS[name](split, ALPHA)
-                    record |= measure(sets, split.y["test"], split.grid)
-                    if not np.isfinite(record["size"]):
-                        raise ArithmeticError(f"size is {record['size']}")
-                except Exception as exc:
-                    record["failed"] = f"{type(exc).__name__}: {exc}"
-                    traceback.print_exc()
-                record["seconds"] = time.perf_counter() - start
-                with store.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record) + "\n")
-                print(
-                    {k: record.get(k) for k in ("key", "method", "size", "components", "seconds", "failed")}, flush=True
-                )
+    every = [split for table in tables for split in splits([table], range(SEEDS.get(table, 3)), ALPHA)]
+    for split in sorted(every, key=lambda split: split.seed):  # every table once, then again
+        for name in methods:
+            if (split.key, name) in done:
+                continue
+            start = time.perf_counter()
+            record: Run = {"key": split.key, "table": split.table, "target": split.target, "seed": split.seed}
+            record |= {"method": name, "n_cal": len(split.y["cal"]), "n_test": len(split.y["test"])}
+            record |= {"optimal": split.optimal_length, "failed": None}
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    sets = METHODS[name](split, ALPHA)
+                record |= measure(sets, split.y["test"], split.grid)
+                if not np.isfinite(record["size"]):
+                    raise ArithmeticError(f"size is {record['size']}")
+            except Exception as exc:
+                record["failed"] = f"{type(exc).__name__}: {exc}"
+                traceback.print_exc()
+            record["seconds"] = time.perf_counter() - start
+            with store.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(record) + "\n")
+            shown = ("key", "method", "size", "components", "seconds", "failed")
+            print({k: record.get(k) for k in shown}, flush=True)
 
 
 def load(store: Path) -> list[Run]:

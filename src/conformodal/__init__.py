@@ -14,6 +14,7 @@ from .conformal import (
     ConformalRegressor,
     ConformodalError,
     CoverageCheck,
+    Diagnosis,
     NotCalibratedError,
     QuantileBins,
     Regions,
@@ -22,22 +23,30 @@ from .conformal import (
     conformal_quantile,
     conformal_rank,
     coverage_band,
+    diagnose,
 )
 
 if TYPE_CHECKING:
     from .datasets import read_sevenscenes
     from .odometry import VisualOdometry
     from .poses import Trajectory
+    from .report import draw_diagnosis
 
 __version__ = metadata.version("conformodal")
 
-_LATE = {"VisualOdometry": ".odometry", "Trajectory": ".poses", "read_sevenscenes": ".datasets"}
+_LATE = {
+    "Trajectory": ".poses",
+    "VisualOdometry": ".odometry",
+    "draw_diagnosis": ".report",
+    "read_sevenscenes": ".datasets",
+}
 
 __all__ = [
     "ConformalError",
     "ConformalRegressor",
     "ConformodalError",
     "CoverageCheck",
+    "Diagnosis",
     "NotCalibratedError",
     "QuantileBins",
     "Regions",
@@ -48,6 +57,8 @@ __all__ = [
     "conformal_quantile",
     "conformal_rank",
     "coverage_band",
+    "diagnose",
+    "draw_diagnosis",
     "read_sevenscenes",
 ]
 

@@ -5,7 +5,7 @@ Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and
 
 from .bins import QuantileBins
 from .calibration import CrossConformal, MondrianConformal, SplitConformal, WeightedConformal, weighted_quantile
-from .diagnostics import CoverageCheck, check_coverage, coverage_band
+from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose
 from .errors import ConformalError, ConformodalError, NotCalibratedError
 from .learning import ConformalRegressor, StackedDensity
 from .online import Aci, ConformalPid, DtAci, OnlineConformal
@@ -23,6 +23,7 @@ __all__ = [
     "CoverageCheck",
     "CrossConformal",
     "Density",
+    "Diagnosis",
     "DtAci",
     "Lac",
     "LinearDensity",
@@ -39,5 +40,6 @@ __all__ = [
     "conformal_quantile",
     "conformal_rank",
     "coverage_band",
+    "diagnose",
     "weighted_quantile",
 ]

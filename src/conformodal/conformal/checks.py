@@ -65,6 +65,22 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
     return arr
 
 
+def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
+    """Return one label a sample.
+
+    Raises
+    ------
+    ConformalError
+        On another shape than (n,), or NaN labels.
+    """
+    labels = np.asarray(groups)
+    if labels.shape != (n,):
+        raise ConformalError(f"{name} must have one label a sample, shape ({n},), got {labels.shape}")
+    if labels.dtype.kind == "f" and np.isnan(labels).any():
+        raise ConformalError(f"{name} must not hold NaN")
+    return labels
+
+
 def as_probabilities(
     proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
 ) -> list[npt.NDArray[np.floating[Any]]]:

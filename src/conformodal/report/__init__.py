@@ -1,6 +1,15 @@
 """Figures and the result page."""
 
+from .diagnosis import draw_diagnosis
 from .figures import error_figure, plan_figure, trajectory_figure
 from .page import PageFigure, ReportContent, write_page
 
-__all__ = ["PageFigure", "ReportContent", "error_figure", "plan_figure", "trajectory_figure", "write_page"]
+__all__ = [
+    "PageFigure",
+    "ReportContent",
+    "draw_diagnosis",
+    "error_figure",
+    "plan_figure",
+    "trajectory_figure",
+    "write_page",
+]

@@ -14,6 +14,7 @@ from conformodal.conformal import (
     conformal_quantile,
     weighted_quantile,
 )
+from conformodal.conformal.calibration.joint import highest_float
 
 SCORES = ["lac", "density", "linear_density", "aps", "hpd"]
 
@@ -87,6 +88,15 @@ def test_mondrian_keeps_the_promise_in_every_group_and_falls_back():
     assert sets.predict(proba[:1], [7]).unbounded.all()
     pooled = MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba[:2000], y[:2000], group[:2000])
     assert not pooled.predict(proba[:1], [7]).unbounded.any()
+
+
+def test_largest_float_that_holds_is_found_to_the_last_bit():
+    for loc, scale, limit in ((4.0, 2.0, -2.0), (1e9, 1e-9, 3.3), (-7.1, 0.3, 1e300), (0.0, 5e-324, 0.2), (1, 3, -1)):
+        raw = highest_float(lambda x, loc=loc, scale=scale, limit=limit: (x - loc) / scale <= limit, (1,))
+        assert (raw - loc) / scale <= limit
+        with np.errstate(over="ignore"):
+            assert not (np.nextafter(raw, np.inf) - loc) / scale <= limit or np.isinf(np.nextafter(raw, np.inf))
+    assert highest_float(lambda x: x < -np.inf, (2,)).tolist() == [-np.inf, -np.inf]
 
 
 def test_errors_name_the_argument():

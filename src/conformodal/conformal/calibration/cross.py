@@ -8,12 +8,11 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Probabilities, as_probabilities
+from ..checks import Probabilities, as_groups, as_probabilities
 from ..errors import ConformalError, NotCalibratedError
 from ..rank import conformal_rank
 from ..regions import Regions
 from .base import Calibrator
-from .mondrian import as_groups
 
 
 class CrossConformal(Calibrator):

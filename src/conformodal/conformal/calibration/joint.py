@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, Literal, cast, get_args
 
@@ -62,7 +63,7 @@ class JointRule:
                 raise ConformalError(f"no training value of target {j} lies within its bins: nothing to scale by")
             self.loc_[j] = np.minimum(conformal_quantile(finite, half), finite.max())
             reach = float(np.minimum(conformal_quantile(finite, tail), finite.max()) - self.loc_[j])
-            self.scale_[j] = reach or float(finite.std()) or 1.0
+            self.scale_[j] = reach if reach > 0 else float(finite.std()) or 1.0
 
     def columns(self, scores: FloatArray) -> FloatArray:
         """The calibrated columns of scores (n, d): (n, d), or (n, 1) for ``max``."""
@@ -81,14 +82,31 @@ class JointRule:
             return thresholds
         self._scaled()
         limit = np.broadcast_to(thresholds, (*thresholds.shape[:-1], self.n_targets)).astype(np.float64)
-        raw = self.loc_ + self.scale_ * limit
-        finite = np.isfinite(raw)
-        while (over := finite & ((raw - self.loc_) / self.scale_ > limit)).any():
-            raw = np.where(over, np.nextafter(raw, -np.inf), raw)
-        while (room := finite & ((np.nextafter(raw, np.inf) - self.loc_) / self.scale_ <= limit)).any():
-            raw = np.where(room, np.nextafter(raw, np.inf), raw)
-        return np.asarray(raw)
+        raw = highest_float(lambda x: (x - self.loc_) / self.scale_ <= limit, limit.shape)
+        return np.where(np.isposinf(limit), np.inf, raw)
 
     def _scaled(self) -> None:
         if not hasattr(self, "loc_"):
             raise NotCalibratedError('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
+
+
+def highest_float(
+    holds: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]], shape: tuple[int, ...]
+) -> npt.NDArray[np.float64]:
+    """Largest finite number for which `holds`, entry by entry, or ``-inf``; `holds` must not turn true as it grows.
+
+    Found by bisection over the floating numbers themselves, which whole numbers count in their order.
+    """
+    top = int(np.array(np.finfo(np.float64).max).view(np.int64))
+    # places -top - 1 (nothing holds) to top; 0 stands for both zeros
+    low, high = np.full(shape, -top - 1, dtype=np.int64), np.full(shape, top, dtype=np.int64)
+
+    def number(place: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        return np.copysign(np.abs(place).view(np.float64), place)
+
+    while (low < high).any():
+        middle = (low >> 1) + (high >> 1) + ((low | high) & 1)  # rounded up, without overflow
+        with np.errstate(over="ignore"):
+            ok = holds(number(middle))
+        low, high = np.where(ok, middle, low), np.where(ok, high, np.maximum(middle - 1, low))
+    return np.where(low < -top, -np.inf, number(low))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..bins import QuantileBins
-from ..checks import Alpha, Probabilities
+from ..checks import Alpha, Probabilities, as_groups
 from ..errors import ConformalError, NotCalibratedError
 from ..rank import conformal_quantile
 from ..regions import Regions
@@ -114,19 +114,3 @@ class MondrianConformal(Calibrator):
     def _calibrated(self) -> None:
         if not hasattr(self, "pooled_"):
             raise NotCalibratedError("MondrianConformal is not calibrated yet: call calibrate(proba, y, groups) first")
-
-
-def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
-    """Return one label a sample.
-
-    Raises
-    ------
-    ConformalError
-        On another shape than (n,), or NaN labels.
-    """
-    labels = np.asarray(groups)
-    if labels.shape != (n,):
-        raise ConformalError(f"{name} must have one label a sample, shape ({n},), got {labels.shape}")
-    if labels.dtype.kind == "f" and np.isnan(labels).any():
-        raise ConformalError(f"{name} must not hold NaN")
-    return labels

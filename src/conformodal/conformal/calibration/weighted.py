@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
-from math import ceil
 from typing import Any, Self
 
 import numpy as np
@@ -51,18 +51,30 @@ def weighted_quantile(
         raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
     if np.isnan(scores).any():
         raise ConformalError("scores must not hold NaN; a sample that cannot be scored should score +inf")
-    keep = 1 - as_alpha(alpha)
     order = np.argsort(scores, kind="stable")
     ranked = np.append(scores[order], np.inf).astype(scores.dtype)
-    # Floats are fractions over powers of two: over their common denominator the sums are whole numbers.
-    exact = [Fraction(w) for w in own[order].tolist()]
     distinct, which = np.unique(new, return_inverse=True)
-    exact_new = [Fraction(w) for w in distinct.tolist()]
-    scale = max((w.denominator for w in (*exact, *exact_new)), default=1)
-    reached = list(accumulate((int(w * scale) for w in exact), initial=0))
-    # the sum up to and including rank i must reach keep * total
-    ranks = [max(bisect_left(reached, ceil(keep * (reached[-1] + w * scale))), 1) - 1 for w in exact_new]
-    return np.asarray(ranked[np.minimum(ranks, scores.size)][which])
+    ranks = WeightedRanks(own[order].tolist(), distinct.tolist()).at(alpha)
+    return np.asarray(ranked[np.array(ranks, dtype=np.int64) - 1][which])
+
+
+class WeightedRanks:
+    """Exact sums of the weights of n scores, in the order of the scores, and of each new sample's own."""
+
+    def __init__(self, weights: Sequence[float], new_weights: Sequence[float]) -> None:
+        # Floats are fractions over powers of two: over their common denominator the sums are whole numbers.
+        own, new = [Fraction(w) for w in weights], [Fraction(w) for w in new_weights]
+        scale = max((w.denominator for w in (*own, *new)), default=1)
+        self.reached = list(accumulate(int(w * scale) for w in own))
+        total = self.reached[-1] if self.reached else 0
+        self.totals = [total + int(w * scale) for w in new]
+
+    def at(self, alpha: Alpha) -> list[int]:
+        """Rank of each new sample's threshold: the first that reaches ``1 - alpha`` of the total, or n + 1."""
+        rate = as_alpha(alpha)
+        up, down = rate.denominator - rate.numerator, rate.denominator
+        n = len(self.reached)
+        return [bisect_left(self.reached, -(-total * up // down)) + 1 if total else n + 1 for total in self.totals]
 
 
 def as_weights(weights: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:

@@ -14,6 +14,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from ..bins import QuantileBins
 from ..calibration import Joint, SplitConformal
 from ..checks import Alpha
+from ..diagnostics import Diagnosis, diagnose
 from ..errors import ConformalError, NotCalibratedError
 from ..regions import Regions
 from ..scores import Score
@@ -201,11 +202,36 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             If there is no calibration data yet.
         """
         proba = self.predict_proba(X)
+        calibrator = self._calibrated()
+        return (calibrator if alpha is None else calibrator.at(alpha)).predict(proba)
+
+    def diagnose(
+        self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None = None, level: float = 0.99
+    ) -> Diagnosis:
+        """Check coverage, sizes and p-values on test samples; print the result for a report.
+
+        Parameters
+        ----------
+        X, y
+            (n, p) features and (n,) or (n, d) values of samples neither learnt from nor calibrated on.
+        groups
+            (n,) labels, to check group by group.
+        level
+            Probability of the bands beside which coverages are set.
+
+        Raises
+        ------
+        NotCalibratedError
+            If there is no calibration data yet.
+        """
+        proba = self.predict_proba(X)
+        _, values = validate_data(self, X, y, multi_output=True, y_numeric=True, reset=False)
+        return diagnose(self._calibrated(), proba, values, np.asarray(X, dtype=np.float64), groups, level=level)
+
+    def _calibrated(self) -> SplitConformal:
         if not hasattr(self.calibrator_, "scores_"):
-            raise NotCalibratedError("calibration_size is 0: call conformalize(X_cal, y_cal) before predict_region")
-        if alpha is None:
-            return self.calibrator_.predict(proba)
-        return self.calibrator_.at(alpha).predict(proba)
+            raise NotCalibratedError("calibration_size is 0: call conformalize(X_cal, y_cal) first")
+        return self.calibrator_
 
     def _proba(self, features: npt.NDArray[Any]) -> list[FloatArray]:
         return [proba_of_bins(m, features, k) for m, k in zip(self.estimators_, self.bins_.sizes, strict=True)]

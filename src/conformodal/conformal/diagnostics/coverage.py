@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from .checks import Alpha
-from .errors import ConformalError
-from .rank import conformal_rank
+from ..checks import Alpha
+from ..errors import ConformalError
+from ..rank import conformal_rank
 
 
 @dataclass(frozen=True)

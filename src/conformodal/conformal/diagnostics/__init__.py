@@ -1,0 +1,24 @@
+"""Checking a promise: coverage overall and where it may fail, sizes, p-values; each beside its law."""
+
+from .coverage import CoverageCheck, check_coverage, coverage_band
+from .diagnosis import Diagnosis, diagnose
+from .sizes import SizeSummary, summarise_sizes
+from .slab import SlabCheck, worst_slab
+from .strata import coverage_by_group, coverage_by_size
+from .uniformity import UniformityCheck, check_uniformity
+
+__all__ = [
+    "CoverageCheck",
+    "Diagnosis",
+    "SizeSummary",
+    "SlabCheck",
+    "UniformityCheck",
+    "check_coverage",
+    "check_uniformity",
+    "coverage_band",
+    "coverage_by_group",
+    "coverage_by_size",
+    "diagnose",
+    "summarise_sizes",
+    "worst_slab",
+]

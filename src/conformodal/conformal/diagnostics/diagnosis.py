@@ -1,0 +1,216 @@
+"""All checks of one calibration on test samples, in one call; printed, they are a report."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..calibration import SplitConformal
+from ..calibration.joint import Joint
+from ..checks import Alpha, Probabilities, as_targets
+from ..errors import ConformalError
+from .coverage import CoverageCheck, check_coverage
+from .sizes import SizeSummary, summarise_sizes
+from .slab import SlabCheck, worst_slab
+from .strata import coverage_by_group, coverage_by_size
+from .uniformity import UniformityCheck, check_uniformity
+
+ASSUMPTION = (
+    "Bands and p-values hold if the calibration and test samples are exchangeable (split at random, say), neither was "
+    "learnt from, and scores have no ties. Outside a band, one of these fails. For samples in a sequence, such as "
+    "frames of a video, coverage is an observation and no promise."
+)
+
+
+@dataclass(frozen=True)
+class ColumnDiagnosis:
+    """Checks of one promise: of one target, or with ``joint="max"`` of all together.
+
+    Attributes
+    ----------
+    name
+        The target's, or ``"all targets"``.
+    coverage
+        Over all test samples.
+    by_size, by_group
+        Coverage of strata; the second is empty if no groups were given.
+    slab
+        Worst-slab coverage; None if no inputs were given.
+    uniformity
+        Of the p-values.
+    """
+
+    name: str
+    coverage: CoverageCheck
+    by_size: dict[str, CoverageCheck]
+    by_group: dict[str, CoverageCheck]
+    slab: SlabCheck | None
+    uniformity: UniformityCheck
+
+    def rows(self) -> list[tuple[str, CoverageCheck]]:
+        """All coverages of this promise, each with its label."""
+        found = [("all samples", self.coverage)]
+        found += [(f"size {name}", check) for name, check in self.by_size.items()]
+        found += [(f"group {name}", check) for name, check in self.by_group.items()]
+        if self.slab is not None and self.slab.coverage is not None:
+            found.append(("worst slab, other half", self.slab.coverage))
+        return found
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What :func:`diagnose` found. ``print`` it for the report, or see its attributes.
+
+    Attributes
+    ----------
+    columns
+        One entry for each promise that was calibrated.
+    names, sizes
+        The targets' names and the sizes of their sets.
+    joint_coverage
+        Share of test samples all of whose targets are held at once.
+    alpha, joint, score, n_calibration, n_test
+        Of the calibration and the test.
+    """
+
+    columns: tuple[ColumnDiagnosis, ...]
+    names: tuple[str, ...]
+    sizes: tuple[SizeSummary, ...]
+    joint_coverage: float
+    alpha: Alpha
+    joint: Joint
+    score: str
+    n_calibration: int
+    n_test: int
+
+    def __str__(self) -> str:
+        lines = [
+            f"Conformal sets at alpha = {self.alpha}: score {self.score}, joint {self.joint}; "
+            f"{self.n_calibration} calibration and {self.n_test} test samples.",
+            "",
+        ]
+        width = max([12, *map(len, self.names)])
+        lines.append(f"{'sets':{width}}  mean length  median  90th pct  intervals  split  empty  whole line")
+        for name, s in zip(self.names, self.sizes, strict=True):
+            lines.append(
+                f"{name:{width}}  {s.mean:11.4g}  {s.median:6.4g}  {s.q90:8.4g}  {s.intervals:9.2f}  "
+                f"{s.split:5.0%}  {s.empty:5.0%}  {s.unbounded:10.0%}"
+            )
+        for column in self.columns:
+            lines += ["", *_table(column)]
+        if len(self.names) > 1:
+            promise = "" if self.joint == "none" else f" (promised: at least {1 - float(self.alpha):.4g})"
+            lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
+        return "\n".join([*lines, "", *textwrap.wrap(ASSUMPTION, 110)])
+
+
+def _table(column: ColumnDiagnosis) -> list[str]:
+    rows = column.rows()
+    width = max(len(label) for label, _ in rows)
+    level = f"{column.coverage.level:.0%}"
+    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {level} band"]
+    for label, c in rows:
+        mark = "" if c.inside else ("  BELOW" if c.coverage < c.low else "  above")
+        lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]{mark}")
+    u = column.uniformity
+    lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}")
+    return lines
+
+
+def diagnose(
+    calibrator: SplitConformal,
+    proba: Probabilities,
+    y: npt.ArrayLike,
+    X: npt.ArrayLike | None = None,
+    groups: npt.ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+    level: float = 0.99,
+    random_state: Any = 0,
+) -> Diagnosis:
+    """Check a calibration on test samples that it has not seen.
+
+    Parameters
+    ----------
+    calibrator
+        Calibrated.
+    proba
+        (n, d, K), or a list of d arrays (n, K_d), of the test samples.
+    y
+        (n, d) true values, or (n,) for one target.
+    X
+        (n, p) inputs, to search for the worst slab.
+    groups
+        (n,) labels, to check group by group.
+    names
+        Names of the targets.
+    level
+        Probability of every band.
+    random_state
+        Seed of the slab search, of ties and of the simulated law of the p-values.
+
+    Raises
+    ------
+    ConformalError
+        If shapes do not fit.
+    NotCalibratedError
+        Before calibration.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
+    >>> rng = np.random.default_rng(0)
+    >>> bins = QuantileBins.from_edges([np.linspace(0, 1, 11)])
+    >>> proba, y = rng.dirichlet(np.ones(10), 400), rng.random(400)
+    >>> cal = SplitConformal(bins, alpha=0.1).calibrate(proba[:200], y[:200])
+    >>> bool(diagnose(cal, proba[200:], y[200:]).columns[0].coverage.inside)
+    True
+    """
+    regions = calibrator.predict(proba)
+    values = as_targets(y, n_targets=calibrator.bins.n_targets)
+    if values.shape[0] == 0:
+        raise ConformalError("y must hold at least one test sample")
+    inside = regions.contains(values)
+    n_cal = calibrator.scores_.shape[0]
+    rate = calibrator.alpha_per_target
+    targets = tuple(names) if names is not None else tuple(f"target {j}" for j in range(inside.shape[1]))
+    if len(targets) != inside.shape[1]:
+        raise ConformalError(f"names must hold one name a target ({inside.shape[1]}), got {len(targets)}")
+    calibration = calibrator.rule.columns(calibrator.scores_)
+    test = calibrator.rule.columns(calibrator.score_samples(proba, values))
+    if calibrator.joint == "max":
+        promises = [("all targets", np.asarray(inside.all(axis=1)), regions.volume)]
+    else:
+        length = regions.length
+        promises = [(name, inside[:, j], length[:, j]) for j, name in enumerate(targets)]
+    columns = []
+    for j, (name, held, size) in enumerate(promises):
+        slab = None
+        if X is not None and len(held) > 1:
+            slab = worst_slab(held, X, n_cal, rate, level=level, random_state=random_state)
+        columns.append(
+            ColumnDiagnosis(
+                name,
+                check_coverage(held, n_cal, rate, level),
+                coverage_by_size(held, size, n_cal, rate, level=level),
+                {} if groups is None else coverage_by_group(held, groups, n_cal, rate, level),
+                slab,
+                check_uniformity(calibration[:, j], test[:, j], random_state=random_state),
+            )
+        )
+    return Diagnosis(
+        tuple(columns),
+        targets,
+        tuple(summarise_sizes(regions)),
+        float(inside.all(axis=1).mean()),
+        calibrator.alpha,
+        calibrator.joint,
+        calibrator.score.name,
+        n_cal,
+        len(values),
+    )

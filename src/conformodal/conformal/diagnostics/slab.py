@@ -1,0 +1,128 @@
+"""Worst-slab coverage: the strip of the inputs, in any direction, in which fewest values were held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.utils import check_random_state
+
+from ..checks import Alpha
+from ..errors import ConformalError
+from .coverage import CoverageCheck, check_coverage
+
+BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SlabCheck:
+    """A slab ``low <= direction . x <= high``, found on one half of the test samples and judged on the other.
+
+    Attributes
+    ----------
+    direction
+        (p,) weights of the inputs, each input divided by its standard deviation.
+    low, high
+        Ends of the slab.
+    coverage
+        Of the second half's samples in the slab; None if none is.
+    """
+
+    direction: FloatArray
+    low: float
+    high: float
+    coverage: CoverageCheck | None
+
+
+def worst_slab(
+    inside: BoolArray,
+    X: npt.ArrayLike,
+    n_calibration: int,
+    alpha: Alpha,
+    mass: float = 0.2,
+    directions: int = 500,
+    level: float = 0.99,
+    random_state: Any = 0,
+) -> SlabCheck:
+    """Search random directions for the slab with the lowest coverage on half of the samples; judge it on the other.
+
+    The halves matter: the minimum over many slabs lies far below any one's coverage, whatever the sets are. What the
+    second half gives is free of that choice; its band is that of a slab named in advance
+    (:func:`coverage_by_group`). The inputs' own axes are among the directions.
+
+    Source: Cauchois, Gupta and Duchi (2021); split in two as by Romano, Sesia and Candes (2020).
+
+    Parameters
+    ----------
+    inside
+        (n_test,) whether each true value is in its set.
+    X
+        (n_test, p) inputs.
+    n_calibration, alpha, level
+        As in :func:`check_coverage`.
+    mass
+        Least share of the first half's samples in the slab, in (0, 1].
+    directions
+        Number of random directions.
+    random_state
+        Seed of directions and halves.
+
+    Raises
+    ------
+    ConformalError
+        If `X` does not fit, there are fewer than two samples, or `mass` is no share.
+    """
+    inputs = np.asarray(X, dtype=np.float64)
+    if inputs.ndim != 2 or inputs.shape[0] != inside.shape[0] or not np.isfinite(inputs).all():
+        raise ConformalError(f"X must be finite, of shape ({inside.shape[0]}, p), got shape {inputs.shape}")
+    if inside.shape[0] < 2:
+        raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.shape[0]}")
+    if not 0 < mass <= 1:
+        raise ConformalError(f"mass must be a share in (0, 1], got {mass}")
+    random = check_random_state(random_state)
+    spread = inputs.std(axis=0)
+    moving = np.flatnonzero(spread > 0)
+    scaled = np.zeros_like(inputs)
+    scaled[:, moving] = inputs[:, moving] / spread[moving]
+    order = random.permutation(len(inputs))
+    first, second = order[: len(order) // 2], order[len(order) // 2 :]
+    tried = random.standard_normal((directions, inputs.shape[1]))
+    tried = np.concatenate((np.eye(inputs.shape[1]), tried / np.linalg.norm(tried, axis=1, keepdims=True)))
+    least = max(1, int(np.ceil(mass * first.size)))
+    best: tuple[float, FloatArray, float, float] | None = None
+    for direction in tried:
+        at = scaled[first] @ direction
+        ranked = np.argsort(at, kind="stable")
+        start, stop = lowest_run(inside[first][ranked], least)
+        coverage = float(inside[first][ranked][start:stop].mean())
+        if best is None or coverage < best[0]:
+            best = coverage, direction, float(at[ranked[start]]), float(at[ranked[stop - 1]])
+    assert best is not None
+    _, direction, low, high = best
+    at = scaled[second] @ direction
+    own = inside[second][(low <= at) & (at <= high)]
+    check = check_coverage(own, n_calibration, alpha, level) if own.size else None
+    return SlabCheck(direction, low, high, check)
+
+
+def lowest_run(values: npt.NDArray[Any], least: int) -> tuple[int, int]:
+    """Start and stop of the run of at least `least` values with the smallest mean, exactly.
+
+    Dinkelbach's iteration: for a guess of the mean, the run whose sum falls furthest below it gives the next guess.
+    """
+    total = np.concatenate(([0.0], np.cumsum(values, dtype=np.float64)))
+    steps = np.arange(total.size)
+    start, stop = 0, values.size
+    while True:
+        mean = (total[stop] - total[start]) / (stop - start)
+        excess = total - mean * steps
+        highest = np.maximum.accumulate(excess[: total.size - least])
+        gain = excess[least:] - highest
+        at = int(gain.argmin())
+        if gain[at] >= -1e-9:
+            return start, stop
+        stop = at + least
+        start = int(excess[: at + 1].argmax())

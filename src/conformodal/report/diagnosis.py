@@ -1,0 +1,73 @@
+"""A diagnosis of conformal sets as a picture: coverages beside their bands, and p-values beside the diagonal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from conformodal.conformal.diagnostics import Diagnosis
+from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
+
+_BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
+
+
+def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
+    """Draw a diagnosis: one row a promise, coverages on the left and p-values on the right.
+
+    Parameters
+    ----------
+    diagnosis
+        From :func:`~conformodal.diagnose`.
+    path
+        Where to write it, if anywhere; the suffix says as what (``.svg``, ``.png``, ``.pdf``).
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    heights = [1.2 + 0.28 * len(column.rows()) for column in diagnosis.columns]
+    figure = Figure(figsize=(10, sum(heights) + 1.2), layout="constrained")
+    grid = figure.subplots(
+        len(heights), 2, squeeze=False, gridspec_kw={"height_ratios": heights, "width_ratios": (3, 2)}
+    )
+    for (left, right), column in zip(grid, diagnosis.columns, strict=True):
+        _coverages(left, column)
+        _p_values(right, column)
+    sizes = "; ".join(
+        f"{name}: mean length {s.mean:.3g}, {s.intervals:.2f} intervals"
+        for name, s in zip(diagnosis.names, diagnosis.sizes, strict=True)
+    )
+    figure.suptitle(
+        f"Conformal sets, alpha = {diagnosis.alpha}, score {diagnosis.score}, joint {diagnosis.joint}; "
+        f"{diagnosis.n_calibration} calibration, {diagnosis.n_test} test samples, taken to be exchangeable\n{sizes}",
+        fontsize="medium",
+        wrap=True,
+    )
+    if path is not None:
+        figure.savefig(path)
+    return figure
+
+
+def _coverages(axis: Axes, column: ColumnDiagnosis) -> None:
+    rows = column.rows()[::-1]
+    for i, (_, check) in enumerate(rows):
+        axis.barh(i, check.high - check.low, left=check.low, height=0.6, color=_BAND, alpha=0.5)
+        axis.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
+    whole = column.coverage
+    axis.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
+    axis.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in rows])
+    axis.set_xlim(right=1.005)
+    axis.set_xlabel(f"coverage; bars are {whole.level:.0%} bands, crosses lie outside")
+    axis.set_title(f"coverage of {column.name}", fontsize="medium")
+
+
+def _p_values(axis: Axes, column: ColumnDiagnosis) -> None:
+    p = column.uniformity.p_values
+    axis.step(p, (np.arange(p.size) + 1) / p.size, where="post", color=_INSIDE)
+    axis.plot([0, 1], [0, 1], color="black", lw=0.8, ls="--")
+    axis.set_xlabel("p-value")
+    axis.set_ylabel("share of test samples")
+    axis.set_title(f"uniform? chance of as much: {column.uniformity.p_value:.3f}", fontsize="medium")

@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from conformodal.conformal import ConformalError, QuantileBins, Regions, SplitConformal, diagnose
+from conformodal.conformal.diagnostics import (
+    check_uniformity,
+    coverage_by_group,
+    coverage_by_size,
+    summarise_sizes,
+    worst_slab,
+)
+from conformodal.conformal.diagnostics.slab import lowest_run
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=18), st.integers(1, 18))
+def test_lowest_run_is_that_of_brute_force(values, least):
+    v, least = np.array(values), min(least, len(values))
+    best = min(v[i:j].mean() for i in range(v.size) for j in range(i + least, v.size + 1))
+    start, stop = lowest_run(v, least)
+    assert stop - start >= least
+    assert v[start:stop].mean() == pytest.approx(best)
+
+
+def test_a_slab_that_is_missed_is_found_and_judged_on_the_other_half():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (4000, 3))
+    bad = X @ [1, 1, 0] > 0.9
+    inside = rng.random(4000) < np.where(bad, 0.5, 0.95)
+    found = worst_slab(inside, X, 2000, 0.1, mass=0.1)
+    assert found.coverage.coverage < 0.65
+    assert not found.coverage.inside
+    fair = worst_slab(rng.random(4000) < 0.9, X, 2000, 0.1, mass=0.1)
+    assert fair.coverage.inside  # though the lowest on the half that chose it lies far below
+    assert worst_slab(inside, np.zeros((4000, 1)), 2000, 0.1).coverage.n_test == 2000  # a constant input has one slab
+
+
+def test_uniformity_has_the_exact_law_of_exchangeable_samples_ties_included():
+    rng = np.random.default_rng(1)
+    for draw in (lambda size: rng.normal(size=size), lambda size: rng.integers(0, 3, size) * 1.0):
+        p = [check_uniformity(draw(30), draw(60), repeats=99, random_state=i).p_value for i in range(400)]
+        # p is uniform on 1/100, ..., 1: counts in ten equal cells are multinomial
+        assert stats.chisquare(np.histogram(p, np.arange(11) / 10 + 1e-9)[0]).pvalue > 0.001
+    shifted = check_uniformity(rng.normal(size=300), rng.normal(0.5, 1, 300))
+    assert shifted.p_value == 0.001
+    # p-values are dependent: a test for independent ones rejects far too often
+    naive = [stats.kstest(check_uniformity(rng.random(30), rng.random(300), 1).p_values, "uniform") for _ in range(200)]
+    assert np.mean([t.pvalue < 0.05 for t in naive]) > 0.2
+
+
+def test_strata():
+    inside = np.array([True] * 90 + [False] * 10)
+    by = coverage_by_group(inside, ["a"] * 50 + ["b"] * 50, 99, 0.1)
+    assert by["a"].coverage == 1
+    assert by["b"].coverage == 0.8
+    sizes = np.repeat([1.0, 2.0], 50)
+    assert [c.n_test for c in coverage_by_size(inside, sizes, 99, 0.1).values()] == [50, 50]
+    assert sum(c.n_test for c in coverage_by_size(inside, np.arange(100.0), 99, 0.1, strata=7).values()) == 100
+    assert len(coverage_by_size(inside, np.full(100, np.inf), 99, 0.1)) == 1
+    almost = np.where(np.arange(100) % 2, 0.3, 0.1 + 0.2)  # one length, summed in another order
+    assert len(coverage_by_size(inside, almost, 99, 0.1)) == 1
+
+
+def test_sizes():
+    bins = QuantileBins.from_edges([[0.0, 1, 3, 6]])
+    masks = [np.array([[1, 0, 1], [0, 0, 0], [0, 1, 0], [1, 1, 1]], bool)]
+    found = summarise_sizes(Regions(bins, masks, np.array([[0], [0], [0], [1]], bool)))[0]
+    assert (found.mean, found.median, found.q90) == (np.inf, 2, np.inf)
+    assert (found.intervals, found.split, found.empty, found.unbounded) == (1.0, 0.25, 0.25, 0.25)
+
+
+def problem(joint):
+    rng = np.random.default_rng(3)
+    bins = QuantileBins.from_edges([np.linspace(0, 1, 21)] * 2)
+    proba, y = rng.dirichlet(np.ones(20), (900, 2)), rng.random((900, 2))
+    cal = SplitConformal(bins, 0.1, "density", joint).fit_scale(proba[:100], y[:100])
+    return cal.calibrate(proba[100:500], y[100:500]), proba[500:], y[500:], rng.random((400, 2))
+
+
+@pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])
+def test_a_diagnosis_says_everything_in_one_call(joint):
+    cal, proba, y, X = problem(joint)
+    found = diagnose(cal, proba, y, X, groups=np.arange(400) % 2, names=["left", "right"])
+    inside = cal.predict(proba).contains(y)
+    expected = [inside.all(axis=1).mean()] if joint == "max" else inside.mean(axis=0)
+    assert [c.coverage.coverage for c in found.columns] == pytest.approx(expected)
+    assert found.joint_coverage == inside.all(axis=1).mean()
+    assert all(c.coverage.inside and c.uniformity.p_value > 0.01 and len(c.by_group) == 2 for c in found.columns)
+    text = str(found)
+    for word in ("alpha = 0.1", "left", "worst slab", "group 1", "p-values uniform", "exchangeable", f"joint {joint}"):
+        assert word in text
+    assert ("promised" in text) == (joint != "none")
+
+
+def test_a_diagnosis_of_a_broken_promise_says_so():
+    cal, proba, y, _ = problem("none")
+    cal.thresholds_ = cal.thresholds_ - 1.5
+    assert "BELOW" in str(diagnose(cal, proba, y))
+
+
+def test_errors_name_the_argument():
+    cal, proba, y, X = problem("none")
+    inside = np.ones(5, bool)
+    for bad, match in (
+        (lambda: diagnose(cal, proba, y, names=["a"]), "names"),
+        (lambda: diagnose(cal, proba, y, X[:7]), "X must"),
+        (lambda: diagnose(cal, proba, y, groups=[1]), "groups"),
+        (lambda: diagnose(cal, proba[:0], y[:0]), "at least one"),
+        (lambda: coverage_by_size(inside, [1.0], 9, 0.1), "sizes must have"),
+        (lambda: coverage_by_size(inside, np.full(5, np.nan), 9, 0.1), "NaN"),
+        (lambda: coverage_by_size(inside, np.ones(5), 9, 0.1, strata=0), "strata"),
+        (lambda: worst_slab(inside, np.ones((5, 1)), 9, 0.1, mass=0), "mass"),
+        (lambda: worst_slab(inside[:1], np.ones((1, 1)), 9, 0.1), "at least 2"),
+        (lambda: check_uniformity([], [1.0]), "calibration_scores"),
+        (lambda: check_uniformity([1.0], [np.nan]), "test_scores"),
+        (lambda: check_uniformity([1.0], [1.0], repeats=0), "repeats"),
+        (lambda: summarise_sizes(cal.predict(proba[:0])), "at least one"),
+    ):
+        with pytest.raises(ConformalError, match=match):
+            bad()

@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformodal.conformal import Aps, ConformalError, LinearDensity, QuantileBins, SplitConformal
+from conformodal.conformal.calibration.base import lowest_probability
+from conformodal.conformal.scores import SCORES, row_uniforms
+
+
+def problem(seed, n=60, k=7):
+    rng = np.random.default_rng(seed)
+    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, k + 1)) for _ in range(2)])
+    proba = rng.dirichlet(np.full(k, 0.5), size=(n, 2))
+    return bins, proba, np.column_stack([rng.uniform(e[0], e[-1], n) for e in bins.edges_])
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10_000), st.sampled_from(sorted(SCORES)), st.sampled_from(["none", "bonferroni", "max"]))
+def test_sets_nest_in_alpha_and_ignore_the_order_of_calibration(seed, score, joint):
+    bins, proba, y = problem(seed)
+    order = np.random.default_rng(seed).permutation(50)
+
+    def sets(alpha, rows):
+        cal = SplitConformal(bins, alpha, score, joint).fit_scale(proba[50:], y[50:])
+        # the scale of "max" depends on alpha; nesting is a promise of one calibration
+        cal.alpha = 0.3
+        return cal.calibrate(proba[rows], y[rows])
+
+    one, other = sets(0.3, np.arange(50)), sets(0.3, order)
+    tight, same, loose = one.predict(proba), other.predict(proba), one.at(0.1).predict(proba)
+    for a, b, c in zip(tight.masks, loose.masks, same.masks, strict=True):
+        assert not (a & ~b).any()
+        np.testing.assert_array_equal(a, c)
+
+
+@given(st.floats(0, 1, width=32), st.sampled_from(["lac", "density"]), st.integers(0, 99))
+def test_the_cut_of_a_probability_is_exact_to_the_last_bit(at, score, seed):
+    rng = np.random.default_rng(seed)
+    widths = rng.uniform(1e-3, 5, 6)
+    for dtype in (np.float16, np.float32, np.float64):
+        s = SCORES[score]
+        threshold = s.of_bins(np.full((1, 6), at, dtype=dtype), widths)[0, rng.integers(6)]
+        cut = lowest_probability(s, widths, threshold, np.dtype(dtype))
+        found = np.where(np.isfinite(cut), cut, dtype(2))
+        below = np.nextafter(found, dtype(-1))
+        fits = s.of_bins(found[None], widths)[0] <= threshold
+        np.testing.assert_array_equal(fits, np.isfinite(cut))
+        assert (s.of_bins(below[None], widths)[0] > threshold)[below >= 0].all()
+
+
+def test_linear_density_is_between_those_of_the_centres_and_keeps_a_flat_density():
+    widths = np.array([1.0, 2.0, 1.0])
+    flat = LinearDensity(4).of_bins(np.array([[0.25, 0.5, 0.25]]), widths)
+    np.testing.assert_allclose(flat, -0.25)
+    peak = -LinearDensity(4).of_bins(np.array([[0.1, 0.8, 0.1]]), widths)[0]
+    assert peak.shape == (12,)
+    assert peak[[0, 1]] == pytest.approx([0.1, 0.1])  # beyond the outer centre: the outer bin's
+    assert (np.diff(peak[:6]) >= 0).all()
+
+
+def test_an_interval_may_end_within_a_bin():
+    rng = np.random.default_rng(0)
+    bins = QuantileBins.from_edges([np.linspace(-4, 4, 17)])
+    proba = np.exp(-0.5 * bins.centers[0] ** 2)[None].repeat(3000, axis=0)
+    proba /= proba.sum(axis=1, keepdims=True)
+    y = rng.normal(size=3000)
+    sets = {name: SplitConformal(bins, 0.1, name).calibrate(proba, y).predict(proba[:1]) for name in SCORES}
+    low = sets["linear_density"].intervals(0)[0][0, 0]
+    assert low not in bins.edges_[0]
+    assert abs(low + 1.645) < 0.13  # the 5 % quantile of the normal distribution, to a cell of 0.125
+    assert sets["linear_density"].length[0, 0] <= sets["density"].length[0, 0]
+
+
+def test_aps_counts_what_is_ranked_before_and_a_random_share_of_its_own():
+    proba = np.array([[0.5, 0.3, 0.2]])
+    plain = Aps(randomized=False).of_bins(proba, np.ones(3))
+    np.testing.assert_allclose(plain, [[0.5, 0.8, 1.0]])
+    u = row_uniforms(proba, seed=0)[0]
+    np.testing.assert_allclose(Aps().of_bins(proba, np.ones(3)), [[0.5 * u, 0.5 + 0.3 * u, 0.8 + 0.2 * u]])
+    by_density = Aps("density", randomized=False).of_bins(proba, np.array([5.0, 1.0, 1.0]))
+    np.testing.assert_allclose(by_density, [[1.0, 0.3, 0.5]])
+    with pytest.raises(ConformalError, match="order"):
+        Aps("size")
+
+
+def test_the_random_shares_are_uniform_and_belong_to_the_row():
+    rows = np.random.default_rng(0).dirichlet(np.ones(5), 20_000)
+    u = row_uniforms(rows)
+    counts = np.histogram(u, 20, (0, 1))[0]
+    assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
+    np.testing.assert_array_equal(row_uniforms(rows[::-1]), u[::-1])
+    assert abs(np.corrcoef(u, rows[:, 0])[0, 1]) < 0.03
+    assert (row_uniforms(rows, seed=1) != u).all()
