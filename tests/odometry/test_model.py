@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import read_sevenscenes
+from conformodal.experiments import coverage_table
 from conformodal.odometry import (
     ModelConfig,
     ModelFileError,
@@ -86,6 +87,20 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
     monkeypatch.undo()
     with pytest.raises(ModelFileError, match="another version"):
         load_model(tmp_path)
+
+
+@pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
+def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
+    data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
+    config = ModelConfig(alpha=0.2, joint=joint, score=score, training=TrainingConfig(epochs=2))
+    trained = train_model(data, config)
+    save_model(trained, tmp_path)
+    back = load_model(tmp_path)
+    np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
+    run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
+    table = coverage_table(run, sequence.require_truth()[back.split.test[:15]], back, exchangeable=True)
+    assert (table["joint_band_99"] is not None) == (joint == "max")
+    assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
 
 
 def test_recalibration_nests_regions(model, sequence, small_world):

@@ -39,10 +39,12 @@ def train(
     alpha: Annotated[float, typer.Option(help="Miscoverage rate: the region may miss this share of poses.")] = (
         _DEFAULT.alpha
     ),
-    joint: Annotated[str, typer.Option(help="bonferroni: alpha for the whole pose; none: for each target.")] = (
+    joint: Annotated[str, typer.Option(help="bonferroni, max: alpha for the whole pose; none: for each target.")] = (
         _DEFAULT.joint
     ),
-    score: Annotated[str, typer.Option(help="Nonconformity score: density, or lac as in the paper.")] = _DEFAULT.score,
+    score: Annotated[
+        str, typer.Option(help="Nonconformity score: density, linear_density, aps, hpd, or lac as in the paper.")
+    ] = _DEFAULT.score,
     bins: Annotated[int, typer.Option(help="Bins per target (K).")] = _DEFAULT.n_bins,
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
         _DEFAULT.sigma_bins

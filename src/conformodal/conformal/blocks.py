@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-BLOCK_ROWS = 2048
+BLOCK_ROWS = 4096
 _ROWS_WORTH_THREADS = 1 << 16
 
 

@@ -77,8 +77,7 @@ class PoseModel:
         ConformalError
             If `alpha` is outside (0, 1).
         """
-        old = self.calibration
-        self.calibration = SplitConformal(self.bins, alpha, old.score, old.joint).calibrate_scores(old.scores_)
+        self.calibration = self.calibration.at(alpha)
 
     def check_camera(self, camera: PinholeCamera) -> None:
         """Refuse images of another camera: poses were learnt through this one.

@@ -40,6 +40,11 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays["calibration.scores"] = model.calibration.scores_
+    if model.calibration.joint == "max":
+        arrays["calibration.shift"], arrays["calibration.scale"] = (
+            model.calibration.rule.loc_,
+            model.calibration.rule.scale_,
+        )
     arrays["sign_reference"] = model.sign_reference
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
@@ -104,6 +109,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
     calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
+    if calibration.joint == "max":
+        calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     calibration.calibrate_scores(arrays["calibration.scores"])
     prior, scale = record["prior"], record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]

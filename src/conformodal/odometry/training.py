@@ -146,6 +146,8 @@ def train_model(
         checkpoint_dir=checkpoint_dir,
         progress=_stage(progress, "training"),
     )
+    if config.joint == "max":
+        calibration.fit_scale(predict_proba(head, data.features[train]), data.targets[train])
     proba = predict_proba(head, data.features[held_out])
     calibration.calibrate(proba, data.targets[held_out])
     truth = data.sequence.require_truth()

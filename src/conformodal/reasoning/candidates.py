@@ -111,6 +111,9 @@ def interval_candidates(
 
     Where a target's set is empty, its most probable bin stands in.
     """
+    # a score that cuts bins into cells gives regions over cells: each holds its share of the bin's probability
+    cells = [k // p.shape[1] for k, p in zip(regions.bins.sizes, proba, strict=True)]
+    proba = [np.repeat(p / c, c, axis=1) if c > 1 else p for c, p in zip(cells, proba, strict=True)]
     found = []
     for i in range(len(regions)):
         pieces = []

@@ -3,9 +3,12 @@ import pytest
 from sklearn.base import clone
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import GridSearchCV
-from sklearn.utils.estimator_checks import estimator_checks_generator
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from conformodal.conformal import ConformalError, ConformalRegressor, NotCalibratedError
+from conformodal.conformal.learning.kernels import shifted_masses
 
 
 def forest():
@@ -13,9 +16,9 @@ def forest():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_it_is_a_scikit_learn_estimator():
-    for estimator, check in estimator_checks_generator(ConformalRegressor(forest(), n_bins=10, random_state=0)):
-        check(estimator)
+@parametrize_with_checks([ConformalRegressor(forest(), n_bins=10, random_state=0)])
+def test_it_is_a_scikit_learn_estimator(estimator, check):
+    check(estimator)
 
 
 def bimodal(n, seed=0):
@@ -63,3 +66,38 @@ def test_errors():
         ConformalRegressor(forest(), calibration_size=1.5).fit(*bimodal(20))
     with pytest.raises(ConformalError, match="n_samples=2"):
         ConformalRegressor(forest()).fit(*bimodal(2))
+
+
+def test_pipelines_pandas_and_set_output():
+    pandas = pytest.importorskip("pandas")
+    X, y = bimodal(400)
+    frame = pandas.DataFrame(X, columns=["x"])
+    chain = make_pipeline(StandardScaler(), ConformalRegressor(forest(), n_bins=10, random_state=0))
+    chain.set_output(transform="pandas").fit(frame, y)
+    assert chain.predict(frame).shape == (400,)
+    assert chain[-1].feature_names_in_.tolist() == ["x"]
+    regions = chain[-1].predict_region(chain[:-1].transform(frame))
+    assert len(regions) == 400
+    with pytest.raises(ValueError, match="feature names"):
+        chain[-1].predict_region(frame.rename(columns={"x": "z"}))
+
+
+def test_a_diagnosis_in_one_call():
+    X, y = bimodal(1500)
+    reg = ConformalRegressor(forest(), n_bins=30, random_state=0).fit(X[:1000], y[:1000])
+    found = reg.diagnose(X[1000:], y[1000:], groups=X[1000:, 0] > 0)
+    assert found.columns[0].coverage.coverage == reg.predict_region(X[1000:]).contains(y[1000:]).mean()
+    assert set(found.columns[0].by_group) == {"True", "False"}
+    with pytest.raises(NotCalibratedError, match="conformalize"):
+        ConformalRegressor(forest(), calibration_size=0).fit(X, y).diagnose(X, y)
+
+
+def test_masses_never_fall_below_zero():
+    rng = np.random.default_rng(0)
+    grid = np.linspace(-5, 5, 301)
+    for _ in range(50):
+        masses = rng.dirichlet(np.full(300, 0.01), 200)
+        loc, scale = rng.normal(0, 0.1, 200), rng.uniform(1e-3, 1, 200)
+        found = shifted_masses(masses, grid, loc, scale, np.sort(rng.normal(0, 5, 12)))
+        assert (found >= 0).all()
+        np.testing.assert_allclose(found.sum(axis=1), 1)

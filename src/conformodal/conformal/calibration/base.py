@@ -115,21 +115,21 @@ class Calibrator:
         if limits.shape not in ((d,), (n, d)):
             raise ConformalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
         if whole is not None and limits.ndim == 1 and self._elementwise and np.issubdtype(whole.dtype, np.floating):
-            masks = self._masks_at_once(whole, limits)
+            masks: BoolArray | list[BoolArray] = self._masks_at_once(whole, limits)
         else:
             for part in parts if whole is not None else []:
                 check_rows(part, "proba")
             masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
         unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
         if self.empty == "mode":
-            self._fill_empty(parts, masks)
+            self._fill_empty(parts, list(np.moveaxis(masks, 1, 0)) if isinstance(masks, np.ndarray) else masks)
         return Regions(self.cells, masks, unbounded)
 
     @property
     def _elementwise(self) -> bool:
         return bool(getattr(self.score, "elementwise", False))
 
-    def _masks_at_once(self, proba: FloatArray, limits: FloatArray) -> list[BoolArray]:
+    def _masks_at_once(self, proba: FloatArray, limits: FloatArray) -> BoolArray:
         """Check and compare all targets in one pass over contiguous (n, d, K): memory is read once."""
         n, d, k = proba.shape
         cuts = [
@@ -143,7 +143,7 @@ class Calibrator:
             np.greater_equal(proba[rows].reshape(-1, d * k), flat_cuts, out=masks[rows].reshape(-1, d * k))
 
         for_blocks(n, fill)
-        return [masks[:, j] for j in range(d)]
+        return masks
 
     def _mask(self, part: FloatArray, j: int, limit: FloatArray) -> BoolArray:
         widths = self.bins.widths[j]

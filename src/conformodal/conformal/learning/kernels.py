@@ -44,7 +44,7 @@ def shifted_masses(
     share = np.clip((at - grid[cell]) / np.diff(grid)[cell], 0, 1)
     reached = np.take_along_axis(below, cell, 1) * (1 - share) + np.take_along_axis(below, cell + 1, 1) * share
     reached[:, 0], reached[:, -1] = 0, 1
-    return np.diff(reached, axis=1)
+    return np.maximum(np.diff(reached, axis=1), 0)  # rounding may take a step down
 
 
 def log_density(proba: FloatArray, codes: npt.NDArray[np.int64], widths: FloatArray) -> FloatArray:

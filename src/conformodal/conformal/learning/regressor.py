@@ -175,14 +175,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.calibrator_.calibrate(self._proba(np.asarray(X_cal)), np.asarray(y_cal, dtype=np.float64))
         return self
 
-    def predict_proba(self, X: npt.ArrayLike) -> list[FloatArray]:
+    def predict_bins(self, X: npt.ArrayLike) -> list[FloatArray]:
         """Probabilities of the bins: d arrays (n, K_d)."""
         check_is_fitted(self, "bins_")
         return self._proba(np.asarray(validate_data(self, X, reset=False)))
 
     def predict(self, X: npt.ArrayLike) -> FloatArray:
         """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes."""
-        centers = zip(self.predict_proba(X), self.bins_.centers, strict=True)
+        centers = zip(self.predict_bins(X), self.bins_.centers, strict=True)
         means = np.column_stack([proba @ c for proba, c in centers])
         return means[:, 0] if self._one_target else means
 
@@ -201,7 +201,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         NotCalibratedError
             If there is no calibration data yet.
         """
-        proba = self.predict_proba(X)
+        proba = self.predict_bins(X)
         calibrator = self._calibrated()
         return (calibrator if alpha is None else calibrator.at(alpha)).predict(proba)
 
@@ -224,7 +224,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         NotCalibratedError
             If there is no calibration data yet.
         """
-        proba = self.predict_proba(X)
+        proba = self.predict_bins(X)
         _, values = validate_data(self, X, y, multi_output=True, y_numeric=True, reset=False)
         return diagnose(self._calibrated(), proba, values, np.asarray(X, dtype=np.float64), groups, level=level)
 
