@@ -128,15 +128,22 @@ class Regions:
         finders = self.bins.finders(len(self))
 
         def look_up(rows: slice) -> None:
-            codes = np.stack([find(values[rows, j]) for j, find in enumerate(finders)], axis=1)
-            known, at = codes >= 0, np.maximum(codes, 0)
+            codes = np.empty((rows.stop - rows.start, len(finders)), dtype=np.int64)
+            for j, find in enumerate(finders):
+                codes[:, j] = find(values[rows, j])
+            outside = codes < 0 if codes.min() < 0 else None
+            if outside is not None:
+                codes[outside] = 0
             if self._whole is not None:
                 block = self._whole[rows]
-                starts = np.arange(0, block.size, block.shape[2]).reshape(at.shape)
-                inside[rows] |= known & block.reshape(-1).take(starts + at)  # several times faster than block[i, j, at]
+                codes += np.arange(0, block.size, block.shape[2]).reshape(codes.shape)
+                held = block.reshape(-1).take(codes)  # several times faster than block[i, j, code]
             else:
-                for j, mask in enumerate(self.masks):
-                    inside[rows, j] |= known[:, j] & mask[rows][np.arange(len(at)), at[:, j]]
+                at = np.arange(len(codes))
+                held = np.stack([mask[rows][at, code] for mask, code in zip(self.masks, codes.T, strict=True)], axis=1)
+            if outside is not None:
+                held &= ~outside
+            inside[rows] |= held
 
         for_blocks(len(self), look_up)
         return np.asarray(inside.all(axis=1)) if joint else inside

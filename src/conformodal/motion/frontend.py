@@ -41,6 +41,7 @@ class MotionFrontEnd:
     def _forget_bank(self) -> None:
         self._banked = np.eye(3)  # rotation from the frame measured last to the mark
         self._n_banked = 0
+        self._banked_variance = 0.0
         self._broken = False
 
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
@@ -79,6 +80,7 @@ class MotionFrontEnd:
         else:
             self._banked = self._banked @ motion.R_prev_next
             self._n_banked += 1
+            self._banked_variance += motion.rotation_sigma_rad**2
         self.tracker.mark()
 
     def _chain(self, last: RelativeMotion) -> RelativeMotion:
@@ -91,5 +93,5 @@ class MotionFrontEnd:
             None,
             last.n_tracks,
             last.n_inliers,
-            rotation_sigma_rad=last.rotation_sigma_rad * float(np.sqrt(self._n_banked + 1)),
+            rotation_sigma_rad=float(np.sqrt(self._banked_variance + last.rotation_sigma_rad**2)),
         )

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
+from .spreads import image_cells, motion_spreads, turning_spread
+
 FloatArray = npt.NDArray[np.float64]
 
 MIN_TRACKS = 16
@@ -16,13 +18,11 @@ MIN_INLIER_SHARE = 0.5
 MAX_EPIPOLAR_ERROR_PX = 1.0
 # Below this median displacement nothing has moved: the same picture again, or a camera at rest.
 REPEATED_FLOW_PX = 0.05
-# Spreads of errors, measured on hand-held and rendered video (benchmarks/relative_motion.py): a floor, and the
-# tracker's error of about half a pixel, which moves a direction the more the smaller the parallax is.
-ROTATION_FLOOR_RAD, ROTATION_PX = np.radians(0.25), 0.5
-DIRECTION_FLOOR_RAD, DIRECTION_RAD_PX = np.radians(7.0), np.radians(50.0)
 # Parallax under this many pixels is lost in the tracker's own error.
 MIN_PARALLAX_PX = 1.0
 _RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+# corners drift by a few tenths of a pixel; a quarter is where the final fit starts to doubt one
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 50}
 
 
 def estimate_relative_motion(
@@ -50,14 +50,14 @@ def estimate_relative_motion(
     if n < MIN_TRACKS:
         blank = (n_at_start if n_at_start is not None else n) < MIN_TRACKS
         return RelativeMotion(MotionStatus.TOO_FEW if blank else MotionStatus.LOST, n_tracks=n)
+    pixel = 2.0 / (camera.fx + camera.fy)  # radians
     flow = np.linalg.norm(pixels_next - pixels_prev, axis=1)
     if np.median(flow) < REPEATED_FLOW_PX:
         return RelativeMotion(
-            MotionStatus.REPEATED, np.eye(3), n_tracks=n, n_inliers=n, rotation_sigma_rad=rotation_sigma_rad(camera)
+            MotionStatus.REPEATED, np.eye(3), n_tracks=n, n_inliers=n, rotation_sigma_rad=REPEATED_FLOW_PX * pixel
         )
 
     rays_prev, rays_next = camera.bearings(pixels_prev), camera.bearings(pixels_next)
-    pixel = 2.0 / (camera.fx + camera.fy)  # radians
     rotation, rotation_inliers = _rotation_only(rays_prev, rays_next, MIN_PARALLAX_PX * pixel)
     if rotation_inliers.mean() >= 0.9:  # turning alone explains the pair: no five points can tell a direction
         spread = float(np.median(_angles(rays_prev, rays_next @ rotation.T)))
@@ -68,7 +68,13 @@ def estimate_relative_motion(
             n,
             int(rotation_inliers.sum()),
             parallax_rad=spread,
-            rotation_sigma_rad=rotation_sigma_rad(camera),
+            rotation_sigma_rad=turning_spread(
+                rays_prev[rotation_inliers],
+                rays_next[rotation_inliers],
+                rotation,
+                image_cells(pixels_prev[rotation_inliers], camera),
+                pixel,
+            ),
         )
 
     model = {
@@ -77,7 +83,7 @@ def estimate_relative_motion(
         "height": camera.height,
         "params": [camera.fx, camera.fy, camera.cx, camera.cy],
     }
-    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, {})
+    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, _REFINEMENT)
     inliers = np.asarray(info["inliers"], dtype=bool)
     direction = -np.asarray(pose.R).T @ np.asarray(pose.t)
     length = float(np.linalg.norm(direction))
@@ -87,6 +93,14 @@ def estimate_relative_motion(
     R_prev_next = np.asarray(pose.R).T
     parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
     enough = parallax >= MIN_PARALLAX_PX * pixel
+    rotation_sigma, direction_sigma = motion_spreads(
+        rays_prev[inliers],
+        rays_next[inliers],
+        R_prev_next,
+        direction / length,
+        image_cells(pixels_prev[inliers], camera),
+        pixel,
+    )
     return RelativeMotion(
         MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX,
         R_prev_next,
@@ -94,14 +108,9 @@ def estimate_relative_motion(
         n,
         int(inliers.sum()),
         parallax,
-        rotation_sigma_rad(camera),
-        float(np.hypot(DIRECTION_FLOOR_RAD, DIRECTION_RAD_PX * pixel / parallax)) if enough else np.inf,
+        rotation_sigma,
+        direction_sigma if enough else np.inf,
     )
-
-
-def rotation_sigma_rad(camera: PinholeCamera) -> float:
-    """Spread of a relative rotation's error about each axis, in radians."""
-    return float(np.hypot(ROTATION_FLOOR_RAD, ROTATION_PX * 2.0 / (camera.fx + camera.fy)))
 
 
 def _rotation_only(

@@ -1,0 +1,104 @@
+"""How far off a relative motion may be, from its own inliers: residuals, parallax and where in the image they lie.
+
+Errors of corners that lie close together are alike: they share texture, blur, shutter and depth. Counting each corner
+as a witness of its own makes spreads ten times too small. Here the image is cut into cells, and all corners of a cell
+share one error; least squares passes these on to the motion (the sandwich covariance of clustered data, Liang and
+Zeger 1986). What remains is a factor, the same for all data, measured in ``benchmarks/relative_motion.py``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+FloatArray = npt.NDArray[np.float64]
+
+COLUMNS, ROWS = 4, 3
+ROTATION_FACTOR, DIRECTION_FACTOR = 2.4, 3.0
+# no corner is followed better than this
+_LEAST_RESIDUAL_PX = 0.05
+_MAD_OF_NORMAL = 0.6745
+
+
+def image_cells(pixels: FloatArray, camera: PinholeCamera) -> npt.NDArray[np.int64]:
+    """Cell (n,) of every pixel (n, 2) in a grid of 4 x 3 over the image."""
+    column = np.clip(pixels[:, 0] * COLUMNS // camera.width, 0, COLUMNS - 1)
+    row = np.clip(pixels[:, 1] * ROWS // camera.height, 0, ROWS - 1)
+    return (column * ROWS + row).astype(np.int64)
+
+
+def motion_spreads(
+    rays_prev: FloatArray,
+    rays_next: FloatArray,
+    R_prev_next: FloatArray,
+    direction_prev: FloatArray,
+    cells: npt.NDArray[np.int64],
+    pixel_rad: float,
+) -> tuple[float, float]:
+    """Spreads of the errors of a rotation (about each axis) and of a unit direction (in each of its two ways).
+
+    Parameters
+    ----------
+    rays_prev, rays_next
+        (n, 3) unit rays of the inliers.
+    R_prev_next, direction_prev
+        The motion.
+    cells
+        (n,) from :func:`image_cells`.
+    pixel_rad
+        Radians a pixel.
+
+    Returns
+    -------
+    rotation_sigma_rad, direction_sigma_rad
+        ``inf`` where the inliers leave it open.
+    """
+    turned = rays_next @ R_prev_next.T
+    normal, other = np.cross(direction_prev, turned), np.cross(direction_prev, rays_prev)
+    size = np.sqrt((normal**2).sum(axis=1) + (other**2).sum(axis=1))
+    # angle off the epipolar plane, and how it changes with a turn of the next camera and of the direction
+    residual = (rays_prev * normal).sum(axis=1) / size
+    sideways = np.linalg.svd(direction_prev[None])[2][1:].T
+    by_turn = np.cross(rays_next, -other @ R_prev_next)
+    by_direction = np.cross(turned, rays_prev) @ sideways
+    jacobian = np.concatenate((by_turn, by_direction), axis=1) / size[:, None]
+    covariance = _clustered(jacobian[:, None], cells, _residual_size(residual, pixel_rad))
+    rotation, direction = np.trace(covariance[:3, :3]) / 3, np.trace(covariance[3:, 3:]) / 2
+    return ROTATION_FACTOR * float(np.sqrt(rotation)), DIRECTION_FACTOR * float(np.sqrt(direction))
+
+
+def turning_spread(
+    rays_prev: FloatArray,
+    rays_next: FloatArray,
+    R_prev_next: FloatArray,
+    cells: npt.NDArray[np.int64],
+    pixel_rad: float,
+) -> float:
+    """Spread of a rotation's error about each axis, where turning alone explains the corners."""
+    turned = rays_next @ R_prev_next.T
+    off = np.linalg.norm(rays_prev - turned, axis=1)
+    x, y, z = turned.T
+    zero = np.zeros_like(x)
+    # a turn w in the previous frame moves a ray by w x ray
+    jacobian = np.stack([np.stack(row, axis=1) for row in ((zero, z, -y), (-z, zero, x), (y, -x, zero))], axis=1)
+    # the length of a plane normal vector has its median at 1.177 spreads
+    size = max(float(np.median(off)) / 1.177, _LEAST_RESIDUAL_PX * pixel_rad)
+    return ROTATION_FACTOR * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
+
+
+def _residual_size(residual: FloatArray, pixel_rad: float) -> float:
+    return max(float(np.median(np.abs(residual))) / _MAD_OF_NORMAL, _LEAST_RESIDUAL_PX * pixel_rad)
+
+
+def _clustered(jacobian: FloatArray, cells: npt.NDArray[np.int64], sigma: float) -> FloatArray:
+    """Covariance of least squares with rows `jacobian` (n, m, p), if each cell has one error of spread `sigma`."""
+    p = jacobian.shape[2]
+    information = np.einsum("nmi,nmj->ij", jacobian, jacobian)
+    if not np.linalg.cond(information) < 1e12:
+        return np.full((p, p), np.inf)
+    pulls = np.zeros((COLUMNS * ROWS, *jacobian.shape[1:]))
+    np.add.at(pulls, cells, jacobian)
+    inverse = np.linalg.inv(information)
+    return np.asarray(sigma**2 * inverse @ np.einsum("cmi,cmj->ij", pulls, pulls) @ inverse)
