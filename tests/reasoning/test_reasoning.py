@@ -9,6 +9,7 @@ from conformodal.reasoning import (
     Candidates,
     Decoder,
     MotionPrior,
+    OnlineReasoner,
     ReasoningError,
     fit_motion_prior,
     greedy,
@@ -216,3 +217,53 @@ def test_prior_learns_speeds_and_turns():
     assert (np.diff(prior.intervals_s) > 0).all()
     with pytest.raises(ReasoningError, match="three frames"):
         fit_motion_prior(Trajectory(t[:2], circle[:2], quats[:2]), np.zeros(2, int))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_online_path_with_a_long_lag_is_that_of_the_whole_search(seed):
+    t, positions, rotations = path(30)
+    motions = exact_motions(positions, rotations)
+    motions[12] = None
+    candidates = ambiguous(positions, rotations, seed=seed, favour=0.05)
+    move, turn = viterbi(candidates, motions, t, PRIOR)
+    reasoner = OnlineReasoner(PRIOR, lag=50)
+    revisions = [reasoner.push(c, m, s) for c, m, s in zip(candidates, motions, t, strict=True)]
+    points = [c.positions_xyz[k] for c, k in zip(candidates, move, strict=True)]
+    quats = [c.orientations_quat_wxyz[k] for c, k in zip(candidates, turn, strict=True)]
+    np.testing.assert_array_equal(revisions[-1].positions_xyz, points)
+    np.testing.assert_array_equal(revisions[-1].orientations_quat_wxyz, quats)
+
+
+def test_online_answers_are_revised_within_the_lag_and_memory_does_not_grow():
+    t, positions, rotations = path(60)
+    motions = exact_motions(positions, rotations)
+    candidates = ambiguous(positions, rotations)
+    wrong = candidates[0].positions_xyz[1]
+    candidates[0].position_log_mass[:] = np.log([0.1, 0.8, 0.1])  # the first frame favours a place one period off
+    reasoner = OnlineReasoner(PRIOR, lag=10)
+    first = reasoner.push(candidates[0], None, t[0])
+    np.testing.assert_array_equal(first.positions_xyz[0], wrong)
+    for i in range(1, 60):
+        revision = reasoner.push(candidates[i], motions[i], t[i])
+        assert len(revision.timestamps_s) == min(i + 1, 11)
+        assert revision.timestamps_s[-1] == t[i]
+        if i == 10:
+            assert np.linalg.norm(revision.positions_xyz[0] - positions[0]) < 0.5  # the start, mended
+    assert len(reasoner._frames) == 11
+    now = OnlineReasoner(PRIOR, lag=0)
+    whole = OnlineReasoner(PRIOR, lag=59)
+    for c, m, s in zip(candidates, motions, t, strict=True):
+        a, b = now.push(c, m, s), whole.push(c, m, s)
+        assert a.positions_xyz.shape == (1, 3)
+        np.testing.assert_array_equal(a.positions_xyz[0], b.positions_xyz[-1])
+
+
+def test_online_errors():
+    with pytest.raises(ReasoningError, match="lag"):
+        OnlineReasoner(PRIOR, -1)
+    _, positions, rotations = path(2)
+    reasoner = OnlineReasoner(PRIOR)
+    first, second = ambiguous(positions, rotations)
+    reasoner.push(first, None, 1.0)
+    with pytest.raises(ReasoningError, match="increase"):
+        reasoner.push(second, None, 1.0)

@@ -52,7 +52,7 @@ def coverage_table(run: OdometryRun, truth: Trajectory, model: PoseModel, *, exc
             check = check_coverage(inside[:, j], model.n_calibration, calibration.alpha_per_target)
             row |= {"band_99": [check.low, check.high], "inside_band": check.inside}
         targets[name] = row
-    held = inside.all(axis=1)
+    held = np.asarray(inside.all(axis=1))
     together = check_coverage(held, model.n_calibration, calibration.alpha) if calibration.joint == "max" else None
     return {
         "alpha": float(calibration.alpha),

@@ -17,12 +17,10 @@ from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import (
     Candidates,
-    Decoder,
+    OnlineReasoner,
     greedy,
     interval_candidates,
     mode_candidates,
-    orientation_cost,
-    position_cost,
     smooth_orientations,
     smooth_positions,
     softmax_mean,
@@ -52,6 +50,9 @@ class Estimate:
     pose
         The candidate that the motion so far speaks for, as a trajectory of one, or None without an image. A point
         estimate: the guarantee is the region's.
+    revised
+        The best path through the last frames, oldest first, this one last; or None without an image. What was said of
+        a frame may change until `lag` frames have followed it.
     region
         Calibrated region of this frame alone (length 1), or None without an image.
     candidates
@@ -64,6 +65,7 @@ class Estimate:
 
     timestamp_s: float
     pose: Trajectory | None
+    revised: Trajectory | None
     region: Regions | None
     candidates: Candidates | None
     relative_motion: RelativeMotion | None
@@ -115,10 +117,13 @@ class VisualOdometry:
     ----------
     model
         Trained and calibrated.
+    lag
+        Frames of a stream whose answer may still change, see :attr:`Estimate.revised`; :meth:`run` knows no lag.
     """
 
-    def __init__(self, model: PoseModel) -> None:
+    def __init__(self, model: PoseModel, lag: int = 30) -> None:
         self.model = model
+        self._reasoner = OnlineReasoner(model.prior, lag)
         self.reset()
 
     @classmethod
@@ -135,13 +140,14 @@ class VisualOdometry:
     def reset(self) -> None:
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
-        self._turn, self._move = Decoder(), Decoder()
-        self._last: tuple[float, Candidates, int] | None = None
+        self._reasoner.reset()
+        self._last_s: float | None = None
 
     def step(self, image: npt.NDArray[np.uint8] | None, timestamp_s: float) -> Estimate:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
 
-        The pose is the best given all frames so far; :meth:`run` also uses the frames after. A frame that cannot be
+        The pose is the best given all frames so far, and `revised` those before it, better known by now;
+        :meth:`run` also uses the frames after. A frame that cannot be
         used does not end the stream: the answer says so.
 
         Raises
@@ -149,12 +155,12 @@ class VisualOdometry:
         OdometryError
             If the timestamp is not later than the one before.
         """
-        if self._last is not None and not timestamp_s > self._last[0]:
-            raise OdometryError(f"timestamps must increase: {timestamp_s} s follows {self._last[0]} s")
+        if self._last_s is not None and not timestamp_s > self._last_s:
+            raise OdometryError(f"timestamps must increase: {timestamp_s} s follows {self._last_s} s")
         expected = (self.model.camera.height, self.model.camera.width, 3)
         if image is None or image.shape != expected or image.dtype != np.uint8:
             found = "no image" if image is None else f"image is {image.dtype} {image.shape}, expected uint8 {expected}"
-            return Estimate(timestamp_s, None, None, None, None, False, found)
+            return Estimate(timestamp_s, None, None, None, None, None, False, found)
         with torch.inference_mode():
             prepared = torch.from_numpy(np.stack([self.model.backbone.prepare(image)]))
             # rounded as the cache rounds, so that a stream and a data set give the same numbers
@@ -163,27 +169,12 @@ class VisualOdometry:
         region = self.model.calibration.predict(proba)
         here = mode_candidates(proba, self.model.bins, scale=self.model.scale)[0]
         motion = self._front_end.measure(image)
-        position, quat = self._decide(here, motion, timestamp_s)
-        pose = Trajectory(np.array([timestamp_s]), position[None], quat[None])
+        path = self._reasoner.push(here, motion, timestamp_s)
+        self._last_s = timestamp_s
+        revised = Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
         reliable = motion is None or motion.reliable
         problem = "" if reliable or motion is None else str(motion.status)
-        return Estimate(timestamp_s, pose, region, here, motion, reliable, problem)
-
-    def _decide(
-        self, here: Candidates, motion: RelativeMotion | None, timestamp_s: float
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        if self._last is None:
-            turn = self._turn.push(here.orientation_log_mass)
-            move = self._move.push(here.position_log_mass)
-        else:
-            before_s, before, q = self._last
-            step, prior = timestamp_s - before_s, self.model.prior
-            turn_cost = orientation_cost(before, here, motion, step, prior)
-            move_cost = position_cost(before, here, before.orientations_quat_wxyz[q], motion, step, prior)
-            turn = self._turn.push(here.orientation_log_mass, -turn_cost)
-            move = self._move.push(here.position_log_mass, -move_cost)
-        self._last = (timestamp_s, here, turn)
-        return here.positions_xyz[move], here.orientations_quat_wxyz[turn]
+        return Estimate(timestamp_s, revised[-1:], revised, region, here, motion, reliable, problem)
 
     def run(self, sequence: Sequence) -> Trajectory:
         """The smoothed trajectory of a whole sequence; :meth:`process` gives all the rest."""

@@ -10,6 +10,7 @@ from .candidates import (
 )
 from .errors import ReasoningError
 from .greedy import greedy
+from .online import OnlineReasoner, Revision
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth_orientations, smooth_positions
 from .viterbi import Decoder, orientation_cost, position_cost, viterbi
@@ -18,7 +19,9 @@ __all__ = [
     "Candidates",
     "Decoder",
     "MotionPrior",
+    "OnlineReasoner",
     "ReasoningError",
+    "Revision",
     "SpreadScale",
     "fit_motion_prior",
     "fit_spread_scale",
