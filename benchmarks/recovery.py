@@ -92,7 +92,7 @@ def main() -> None:
         rows.append([kind, str(counts[kind]), spread(within, 2), spread(median, 0), spread(ever, 2)])
     notes = (
         f"Corridor of {N_MODULES} modules, {N_LAPS} laps; test frames of the `interleaved` split, lag {LAG}; median "
-        f"(range) over seeds 0 to {SEEDS - 1}. Right: less than half a module from the truth, for five frames in a row. "
+        f"(range) over seeds 0 to {SEEDS - 1}. Right: less than half a module from the truth, for five frames running. "
         "Fresh start: no past, which is the best that images and motion allow. Wrong start: certain of a place three "
         "modules away. Moved: 30 frames elsewhere, then the camera is here, with nothing known of the way."
     )
