@@ -6,6 +6,7 @@ from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer
 from conformodal.datasets.corridor.path import rotation_world_cam
 from conformodal.motion import CornerTracker, MotionFrontEnd, estimate_relative_motion
+from conformodal.motion.plane import plane_motions
 from conformodal.motion.spreads import DIRECTION_FACTOR, ROTATION_FACTOR, image_cells, turning_spread
 from conformodal.poses import MotionStatus, PinholeCamera
 
@@ -35,9 +36,19 @@ def test_no_sign_or_order_error_survives(seed, plane):
     rotvec, centre = rng.normal(size=3) * 0.08, rng.normal(size=3) * 0.5
     before, after, R = two_views(rotvec, centre, seed=seed, plane=plane)
     motion = estimate_relative_motion(before, after, CAMERA)
-    assert motion.status is MotionStatus.OK
-    np.testing.assert_allclose(motion.R_prev_next, R, atol=1e-4)
-    np.testing.assert_allclose(motion.direction_prev, centre / np.linalg.norm(centre), atol=2e-3)
+    ways = plane_motions(before, after, CAMERA, 1.0)
+    assert bool(ways) == plane
+    truth = centre / np.linalg.norm(centre)
+    if plane:  # the truth is among the motions that the plane allows
+        assert min(np.abs(R_way - R).max() + np.abs(way - truth).max() for R_way, way in ways) < 1e-4
+    if len(ways) == 2:
+        assert motion.status is MotionStatus.PLANE
+        assert motion.direction_prev is None
+        assert Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude() < 2 * motion.rotation_sigma_rad
+    else:
+        assert motion.status is MotionStatus.OK
+        np.testing.assert_allclose(motion.R_prev_next, R, atol=1e-4)
+        np.testing.assert_allclose(motion.direction_prev, truth, atol=2e-3)
 
 
 def test_outliers_do_not_matter():

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
+from .plane import plane_motions
 from .spreads import image_cells, motion_spreads, turning_spread
 
 FloatArray = npt.NDArray[np.float64]
@@ -18,6 +19,8 @@ MIN_INLIER_SHARE = 0.5
 MAX_EPIPOLAR_ERROR_PX = 1.0
 # Below this median displacement nothing has moved: the same picture again, or a camera at rest.
 REPEATED_FLOW_PX = 0.05
+# Two motions that a plane allows are two answers if their directions differ by more than this.
+PLANE_AMBIGUITY_RAD = np.radians(5.0)
 # Parallax under this many pixels is lost in the tracker's own error.
 MIN_PARALLAX_PX = 1.0
 _RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
@@ -93,6 +96,7 @@ def estimate_relative_motion(
     R_prev_next = np.asarray(pose.R).T
     parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
     enough = parallax >= MIN_PARALLAX_PX * pixel
+    status = MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX
     rotation_sigma, direction_sigma = motion_spreads(
         rays_prev[inliers],
         rays_next[inliers],
@@ -101,8 +105,14 @@ def estimate_relative_motion(
         image_cells(pixels_prev[inliers], camera),
         pixel,
     )
+    if enough:
+        ways = plane_motions(pixels_prev[inliers], pixels_next[inliers], camera, MAX_EPIPOLAR_ERROR_PX)
+        if len(ways) > 1 and _angles(ways[0][1][None], ways[1][1][None])[0] > PLANE_AMBIGUITY_RAD:
+            # the rotation is one of two as well: as wide as they lie apart
+            apart = Rotation.from_matrix(ways[0][0].T @ ways[1][0]).magnitude()
+            status, enough, rotation_sigma = MotionStatus.PLANE, False, float(np.hypot(rotation_sigma, apart))
     return RelativeMotion(
-        MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX,
+        status,
         R_prev_next,
         direction / length if enough else None,
         n,

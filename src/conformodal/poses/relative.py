@@ -14,6 +14,7 @@ class MotionStatus(StrEnum):
 
     OK = "ok"
     LOW_PARALLAX = "low_parallax"  # rotation sound, direction not: pure rotation, or far too small a step
+    PLANE = "plane"  # all corners on one plane, which two motions explain; rotation with a wide spread
     REPEATED = "repeated"  # the same picture twice
     TOO_FEW = "too_few_corners"  # black, blank, blurred or covered
     LOST = "lost"  # a cut: the corners are not found again

@@ -1,0 +1,54 @@
+"""Corners that all lie on a plane: two motions may explain them equally well (Faugeras and Lustman 1988)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+FloatArray = npt.NDArray[np.float64]
+
+# The share of corners that one plane must explain, to within the tracker's tolerance.
+PLANE_SHARE = 0.97
+# A corner may fall this little behind a candidate camera, in units of the plane's distance, by tracking error alone.
+_BEHIND = -1e-3
+
+
+def plane_motions(
+    pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, tolerance_px: float
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Motions that explain the corners if they lie on a plane; none if they do not.
+
+    Parameters
+    ----------
+    pixels_prev, pixels_next
+        (n, 2) corners that agree on a motion.
+    camera
+        Intrinsics of both frames.
+    tolerance_px
+        How far from where the plane leads a corner may be.
+
+    Returns
+    -------
+    list of (R_prev_next (3, 3), direction_prev (3,))
+        One or two; see :class:`~conformodal.poses.RelativeMotion` for what they mean.
+    """
+    homography, _ = cv2.findHomography(pixels_prev, pixels_next, 0)
+    if homography is None:
+        return []
+    led = np.column_stack((pixels_prev, np.ones(len(pixels_prev)))) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.linalg.norm(led[:, :2] / led[:, 2:] - pixels_next, axis=1)
+    if not np.mean(off <= tolerance_px) >= PLANE_SHARE:
+        return []
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, intrinsics)
+    rays = camera.bearings(pixels_prev)
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):
+        length = float(np.linalg.norm(t))
+        if length > 1e-9 and (rays @ normal[:, 0] > _BEHIND).all():
+            found.append((R_next_prev.T, -R_next_prev.T @ t[:, 0] / length))
+    return found
