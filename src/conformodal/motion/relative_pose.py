@@ -23,9 +23,9 @@ REPEATED_FLOW_PX = 0.05
 PLANE_AMBIGUITY_RAD = np.radians(5.0)
 # Parallax under this many pixels is lost in the tracker's own error.
 MIN_PARALLAX_PX = 1.0
-_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 20, "seed": 0}
 # corners drift by a few tenths of a pixel; a quarter is where the final fit starts to doubt one
-_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 50}
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
 
 
 def estimate_relative_motion(

@@ -33,7 +33,7 @@ class TrackerConfig:
         Largest distance between a corner and itself tracked forth and back.
     """
 
-    max_corners: int = 500
+    max_corners: int = 400
     quality: float = 1e-4
     spacing_share: float = 0.018
     window_px: int = 15
