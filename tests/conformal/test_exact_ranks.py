@@ -23,19 +23,18 @@ def exact(n: int, thousandths: int) -> int:
 
 
 @pytest.mark.slow
-def test_all_ranks_to_2000_in_thousandths():
-    alphas = [Fraction(a, 1000) for a in range(1, 1000)]
+def test_ranks_to_2000_in_thousandths():
+    # every n, and for each a part of the rates, another for the next n; benchmarks/exact_ranks.py does all
     past = PastScores()
     for n in range(1, 2001):
         past.add(float(n))
         scores = np.arange(1, n + 1, dtype=float)
         weights = WeightedRanks([0.1] * n, [0.1])
-        expected = [exact(n, a) for a in range(1, 1000)]
-        assert [conformal_rank(n, a) for a in alphas] == expected
-        assert [weights.at(a)[0] for a in alphas] == expected
-        as_scores = [k if k <= n else np.inf for k in expected]
-        assert [conformal_quantile(scores, a) for a in alphas] == as_scores
-        assert [past.threshold(a) for a in alphas] == as_scores
+        for a in range(1 + n * 7 % 37, 1000, 37):
+            alpha, k = Fraction(a, 1000), exact(n, a)
+            assert conformal_rank(n, a / 1000) == k
+            assert weights.at(alpha)[0] == k
+            assert conformal_quantile(scores, alpha) == past.threshold(alpha) == (k if k <= n else np.inf)
 
 
 def missed_by_floats(most):
