@@ -50,5 +50,6 @@ def plane_motions(
     for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):
         length = float(np.linalg.norm(t))
         if length > 1e-9 and (rays @ normal[:, 0] > _BEHIND).all():
-            found.append((R_next_prev.T, -R_next_prev.T @ t[:, 0] / length))
+            R_prev_next = np.asarray(R_next_prev, dtype=np.float64).T
+            found.append((R_prev_next, -R_prev_next @ t[:, 0] / length))
     return found
