@@ -139,7 +139,10 @@ def main() -> None:
         "rows is on a grid: its size counts the grid values held, each as wide as its cell, for every method alike. In "
         "brackets the exact 99 % Beta-binomial band of one split's coverage; then how many single coverages lie in it. "
         "Valid: no run failed (an error, or every set empty), none below its 99.99 % band. What each peer is and how it "
-        "is tuned: `benchmarks/peers/methods.py`.\n\n" + "Peers: " + ", ".join(f"{n} {version(n)}" for n in names) + "."
+        "is tuned: `benchmarks/peers/methods.py`. Seconds include tuning; the machine had other work, so they tell orders only.\n\n"
+        + "Peers: "
+        + ", ".join(f"{n} {version(n)}" for n in names)
+        + "."
     )
     header = ["data", "method", "coverage", "in band", "size", "components", "seconds", "failed"]
     write_table(
