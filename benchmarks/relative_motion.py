@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
 from conformodal.motion import MotionFrontEnd
-from conformodal.poses import RelativeMotion
+from conformodal.poses import PinholeCamera, RelativeMotion, Trajectory
 
 N_FRAMES = 600
 
@@ -67,6 +67,21 @@ def row(name: str, sequence: Sequence, stride: int) -> list[str]:
     ]
 
 
+def read_kitti() -> Sequence:
+    """KITTI odometry 06, the frames that are there; 10 Hz."""
+    folder = DATA / "kitti" / "sequences" / "06"
+    images = sorted((folder / "image_0").iterdir())
+    first = (folder / "calib.txt").read_text().splitlines()[0].split()[1:]
+    fx, _, cx, _, _, fy, cy, *_ = map(float, first)
+    height, width = cv2.imread(str(images[0]), cv2.IMREAD_GRAYSCALE).shape
+    poses = np.loadtxt(DATA / "kitti" / "poses" / "06.txt").reshape(-1, 3, 4)
+    quats = Rotation.from_matrix(poses[:, :, :3]).as_quat(scalar_first=True)
+    times = np.arange(len(images)) / 10
+    camera = PinholeCamera(fx, fy, cx, cy, width, height)
+    truth = Trajectory(times, poses[:, :, 3], quats)
+    return Sequence("kitti 06", tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as scratch:
@@ -75,6 +90,7 @@ def main() -> None:
         video = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
         rows = [row("redkitchen 640x480", video, s) for s in (1, 5, 10)]
         rows += [row("corridor 160x120", corridor, s) for s in (1, 3, 5)]
+        rows += [row("KITTI 06 1226x370", read_kitti(), 1)]
     header = [
         "data",
         "stride",

@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
 from conformodal.conformal import (
@@ -15,81 +13,7 @@ from conformodal.conformal import (
 )
 
 
-def problem(seed, n=60, d=2, k=7, dtype=np.float64):
-    """Bins of unequal widths, random probabilities, values in, on the edges of, and outside the bins."""
-    rng = np.random.default_rng(seed)
-    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, k + 1)) for _ in range(d)])
-    proba = rng.dirichlet(np.full(k, 0.5), size=(n, d)).astype(dtype)
-    y = np.column_stack([rng.uniform(e[0] - 0.3, e[-1] + 0.3, n) for e in bins.edges_])
-    for j, e in enumerate(bins.edges_):
-        y[: k + 1, j] = e
-    return bins, proba, y
-
-
-@settings(deadline=None, max_examples=60)
-@given(
-    st.integers(0, 10_000),
-    st.sampled_from(["lac", "density"]),
-    st.sampled_from(["none", "bonferroni"]),
-    st.sampled_from([0.02, 0.1, 0.33, 0.7]),
-    st.sampled_from([np.float32, np.float64]),
-)
-def test_membership_is_score_at_most_threshold(seed, score, joint, alpha, dtype):
-    bins, proba, y = problem(seed, dtype=dtype)
-    cal = SplitConformal(bins, alpha, score, joint).calibrate(proba[:40], y[:40])
-    regions = cal.predict(proba)
-    np.testing.assert_array_equal(regions.contains(y), cal.score_samples(proba, y) <= cal.thresholds_)
-    np.testing.assert_array_equal(regions.contains(y, joint=True), regions.contains(y).all(axis=1))
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 10_000), st.sampled_from(["lac", "density"]))
-def test_sets_nest_in_alpha_and_ignore_the_order_of_calibration(seed, score):
-    bins, proba, y = problem(seed)
-    order = np.random.default_rng(seed).permutation(len(y))
-    tight = SplitConformal(bins, 0.3, score).calibrate(proba, y).predict(proba)
-    loose = SplitConformal(bins, 0.1, score).calibrate(proba[order], y[order]).predict(proba)
-    same = SplitConformal(bins, 0.3, score).calibrate(proba[order], y[order]).predict(proba)
-    for a, b, c in zip(tight.masks, loose.masks, same.masks, strict=True):
-        assert not (a & ~b).any()
-        np.testing.assert_array_equal(a, c)
-
-
-def coverage_counts(alpha, n_cal, n_test, repeats, rank_shift=0):
-    """Covered counts over fresh exchangeable splits; `rank_shift` plants an error in the rank."""
-    rng = np.random.default_rng(5)
-    k = 400
-    bins = QuantileBins.from_edges([np.linspace(0, 1, k + 1)])
-    counts = []
-    for _ in range(repeats):
-        n = n_cal + n_test
-        noise = rng.exponential(size=(n, k)) ** 3  # all scores differ, so there are no ties
-        proba = noise / noise.sum(axis=1, keepdims=True)
-        y = rng.uniform(size=n)
-        cal = SplitConformal(bins, alpha).calibrate(proba[:n_cal], y[:n_cal])
-        if rank_shift:
-            cal.thresholds_ = np.sort(cal.scores_, axis=0)[cal.rank - 1 + rank_shift]
-        counts.append(int(cal.predict(proba[n_cal:]).contains(y[n_cal:]).sum()))
-    return np.array(counts)
-
-
-def law_p_value(counts, alpha, n_cal, n_test):
-    k = conformal_rank(n_cal, alpha)
-    law = stats.betabinom(n_test, k, n_cal + 1 - k)
-    cuts = np.unique(law.ppf(np.linspace(0.1, 0.9, 9)))
-    cells = np.digitize(counts, cuts, right=True)
-    expected = np.diff(np.concatenate(([0], law.cdf(cuts), [1]))) * len(counts)
-    return stats.chisquare(np.bincount(cells, minlength=len(expected)), expected).pvalue
-
-
-def test_coverage_follows_the_beta_binomial_law_and_an_off_by_one_does_not():
-    alpha, n_cal, n_test = 0.1, 29, 40
-    assert law_p_value(coverage_counts(alpha, n_cal, n_test, 1000), alpha, n_cal, n_test) > 0.001
-    assert law_p_value(coverage_counts(alpha, n_cal, n_test, 1000, rank_shift=-1), alpha, n_cal, n_test) < 1e-6
-    assert law_p_value(coverage_counts(alpha, n_cal, n_test, 1000, rank_shift=1), alpha, n_cal, n_test) < 1e-6
-
-
-def test_bonferroni_calibrates_each_target_at_its_exact_share():
+def test_bonferroni_calibrates_each_target_at_its_exact_share(problem):
     bins, proba, y = problem(1, n=200, d=2)
     inside = np.clip(y, [e[0] for e in bins.edges_], [e[-1] for e in bins.edges_])
     joint = SplitConformal(bins, 0.1, joint="bonferroni").calibrate(proba, inside)
@@ -98,7 +22,7 @@ def test_bonferroni_calibrates_each_target_at_its_exact_share():
     assert joint.rank == conformal_rank(200, 0.05)
 
 
-def test_short_calibration_gives_the_whole_space():
+def test_short_calibration_gives_the_whole_space(problem):
     bins, proba, y = problem(2)
     regions = SplitConformal(bins, 0.1).calibrate(proba[:8], y[:8]).predict(proba)
     assert regions.unbounded.all()
@@ -108,7 +32,7 @@ def test_short_calibration_gives_the_whole_space():
     assert regions.intervals(0)[0].tolist() == [[-np.inf, np.inf]]
 
 
-def test_values_outside_the_edges_count_against_calibration():
+def test_values_outside_the_edges_count_against_calibration(problem):
     bins, proba, _ = problem(3, n=20)
     far = np.full((20, 2), 1e6)
     cal = SplitConformal(bins, 0.5).calibrate(proba, far)
@@ -139,13 +63,13 @@ def test_lists_of_arrays_and_single_targets():
         (lambda p, y: (p, np.where(y == y.max(), np.inf, y)), "finite"),
     ],
 )
-def test_bad_arrays_are_refused_by_name(spoil, match):
+def test_bad_arrays_are_refused_by_name(problem, spoil, match):
     bins, proba, y = problem(4)
     with pytest.raises(ConformalError, match=match):
         SplitConformal(bins).calibrate(*spoil(proba, y))
 
 
-def test_bad_settings_are_refused():
+def test_bad_settings_are_refused(problem):
     bins, proba, _ = problem(5)
     for kwargs in ({"alpha": 90}, {"score": "best"}, {"score": 3}, {"joint": "all"}):
         with pytest.raises(ConformalError, match=next(iter(kwargs))):
@@ -156,7 +80,7 @@ def test_bad_settings_are_refused():
         SplitConformal(bins).calibrate_scores(np.zeros(3))
 
 
-def test_a_score_of_ones_own():
+def test_a_score_of_ones_own(problem):
     class Margin:
         name = "margin"
 

@@ -42,7 +42,7 @@ class Regions:
 
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
         # one array for all targets is looked up in one go
-        whole = masks if isinstance(masks, np.ndarray) and masks.ndim == 3 and masks.flags.c_contiguous else None
+        stacked = masks if isinstance(masks, np.ndarray) and masks.ndim == 3 and masks.flags.c_contiguous else None
         if isinstance(masks, np.ndarray):
             masks = list(np.moveaxis(masks, 1, 0)) if masks.ndim == 3 else [masks]
         if len(masks) != bins.n_targets:
@@ -56,7 +56,7 @@ class Regions:
         anywhere = np.atleast_1d(unbounded.any(axis=0))
         self.bins = bins
         self.masks = [mask | unbounded[:, j, None] if anywhere[j] else mask for j, mask in enumerate(masks)]
-        self._whole = whole
+        self._stacked = stacked
         self.unbounded = unbounded
 
     def __len__(self) -> int:
@@ -134,8 +134,8 @@ class Regions:
             outside = codes < 0 if codes.min() < 0 else None
             if outside is not None:
                 codes[outside] = 0
-            if self._whole is not None:
-                block = self._whole[rows]
+            if self._stacked is not None:
+                block = self._stacked[rows]
                 codes += np.arange(0, block.size, block.shape[2]).reshape(codes.shape)
                 held = block.reshape(-1).take(codes)  # several times faster than block[i, j, code]
             else:

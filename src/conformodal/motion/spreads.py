@@ -1,7 +1,7 @@
 """How far off a relative motion may be, from its own inliers: residuals, parallax and where in the image they lie.
 
 Errors of corners that lie close together are alike: they share texture, blur, shutter and depth. Counting each corner
-as a witness of its own makes spreads ten times too small. Here the image is cut into cells, and all corners of a cell
+as a witness of its own makes spreads far too small. Here the image is cut into cells, and all corners of a cell
 share one error; least squares passes these on to the motion (the sandwich covariance of clustered data, Liang and
 Zeger 1986). What remains is a factor, the same for all data, measured in ``benchmarks/relative_motion.py``.
 """

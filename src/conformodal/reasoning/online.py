@@ -17,10 +17,22 @@ from conformodal.poses import RelativeMotion
 from .candidates import Candidates
 from .errors import ReasoningError
 from .prior import MotionPrior
-from .viterbi import orientation_cost, position_cost
+from .viterbi import best_step, orientation_cost, position_cost, way_back
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+@dataclass
+class _Search:
+    """One frame in a search: scores of its candidates, and the best predecessor of each."""
+
+    score: FloatArray
+    back: IntArray
+
+    @classmethod
+    def start(cls, log_mass: FloatArray) -> _Search:
+        return cls(log_mass.astype(np.float64), np.zeros(len(log_mass), dtype=np.int64))
 
 
 @dataclass
@@ -28,11 +40,9 @@ class _Frame:
     candidates: Candidates
     motion: RelativeMotion | None
     timestamp_s: float
-    turn_score: FloatArray
-    turn_back: IntArray
-    move_score: FloatArray
-    move_back: IntArray
-    turn_used: int  # the orientation that this frame's directions were turned by, when the next was scored
+    turn: _Search
+    move: _Search
+    turn_used: int = 0  # the orientation that this frame's directions were turned by, when the next was scored
 
 
 @dataclass(frozen=True)
@@ -89,27 +99,18 @@ class OnlineReasoner:
         ReasoningError
             If the timestamp is not later than the one before.
         """
-        n_turns, n_moves = len(candidates.orientation_log_mass), len(candidates.position_log_mass)
-        new = _Frame(
-            candidates,
-            motion,
-            timestamp_s,
-            candidates.orientation_log_mass.astype(np.float64),
-            np.zeros(n_turns, dtype=np.int64),
-            candidates.position_log_mass.astype(np.float64),
-            np.zeros(n_moves, dtype=np.int64),
-            0,
-        )
+        turn, move = _Search.start(candidates.orientation_log_mass), _Search.start(candidates.position_log_mass)
+        new = _Frame(candidates, motion, timestamp_s, turn, move)
         if self._frames:
             before = self._frames[-1]
             if not timestamp_s > before.timestamp_s:
                 raise ReasoningError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
             cost = orientation_cost(before.candidates, candidates, motion, timestamp_s - before.timestamp_s, self.prior)
-            _advance(new, before.turn_score - cost.T, turn=True)
+            new.turn = _Search(*best_step(before.turn.score, -cost, candidates.orientation_log_mass))
         self._frames.append(new)
-        turns = self._way_back("turn_score", "turn_back")
+        turns = _path([f.turn for f in self._frames])
         self._score_moves(turns)
-        moves = self._way_back("move_score", "move_back")
+        moves = _path([f.move for f in self._frames])
         chosen = list(zip(self._frames, turns.tolist(), moves.tolist(), strict=True))[-(self.lag + 1) :]
         return Revision(
             np.array([f.timestamp_s for f, _, _ in chosen]),
@@ -128,25 +129,8 @@ class OnlineReasoner:
             q_prev = before.candidates.orientations_quat_wxyz[before.turn_used]
             step = here.timestamp_s - before.timestamp_s
             cost = position_cost(before.candidates, here.candidates, q_prev, here.motion, step, self.prior)
-            _advance(here, before.move_score - cost.T, turn=False)
-
-    def _way_back(self, score: str, back: str) -> IntArray:
-        frames = list(self._frames)
-        chosen = np.empty(len(frames), dtype=np.int64)
-        at = int(np.argmax(getattr(frames[-1], score)))
-        for i in range(len(frames) - 1, -1, -1):
-            chosen[i] = at
-            at = int(getattr(frames[i], back)[at])
-        return chosen
+            here.move = _Search(*best_step(before.move.score, -cost, here.candidates.position_log_mass))
 
 
-def _advance(frame: _Frame, total: FloatArray, *, turn: bool) -> None:
-    """Best predecessor of every candidate from `total` (m_here, m_before), and the score with it."""
-    origin = np.argmax(total, axis=1)
-    own = frame.candidates.orientation_log_mass if turn else frame.candidates.position_log_mass
-    score = total[np.arange(len(origin)), origin] + own
-    score = score - score.max()  # long streams must not run out of digits
-    if turn:
-        frame.turn_score, frame.turn_back = score, origin
-    else:
-        frame.move_score, frame.move_back = score, origin
+def _path(search: list[_Search]) -> IntArray:
+    return way_back([step.back for step in search], int(np.argmax(search[-1].score)))

@@ -46,11 +46,8 @@ class Decoder:
             self._back.append(np.zeros(len(log_unary), dtype=np.int64))
             self._score = log_unary.astype(np.float64)
         else:
-            total = self._score[:, None] + log_transition
-            origin = np.argmax(total, axis=0)
+            self._score, origin = best_step(self._score, log_transition, log_unary)
             self._back.append(origin)
-            self._score = total[origin, np.arange(len(log_unary))] + log_unary
-        self._score = self._score - self._score.max()  # long sequences must not run out of digits
         return self.best
 
     @property
@@ -60,12 +57,29 @@ class Decoder:
 
     def path(self) -> IntArray:
         """Indices of the best sequence, one a frame."""
-        chosen = np.empty(len(self._back), dtype=np.int64)
-        at = self.best
-        for t in range(len(self._back) - 1, -1, -1):
-            chosen[t] = at
-            at = int(self._back[t][at])
-        return chosen
+        return way_back(self._back, self.best)
+
+
+def best_step(score: FloatArray, log_transition: FloatArray, log_unary: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Scores (m,) of a frame's candidates by their best predecessors, and who these are, (m,).
+
+    `score` (m_before,) and `log_transition` (m_before, m) are the frame before's; the best score is set to 0, so that
+    long sequences do not run out of digits.
+    """
+    total = score[:, None] + log_transition
+    origin = np.argmax(total, axis=0)
+    after = total[origin, np.arange(len(log_unary))] + log_unary
+    return after - after.max(), origin
+
+
+def way_back(backs: Sequence[IntArray], last: int) -> IntArray:
+    """Indices of the sequence that ends in candidate `last`, one a frame."""
+    chosen = np.empty(len(backs), dtype=np.int64)
+    at = last
+    for t in range(len(backs) - 1, -1, -1):
+        chosen[t] = at
+        at = int(backs[t][at])
+    return chosen
 
 
 def viterbi(

@@ -19,16 +19,6 @@ from conformodal.conformal.calibration.joint import highest_float
 SCORES = ["lac", "density", "linear_density", "aps", "hpd"]
 
 
-def problem(seed, n=80, d=2, k=7, dtype=np.float64):
-    rng = np.random.default_rng(seed)
-    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, k + 1)) for _ in range(d)])
-    proba = rng.dirichlet(np.full(k, 0.5), size=(n, d)).astype(dtype)
-    y = np.column_stack([rng.uniform(e[0] - 0.1, e[-1] + 0.1, n) for e in bins.edges_])
-    for j, e in enumerate(bins.edges_):
-        y[: k + 1, j] = e
-    return bins, proba, y
-
-
 @settings(deadline=None, max_examples=80)
 @given(
     st.integers(0, 10_000),
@@ -37,8 +27,8 @@ def problem(seed, n=80, d=2, k=7, dtype=np.float64):
     st.sampled_from([0.1, 0.33, 0.7]),
     st.sampled_from([np.float32, np.float64]),
 )
-def test_membership_is_score_at_most_threshold(seed, score, joint, alpha, dtype):
-    bins, proba, y = problem(seed, dtype=dtype)
+def test_membership_is_score_at_most_threshold(problem, seed, score, joint, alpha, dtype):
+    bins, proba, y = problem(seed, n=80, dtype=dtype)
     cal = SplitConformal(bins, alpha, score, joint).fit_scale(proba[60:], y[60:]).calibrate(proba[:50], y[:50])
     scores = cal.score_samples(proba, y)
     for p in (proba, [proba[:, j] for j in range(2)]):
@@ -50,8 +40,8 @@ def test_membership_is_score_at_most_threshold(seed, score, joint, alpha, dtype)
 
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(SCORES))
-def test_one_group_equal_weights_and_one_fold_are_split_conformal(seed, score):
-    bins, proba, y = problem(seed)
+def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed, score):
+    bins, proba, y = problem(seed, n=80)
     split = SplitConformal(bins, 0.2, score).calibrate(proba[:40], y[:40]).predict(proba[40:])
     same = np.full(40, 0.1)
     others = [
@@ -99,8 +89,8 @@ def test_largest_float_that_holds_is_found_to_the_last_bit():
     assert highest_float(lambda x: x < -np.inf, (2,)).tolist() == [-np.inf, -np.inf]
 
 
-def test_errors_name_the_argument():
-    bins, proba, y = problem(0)
+def test_errors_name_the_argument(problem):
+    bins, proba, y = problem(0, n=80)
     with pytest.raises(NotCalibratedError, match="fit_scale"):
         SplitConformal(bins, joint="max").calibrate(proba, y)
     with pytest.raises(ConformalError, match="weights must be finite"):

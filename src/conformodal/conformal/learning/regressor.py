@@ -225,8 +225,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             If there is no calibration data yet.
         """
         proba = self.predict_bins(X)
-        _, values = validate_data(self, X, y, multi_output=True, y_numeric=True, reset=False)
-        return diagnose(self._calibrated(), proba, values, np.asarray(X, dtype=np.float64), groups, level=level)
+        features, values = validate_data(self, X, y, multi_output=True, y_numeric=True, reset=False)
+        return diagnose(self._calibrated(), proba, values, features, groups, level=level)
 
     def _calibrated(self) -> SplitConformal:
         if not hasattr(self.calibrator_, "scores_"):
