@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from conformodal.conformal import (
@@ -40,6 +40,7 @@ def test_membership_is_score_at_most_threshold(problem, seed, score, joint, alph
 
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(SCORES))
+@example(130, "lac")  # so many values outside the edges that one target's threshold is infinite, the other's not
 def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed, score):
     bins, proba, y = problem(seed, n=80)
     split = SplitConformal(bins, 0.2, score).calibrate(proba[:40], y[:40]).predict(proba[40:])
@@ -78,6 +79,16 @@ def test_mondrian_keeps_the_promise_in_every_group_and_falls_back():
     assert sets.predict(proba[:1], [7]).unbounded.all()
     pooled = MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba[:2000], y[:2000], group[:2000])
     assert not pooled.predict(proba[:1], [7]).unbounded.any()
+
+
+def test_mondrian_falls_back_for_small_groups_only_not_for_groups_that_lie_outside(problem):
+    bins, proba, y = problem(0, n=80)
+    group = np.repeat([0, 1, 2], [40, 35, 5])
+    y[:40, 0] = 1e9
+    sets = MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba, y, group)
+    assert sets.fallback_groups == [2]
+    np.testing.assert_array_equal(sets.predict(proba[:1], [0]).unbounded, np.isposinf(sets.thresholds_[0])[None])
+    assert sets.thresholds_[0][0] == np.inf
 
 
 def test_largest_float_that_holds_is_found_to_the_last_bit():

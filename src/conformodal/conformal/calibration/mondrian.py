@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..bins import QuantileBins
 from ..checks import Alpha, Probabilities, as_groups
 from ..errors import ConformalError, NotCalibratedError
-from ..rank import conformal_quantile
+from ..rank import conformal_quantile, conformal_rank
 from ..regions import Regions
 from ..scores import Score
 from .base import Calibrator, Empty
@@ -87,7 +87,9 @@ class MondrianConformal(Calibrator):
     def fallback_groups(self) -> list[Hashable]:
         """Groups seen in calibration that fall back."""
         self._calibrated()
-        return [g for g, n in self.sizes_.items() if n < self.min_group or np.isposinf(self.thresholds_[g]).any()]
+        # only the number counts: an infinite threshold for many values outside the edges is a group's own answer
+        alpha = self.alpha_per_target
+        return [g for g, n in self.sizes_.items() if n < self.min_group or conformal_rank(n, alpha) > n]
 
     def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
         """Regions of new samples, each by its group's threshold.
