@@ -3,6 +3,7 @@ import shutil
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
@@ -25,10 +26,12 @@ def results(small_world, tmp_path_factory):
 
 
 def test_help_of_every_verb_explains_every_option():
-    for verb in ("demo", "train", "run", "evaluate"):
-        result = invoke(verb, "--help")
-        assert result.exit_code == 0
-        assert "--out" in result.output or "OUT" in result.output
+    verbs = typer.main.get_command(app).commands
+    assert set(verbs) == {"demo", "train", "calibrate", "run", "evaluate"}
+    for name, verb in verbs.items():
+        assert invoke(name, "--help").exit_code == 0
+        for parameter in verb.params:
+            assert getattr(parameter, "help", None), f"{name} does not explain {parameter.name}"
     assert invoke("--version").output.strip()[0].isdigit()
 
 
@@ -41,6 +44,7 @@ def test_run_writes_everything(results):
     assert set(metrics["errors"]) == {
         "smoothed",
         "viterbi",
+        "online",
         "greedy",
         "softmax_mean",
         "classical",
@@ -129,3 +133,52 @@ def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
     coverage = json.loads((tmp_path / "o" / "metrics.json").read_text())["coverage"]
     assert "no guarantee" in coverage["assumption"]
     assert "band_99" not in coverage["targets"]["x"]
+
+
+@pytest.fixture(scope="module")
+def flights(small_world, tmp_path_factory):
+    """Short flights that the small world's model was not trained on."""
+    from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
+
+    folder = tmp_path_factory.mktemp("flights")
+    world = CorridorWorld(3, seed=3)
+    renderer = Renderer(world)
+    for k in range(5):
+        poses = drone_path(world, 1, seed=100 + k).poses_se3[20 * k : 20 * k + 6]
+        write_flight(folder / f"seq-{k:02d}", renderer, poses, noise_seed=1000 * k)
+    return folder
+
+
+def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path):
+    model = shutil.copytree(small_world.model, tmp_path / "model")
+    cache = ["--cache", tmp_path / "cache"]
+    result = invoke("calibrate", model, flights, "--alpha", "0.5", "--promise", "recording", *cache)
+    assert result.exit_code == 0, result.output
+    assert "every frame of it is within the radius with probability at least 0.5" in " ".join(result.output.split())
+    result = invoke("run", model, flights, "--out", tmp_path / "out", *cache)
+    assert result.exit_code == 0, result.output
+    radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
+    assert radius["n_recordings"] == 5
+    # of five maxima, each calibrated at a quarter, the largest: all frames that made it lie within
+    assert radius["share_held"] == 1
+    assert radius["radius_m"] > 0
+    assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
+
+    result = invoke("calibrate", model, flights, *cache)
+    assert result.exit_code == 0, result.output
+    text = " ".join(result.output.split())
+    assert "The radius is infinite: 5 recordings are too few for alpha = 0.1; at least 19" in text
+    result = invoke("run", model, flights, "--out", tmp_path / "out", *cache)
+    radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
+    assert radius["radius_m"] is None
+    assert radius["share_held"] == 1
+    assert "infinity" in result.output
+
+
+def test_calibrate_refuses_what_the_model_was_trained_on(small_world, tmp_path, flights):
+    result = invoke("calibrate", small_world.model, small_world.folder, "--cache", small_world.cache)
+    assert result.exit_code == 2
+    assert "calibrate on other recordings" in " ".join(result.output.split())
+    result = invoke("calibrate", small_world.model, flights, "--method", "luck", "--cache", tmp_path)
+    assert result.exit_code == 2
+    assert "method must be one of" in result.output

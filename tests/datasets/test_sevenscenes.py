@@ -121,3 +121,17 @@ def test_real_recording(redkitchen):
     assert sequence.image(999).shape == (480, 640, 3)
     first = np.loadtxt(pose_path(sequence.image_paths[0]))
     np.testing.assert_allclose(sequence.require_truth().poses_se3[0], first, atol=1e-4)
+
+
+def test_a_lens_with_distortion_is_read_and_a_wrong_one_named(tmp_path):
+    folder = write_recording(tmp_path / "seq-01")
+    lens = folder / "camera-distortion.txt"
+    assert read_sevenscenes(folder).camera.distortion == ()
+    lens.write_text("-0.28 0.07 2e-4 0\n")
+    assert read_sevenscenes(folder).camera.distortion == (-0.28, 0.07, 2e-4, 0.0)
+    lens.write_text("-0.28 0.07\n")
+    with pytest.raises(DatasetError, match=r"camera-distortion\.txt: distortion must be k1"):
+        read_sevenscenes(folder)
+    lens.write_text("wide\n")
+    with pytest.raises(DatasetError, match=r"camera-distortion\.txt: cannot be read as numbers"):
+        read_sevenscenes(folder)

@@ -5,7 +5,14 @@ from scipy.spatial.transform import Rotation
 from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer
 from conformodal.datasets.corridor.path import rotation_world_cam
-from conformodal.motion import CornerTracker, MotionFrontEnd, estimate_relative_motion
+from conformodal.motion import (
+    CornerTracker,
+    MotionFrontEnd,
+    estimate_relative_motion,
+    solve_opencv,
+    solve_poselib,
+    undistort,
+)
 from conformodal.motion.plane import plane_motions
 from conformodal.motion.spreads import DIRECTION_FACTOR, ROTATION_FACTOR, image_cells, turning_spread
 from conformodal.poses import MotionStatus, PinholeCamera
@@ -221,3 +228,68 @@ def test_spread_of_a_turn_alone_follows_its_errors():
 def test_spreads_of_what_is_left_open_are_infinite():
     rays = np.tile([0.0, 0.0, 1.0], (20, 1))
     assert turning_spread(rays, rays, np.eye(3), np.zeros(20, int), 1e-3) == np.inf
+
+
+LENSES = [(-0.28, 0.07, 2e-4, -1e-4), (0.12, -0.2, 1e-3, 5e-4, 0.05)]
+
+
+def through_lens(pixels, lens):
+    """Radial-tangential distortion written out from its definition (Brown 1966)."""
+    k1, k2, p1, p2, k3 = (*lens, 0.0)[:5]
+    x, y = ((pixels - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy)).T
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    bent_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return np.column_stack((bent_x, bent_y)) * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_distortion_is_taken_out_of_corners(lens):
+    before, after, R = two_views([0.02, -0.08, 0.01], np.array([0.4, 0.1, 0.2]))
+    inside = ((before > 0) & (before < (640, 480)) & (after > 0) & (after < (640, 480))).all(axis=1)
+    before, after = before[inside], after[inside]
+    bent = PinholeCamera(500, 510, 320, 240, 640, 480, lens)
+    np.testing.assert_allclose(undistort(through_lens(before, lens), bent), before, atol=1e-4)
+    motion = estimate_relative_motion(through_lens(before, lens), through_lens(after, lens), bent)
+    assert motion.n_inliers == len(before)
+    assert Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude() < 1e-4
+    ignored = estimate_relative_motion(through_lens(before, lens), through_lens(after, lens), CAMERA)
+    assert Rotation.from_matrix(ignored.R_prev_next.T @ R).magnitude() > 5e-4
+
+
+@pytest.mark.parametrize("solver", [solve_poselib, solve_opencv])
+@pytest.mark.parametrize("seed", range(6))
+def test_both_solvers_find_the_motion_among_outliers(solver, seed):
+    rng = np.random.default_rng(seed)
+    rotvec, centre = rng.normal(size=3) * 0.08, rng.normal(size=3) * 0.5
+    before, after, R = two_views(rotvec, centre, seed=seed, noise_px=0.1)
+    after[:40] = rng.uniform(0, 480, (40, 2))
+    motion = estimate_relative_motion(before, after, CAMERA, solver=solver)
+    assert motion.status is MotionStatus.OK
+    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()) < 0.5
+    assert motion.direction_prev @ centre / np.linalg.norm(centre) > np.cos(np.radians(3))
+    assert 130 < motion.n_inliers < 175
+
+
+def test_far_points_count_with_opencv():
+    """Where the default limit of 50 steps is left in place, no point this far is in front of both cameras."""
+    before, after, R = two_views([0.0, 0.02, 0.0], np.array([0.06, 0.0, 0.015]))
+    found = solve_opencv(before, after, CAMERA)
+    np.testing.assert_allclose(found.R_prev_next, R, atol=0.01)  # within a pixel, at which its search ends
+    assert found.direction_prev @ (4, 0, 1) / np.sqrt(17) > 0.9
+
+
+def test_the_front_end_takes_another_solver():
+    _, images, camera = flight()
+    asked = []
+
+    def spy(*arguments):
+        asked.append(len(arguments[0]))
+        return solve_opencv(*arguments)
+
+    front_end = MotionFrontEnd(camera, solver=spy)
+    for image in images[:3]:
+        motion = front_end.measure(image)
+    assert asked
+    assert motion.reliable

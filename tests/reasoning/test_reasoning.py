@@ -9,12 +9,17 @@ from conformodal.reasoning import (
     Candidates,
     Decoder,
     MotionPrior,
+    Observations,
     OnlineReasoner,
+    PosePath,
     ReasoningError,
+    error_memory,
     fit_motion_prior,
     greedy,
+    online,
     orientation_cost,
     position_cost,
+    smooth,
     smooth_orientations,
     smooth_positions,
     viterbi,
@@ -69,16 +74,25 @@ def ambiguous(positions, rotations, seed=0, period=4.0, favour=0.0):
     return found
 
 
+def chosen_positions(candidates, found):
+    """Index of each frame's candidate whose position was chosen."""
+    return [
+        int(np.argmin(np.linalg.norm(c.positions_xyz - p, axis=1)))
+        for c, p in zip(candidates, found.positions_xyz, strict=True)
+    ]
+
+
 def test_viterbi_is_the_best_of_all_sequences():
     t, positions, rotations = path(5)
     motions = exact_motions(positions, rotations)
     candidates = ambiguous(positions, rotations, favour=0.05)
-    move, turn = viterbi(candidates, motions, t, PRIOR)
+    found = viterbi(Observations(candidates, motions, t), PRIOR)
+    move = chosen_positions(candidates, found)
 
     def total(sequence):
         score = candidates[0].position_log_mass[sequence[0]]
         for s in range(1, 5):
-            q = candidates[s - 1].orientations_quat_wxyz[turn[s - 1]]
+            q = found.orientations_quat_wxyz[s - 1]
             cost = position_cost(candidates[s - 1], candidates[s], q, motions[s], 0.1, PRIOR)
             score += candidates[s].position_log_mass[sequence[s]] - cost[sequence[s - 1], sequence[s]]
         return score
@@ -97,12 +111,11 @@ def test_viterbi_mends_a_wrong_start_and_greedy_does_not():
     candidates[0] = wrong
     motions = exact_motions(positions, rotations)
     motions[20] = None  # blind for a moment
-    move, turn = viterbi(candidates, motions, t, PRIOR)
-    chosen = np.array([c.positions_xyz[k] for c, k in zip(candidates, move, strict=True)])
-    assert np.linalg.norm(chosen - positions, axis=1).max() < 0.5
-    quats = np.array([c.orientations_quat_wxyz[k] for c, k in zip(candidates, turn, strict=True)])
+    found = viterbi(Observations(candidates, motions, t), PRIOR)
+    assert np.linalg.norm(found.positions_xyz - positions, axis=1).max() < 0.5
+    quats = found.orientations_quat_wxyz
     assert angle_between_quats(quats, rotations.as_quat(scalar_first=True)).max() < 0.01
-    followed, _ = greedy(candidates, motions)
+    followed = greedy(Observations(candidates, motions, t)).positions_xyz
     assert np.linalg.norm(followed[1:19] - positions[1:19], axis=1).min() > 1
 
 
@@ -120,7 +133,8 @@ def test_greedy_follows_the_papers_equations_to_the_letter():
         q /= np.linalg.norm(q, axis=1, keepdims=True)
         p = rng.normal(size=(5, 3))
         candidates.append(Candidates(p, np.ones((5, 3)), np.sort(rng.random(5))[::-1], q, np.ones(4), np.zeros(4)))
-    found_p, found_q = greedy(candidates, motions)
+    found = greedy(Observations(candidates, motions, np.arange(6)))
+    found_p, found_q = found.positions_xyz, found.orientations_quat_wxyz
     p_prev, q_prev = candidates[0].positions_xyz[0], candidates[0].orientations_quat_wxyz[0]
     for t in range(1, 6):
         R_prev = Rotation.from_quat(q_prev, scalar_first=True).as_matrix()
@@ -139,9 +153,10 @@ def test_greedy_follows_the_papers_equations_to_the_letter():
 def test_greedy_takes_the_most_probable_where_motion_is_unknown():
     _, positions, rotations = path(3)
     candidates = ambiguous(positions, rotations)
-    p, q = greedy(candidates, [None, None, RelativeMotion(MotionStatus.LOST)])
-    np.testing.assert_array_equal(p, [c.positions_xyz[0] for c in candidates])
-    np.testing.assert_array_equal(q, [c.orientations_quat_wxyz[0] for c in candidates])
+    motions = [None, None, RelativeMotion(MotionStatus.LOST)]
+    found = greedy(Observations(candidates, motions, np.arange(3)))
+    np.testing.assert_array_equal(found.positions_xyz, [c.positions_xyz[0] for c in candidates])
+    np.testing.assert_array_equal(found.orientations_quat_wxyz, [c.orientations_quat_wxyz[0] for c in candidates])
 
 
 def test_costs_are_bounded_and_smallest_at_the_truth():
@@ -167,10 +182,15 @@ def test_the_online_decoder_agrees_with_the_path_it_ends_on():
         decoder.push(np.zeros(3))
 
 
-def test_lengths_that_differ_are_refused():
+def test_observations_that_do_not_belong_together_are_refused():
     t, positions, rotations = path(3)
-    with pytest.raises(ReasoningError, match="motions"):
-        viterbi(ambiguous(positions, rotations), [None], t, PRIOR)
+    candidates = ambiguous(positions, rotations)
+    with pytest.raises(ReasoningError, match="1 motions"):
+        Observations(candidates, [None], t)
+    with pytest.raises(ReasoningError, match="0 candidates"):
+        Observations([], [], t[:0])
+    with pytest.raises(ReasoningError, match=r"increase.*frames 1, 2"):
+        Observations(candidates, [None] * 3, t[[0, 1, 1]])
 
 
 def test_smoothing_improves_on_noise():
@@ -207,6 +227,52 @@ def test_smoothing_keeps_what_is_exact_and_short():
         smooth_positions(positions, np.zeros((30, 3)), quats, motions, t, PRIOR)
 
 
+def forgetful_noise(rng, n, dt, memory_s):
+    """Unit noise whose correlation falls to 1/e over `memory_s`."""
+    alike = np.exp(-dt / memory_s)
+    noise = rng.normal(size=(n, 3))
+    for i in range(1, n):
+        noise[i] = alike * noise[i - 1] + np.sqrt(1 - alike**2) * noise[i]
+    return noise
+
+
+@pytest.mark.parametrize("memory_s", [0.05, 0.3, 1.5])
+def test_the_memory_of_errors_is_found_whatever_their_sizes(memory_s):
+    rng = np.random.default_rng(0)
+    t, recording = np.arange(3000) * 0.1, np.repeat([0, 1], 1500)
+    noise = forgetful_noise(rng, 3000, 0.1, memory_s) * (2.0, 0.1, 7.0)
+    noise[::97] += 60  # a wrong mode now and then
+    assert error_memory(noise, t, recording) == pytest.approx(memory_s, rel=0.35)
+
+
+def test_errors_without_memory_have_none():
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) * 0.1
+    assert error_memory(rng.normal(size=(2000, 3)), t, np.zeros(2000)) < 0.04
+    assert error_memory(rng.normal(size=(3, 3)), t[:3], np.arange(3)) == 0  # every frame a recording of its own
+
+
+def test_a_smoother_that_knows_errors_to_last_is_not_led_by_frames_that_err_together():
+    rng = np.random.default_rng(2)
+    t, positions, rotations = path(300)
+    motions = [None] * 300
+    quats = rotations.as_quat(scalar_first=True)
+    spreads = np.full((300, 3), 0.1)
+    noisy = positions + 0.1 * forgetful_noise(rng, 300, 0.1, 0.4)
+
+    def rms(memory_s):
+        found = smooth_positions(noisy, spreads, quats, motions, t, PRIOR, memory_s)
+        return np.sqrt(np.mean((found - positions) ** 2))
+
+    assert rms(0.4) < 0.97 * rms(0.0)
+    seen = Observations(ambiguous(positions, rotations), motions, t)
+    own = PosePath(t, noisy, spreads, quats, np.full(300, 0.02))
+    np.testing.assert_array_equal(
+        smooth(own, seen, PRIOR, 0.4).positions_xyz,
+        smooth_positions(noisy, spreads, quats, motions, t, PRIOR, 0.4),
+    )
+
+
 def test_prior_learns_speeds_and_turns():
     t = np.arange(400) * 0.1
     circle = np.column_stack((2 * np.cos(0.5 * t), 2 * np.sin(0.5 * t), 0 * t))
@@ -225,13 +291,27 @@ def test_the_online_path_with_a_long_lag_is_that_of_the_whole_search(seed):
     motions = exact_motions(positions, rotations)
     motions[12] = None
     candidates = ambiguous(positions, rotations, seed=seed, favour=0.05)
-    move, turn = viterbi(candidates, motions, t, PRIOR)
-    reasoner = OnlineReasoner(PRIOR, lag=50)
-    revisions = [reasoner.push(c, m, s) for c, m, s in zip(candidates, motions, t, strict=True)]
-    points = [c.positions_xyz[k] for c, k in zip(candidates, move, strict=True)]
-    quats = [c.orientations_quat_wxyz[k] for c, k in zip(candidates, turn, strict=True)]
-    np.testing.assert_array_equal(revisions[-1].positions_xyz, points)
-    np.testing.assert_array_equal(revisions[-1].orientations_quat_wxyz, quats)
+    seen = Observations(candidates, motions, t)
+    whole = viterbi(seen, PRIOR)
+    for lag in (29, 50):
+        found = online(seen, PRIOR, lag)
+        np.testing.assert_array_equal(found.timestamps_s, t)
+        np.testing.assert_array_equal(found.positions_xyz, whole.positions_xyz)
+        np.testing.assert_array_equal(found.orientations_quat_wxyz, whole.orientations_quat_wxyz)
+
+
+@pytest.mark.parametrize("lag", [0, 1, 7, 39, 40])
+def test_online_keeps_what_the_stream_last_said_of_every_frame(lag):
+    t, positions, rotations = path(40)
+    motions = exact_motions(positions, rotations)
+    candidates = ambiguous(positions, rotations, favour=0.2)
+    reasoner = OnlineReasoner(PRIOR, lag)
+    said = {}
+    for c, m, s in zip(candidates, motions, t, strict=True):
+        revised = reasoner.push(c, m, s)
+        said |= dict(zip(revised.timestamps_s, revised.positions_xyz, strict=True))
+    found = online(Observations(candidates, motions, t), PRIOR, lag)
+    np.testing.assert_array_equal(found.positions_xyz, [said[s] for s in t])
 
 
 def test_online_answers_are_revised_within_the_lag_and_memory_does_not_grow():

@@ -8,6 +8,7 @@ import typer
 
 from conformodal import __version__
 
+from .calibrate import calibrate
 from .demo import demo
 from .evaluate import evaluate
 from .run import run
@@ -35,5 +36,5 @@ def main(
     """Everywhere your camera could be, with a guarantee; and the one place that motion speaks for."""
 
 
-for command in (demo, train, run, evaluate):
+for command in (demo, train, calibrate, run, evaluate):
     app.command()(command)

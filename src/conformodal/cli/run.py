@@ -18,6 +18,7 @@ from conformodal.experiments import (
     is_exchangeable,
     load_classical,
     motion_table,
+    radius_table,
 )
 from conformodal.odometry import (
     OdometryError,
@@ -126,6 +127,7 @@ def run_on(
     }
     if classical is not None:
         metrics["classical_learning_rate"] = classical.learning_rate
+    metrics["radius"] = radius_table(model.radius, result, truth)
     if truth is not None:
         metrics["errors"] = error_table(result.trajectories, truth)
         metrics["coverage"] = coverage_table(result, truth, model, exchangeable=is_exchangeable(model, str(part)))
@@ -155,6 +157,9 @@ def page_of(outcome: Outcome, sequence: Sequence, title: str) -> ReportContent:
         f"{sequence.name}: {len(run.frames)} frames answered, {outcome.metrics['split_note']}",
         f"{outcome.metrics['n_unreliable']} frames without reliable motion, {len(run.unreadable)} unreadable.",
     ]
+    radius = outcome.metrics["radius"]
+    if radius is not None:
+        summary.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
     image = (name, sequence.image(int(run.frames[index])))
     return ReportContent(title, summary, outcome.metrics, figures, image)
 
@@ -166,6 +171,8 @@ def say(outcome: Outcome) -> None:
     console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} without reliable motion{unreadable}")
     if run.regions.unbounded.any():
         console.print("[bold]The region is the whole space in some target[/]: too few calibration frames for alpha.")
+    if metrics["radius"] is not None:
+        console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
     if "errors" in metrics:
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
@@ -174,6 +181,12 @@ def say(outcome: Outcome) -> None:
             + coverage["assumption"],
             soft_wrap=True,
         )
+
+
+def _size(radius: dict[str, Any]) -> str:
+    if radius["radius_m"] is None or radius["radius_deg"] is None:
+        return "infinity, for want of recordings to calibrate it on"
+    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 
 def _frames(model: PoseModel, sequence: Sequence, part: Part) -> np.ndarray | None:

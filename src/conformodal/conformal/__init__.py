@@ -4,7 +4,15 @@ Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and
 """
 
 from .bins import QuantileBins
-from .calibration import CrossConformal, MondrianConformal, SplitConformal, WeightedConformal, weighted_quantile
+from .calibration import (
+    CrossConformal,
+    MondrianConformal,
+    SplitConformal,
+    WeightedConformal,
+    grouped_maximum_quantile,
+    grouped_quantile,
+    weighted_quantile,
+)
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose
 from .errors import ConformalError, ConformodalError, NotCalibratedError
 from .learning import ConformalRegressor, StackedDensity
@@ -41,5 +49,7 @@ __all__ = [
     "conformal_rank",
     "coverage_band",
     "diagnose",
+    "grouped_maximum_quantile",
+    "grouped_quantile",
     "weighted_quantile",
 ]

@@ -2,8 +2,9 @@
 
 A recording is a folder of ``frame-NNNNNN.color.png`` (or ``.jpg``) with ``frame-NNNNNN.pose.txt`` beside each: a
 4x4 camera-to-world matrix in metres. A scene is a folder of recordings ``seq-NN``. A file
-``camera-intrinsics.txt`` (3x3), in either folder, gives the camera; without one, it is that of 7-Scenes. The layout
-has no timestamps: a file ``frame-rate.txt`` (one number, Hz) beside the intrinsics gives the rate, else it is 30 Hz.
+``camera-intrinsics.txt`` (3x3), in either folder, gives the camera; without one, it is that of 7-Scenes. Its lens is
+free of distortion unless ``camera-distortion.txt`` beside it holds k1, k2, p1, p2 and perhaps k3, as in OpenCV. The
+layout has no timestamps: a file ``frame-rate.txt`` (one number, Hz) likewise gives the rate, else it is 30 Hz.
 """
 
 from __future__ import annotations
@@ -107,11 +108,15 @@ def _truth(images: list[Path], stamps: npt.NDArray[np.float64], *, required: boo
         raise
 
 
-def _read_matrix(path: Path, size: int, *, last_row: bool = True) -> npt.NDArray[np.float64]:
+def _read_numbers(path: Path) -> npt.NDArray[np.float64]:
     try:
-        matrix = np.array([float(x) for x in path.read_text(encoding="utf-8").split()])
+        return np.array([float(x) for x in path.read_text(encoding="utf-8").split()])
     except (OSError, ValueError) as exc:
-        raise DatasetError(f"{path}: cannot be read as {size * size} numbers: {exc}") from exc
+        raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
+
+
+def _read_matrix(path: Path, size: int, *, last_row: bool = True) -> npt.NDArray[np.float64]:
+    matrix = _read_numbers(path)
     if matrix.size != size * size:
         raise DatasetError(f"{path}: holds {matrix.size} numbers, expected {size * size} ({size}x{size})")
     matrix = matrix.reshape(size, size)
@@ -145,10 +150,12 @@ def _camera(folder: Path, first_image: Path) -> PinholeCamera:
     path = _beside("camera-intrinsics.txt", first_image.parent, folder)
     if path is not None:
         k = _read_matrix(path, 3)
+        beside = path.with_name("camera-distortion.txt")
+        lens = tuple(_read_numbers(beside).tolist()) if beside.is_file() else ()
         try:
-            return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
+            return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height, lens)
         except PoseError as exc:
-            raise DatasetError(f"{path}: {exc}") from exc
+            raise DatasetError(f"{path}{f', {beside}' if lens else ''}: {exc}") from exc
     if (width, height) != (640, 480):
         raise DatasetError(
             f"{folder}: images are {width}x{height} and there is no camera-intrinsics.txt; "

@@ -3,7 +3,7 @@
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import ClassicalRegressor, load_classical, save_classical, train_classical
 from .errors import ExperimentError
-from .evaluation import coverage_table, error_table, is_exchangeable, motion_table
+from .evaluation import coverage_table, error_table, is_exchangeable, motion_table, radius_table
 
 __all__ = [
     "AmbiguityCheck",
@@ -15,6 +15,7 @@ __all__ = [
     "is_exchangeable",
     "load_classical",
     "motion_table",
+    "radius_table",
     "save_classical",
     "train_classical",
 ]

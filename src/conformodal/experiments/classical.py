@@ -23,7 +23,7 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.odometry import OdometryRun, TrainingData
 from conformodal.poses import Trajectory, angle_between_quats, normalise_quat
-from conformodal.reasoning import MotionPrior, smooth_orientations, smooth_positions
+from conformodal.reasoning import MotionPrior, Observations, PosePath, error_memory, smooth
 from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
 
 from .errors import ExperimentError
@@ -48,6 +48,8 @@ class ClassicalRegressor:
     spread_m, spread_rad
         Root mean square error per axis (3,) and of the angle on the calibration part, before the last training:
         what a smoother needs to know.
+    memory_s
+        How long its position errors last, from the same frames.
     """
 
     head: Head
@@ -56,6 +58,7 @@ class ClassicalRegressor:
     learning_rate: float
     spread_m: npt.NDArray[np.float64]
     spread_rad: float
+    memory_s: float
 
     def predict(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
@@ -66,15 +69,16 @@ class ClassicalRegressor:
     ) -> dict[str, Trajectory]:
         """Its trajectory over the frames of a run, and the same after the conformal method's own smoother."""
         values = self.predict(features)
-        p, q = values[:, :3], normalise_quat(values[:, 3:])
+        n = len(values)
+        spread, angle = np.broadcast_to(self.spread_m, (n, 3)), np.full(n, self.spread_rad)
+        own = PosePath(run.timestamps_s, values[:, :3], spread, normalise_quat(values[:, 3:]), angle)
+        p, q = own.positions_xyz, own.orientations_quat_wxyz
         smooth_p, smooth_q = np.empty_like(p), np.empty_like(q)
         for number in np.unique(recording):
             at = np.flatnonzero(recording == number)
-            motions, times = [run.motions[t] for t in at], run.timestamps_s[at]
-            angle = np.full(len(at), self.spread_rad)
-            smooth_q[at] = smooth_orientations(q[at], angle, motions, times, prior)
-            spread = np.broadcast_to(self.spread_m, (len(at), 3))
-            smooth_p[at] = smooth_positions(p[at], spread, smooth_q[at], motions, times, prior)
+            seen = Observations([run.candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
+            path = smooth(own[at], seen, prior, self.memory_s)
+            smooth_p[at], smooth_q[at] = path.positions_xyz, path.orientations_quat_wxyz
         return {
             "classical": Trajectory(run.timestamps_s, p, q),
             "classical_smoothed": Trajectory(run.timestamps_s, smooth_p, smooth_q),
@@ -129,14 +133,18 @@ def train_classical(
     head = fit(everything, best)
     report(len(errors) + 1, len(errors) + 1)
     truth = data.targets[check]
+    off = errors[best][:, :3]
+    spread = np.sqrt(np.mean(off**2, axis=0))
+    times, recording = data.sequence.timestamps_s[check], data.sequence.recording[check]
     angle = angle_between_quats(truth[:, 3:] + errors[best][:, 3:], truth[:, 3:])
     return ClassicalRegressor(
         head=head,
         mean=mean,
         scale=scale,
         learning_rate=best,
-        spread_m=np.sqrt(np.mean(errors[best][:, :3] ** 2, axis=0)),
+        spread_m=spread,
         spread_rad=float(np.sqrt(np.mean(angle**2))),
+        memory_s=error_memory(off / np.maximum(spread, 1e-9), times, recording),
     )
 
 
@@ -149,6 +157,7 @@ def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
         "hidden": regressor.head.output.in_features,
         "learning_rate": regressor.learning_rate,
         "spread_rad": regressor.spread_rad,
+        "memory_s": regressor.memory_s,
         "sha256": hashlib.sha256(content).hexdigest(),
     }
     (folder / _FILES[1]).write_bytes(content)
@@ -174,8 +183,8 @@ def load_classical(folder: Path) -> ClassicalRegressor | None:
         state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
         head = Head(len(state["feature_mean"]), [1] * len(arrays["mean"]), record["hidden"])
         head.load_state_dict(state)
-        rate, angle = float(record["learning_rate"]), float(record["spread_rad"])
-        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle)
+        rate, angle, memory = (float(record[k]) for k in ("learning_rate", "spread_rad", "memory_s"))
+        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle, memory)
     except ExperimentError:
         raise
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as exc:

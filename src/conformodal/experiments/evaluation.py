@@ -8,7 +8,7 @@ import numpy as np
 
 from conformodal.conformal import check_coverage
 from conformodal.datasets import SplitKind
-from conformodal.odometry import TARGET_NAMES, OdometryRun, PoseModel, pose_targets
+from conformodal.odometry import TARGET_NAMES, OdometryRun, PoseModel, PoseRadius, pose_targets
 from conformodal.poses import Trajectory, trajectory_errors
 
 ASSUMPTION_HELD = (
@@ -67,6 +67,23 @@ def coverage_table(run: OdometryRun, truth: Trajectory, model: PoseModel, *, exc
         "joint_band_99": [together.low, together.high] if together and exchangeable else None,
         "median_position_volume_m3": _finite(np.median(run.regions.length[:, :3].prod(axis=1))),
         "assumption": ASSUMPTION_HELD if exchangeable else ASSUMPTION_BROKEN,
+    }
+
+
+def radius_table(radius: PoseRadius | None, run: OdometryRun, truth: Trajectory | None) -> dict[str, Any] | None:
+    """The chosen pose's radius, what it promises, and how many frames it held if the truth is known."""
+    if radius is None:
+        return None
+    held = None if truth is None else float(radius.holds(run.trajectories[radius.method], truth).mean())
+    return {
+        "radius_m": _finite(radius.radius_m),
+        "radius_deg": _finite(np.degrees(radius.radius_rad)),
+        "alpha": radius.alpha,
+        "promise": str(radius.promise),
+        "method": radius.method,
+        "n_recordings": radius.n_recordings,
+        "share_held": held,
+        "assumption": radius.assumption,
     }
 
 

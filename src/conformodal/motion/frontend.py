@@ -10,6 +10,7 @@ from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .relative_pose import estimate_relative_motion
 from .tracker import CornerTracker, TrackerConfig
+from .two_view import TwoViewSolver, solve_poselib
 
 # With fewer of the marked corners left than this, motion so far is banked and measured afresh from here.
 _REMARK_BELOW = 60
@@ -23,13 +24,18 @@ class MotionFrontEnd:
     Parameters
     ----------
     camera
-        Intrinsics.
+        Intrinsics and distortion.
     config
         Of the corner tracker.
+    solver
+        Of two-view geometry: :func:`~conformodal.motion.solve_poselib`, or :func:`~conformodal.motion.solve_opencv`.
     """
 
-    def __init__(self, camera: PinholeCamera, config: TrackerConfig | None = None) -> None:
+    def __init__(
+        self, camera: PinholeCamera, config: TrackerConfig | None = None, solver: TwoViewSolver = solve_poselib
+    ) -> None:
         self.camera = camera
+        self.solver = solver
         self.tracker = CornerTracker(config)
         self._forget_bank()
 
@@ -71,7 +77,7 @@ class MotionFrontEnd:
 
     def _since_mark(self) -> RelativeMotion:
         before, now = self.tracker.pairs()
-        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
 
     def _bank(self) -> None:
         motion = self._since_mark()

@@ -43,8 +43,7 @@ def plane_motions(
         off = np.linalg.norm(led[:, :2] / led[:, 2:] - pixels_next, axis=1)
     if not np.mean(off <= tolerance_px) >= PLANE_SHARE:
         return []
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, intrinsics)
+    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, camera.matrix)
     rays = camera.bearings(pixels_prev)
     found: list[tuple[FloatArray, FloatArray]] = []
     for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):

@@ -1,48 +1,49 @@
-"""Rotation and unit direction between two frames from corner pairs (the paper, section 3; PoseLib's five points)."""
+"""Rotation and unit direction between two frames from corner pairs (the paper, section 3), or why there are none."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import poselib
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .plane import plane_motions
 from .spreads import image_cells, motion_spreads, turning_spread
+from .two_view import MAX_EPIPOLAR_ERROR_PX, TwoViewSolver, solve_poselib
+from .undistortion import undistort
 
 FloatArray = npt.NDArray[np.float64]
 
 MIN_TRACKS = 16
 MIN_INLIER_SHARE = 0.5
-MAX_EPIPOLAR_ERROR_PX = 1.0
 # Below this median displacement nothing has moved: the same picture again, or a camera at rest.
 REPEATED_FLOW_PX = 0.05
 # Two motions that a plane allows are two answers if their directions differ by more than this.
 PLANE_AMBIGUITY_RAD = np.radians(5.0)
 # Parallax under this many pixels is lost in the tracker's own error.
 MIN_PARALLAX_PX = 1.0
-_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 20, "seed": 0}
-# corners drift by a few tenths of a pixel; a quarter is where the final fit starts to doubt one
-_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
 
 
 def estimate_relative_motion(
-    pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, n_at_start: int | None = None
+    pixels_prev: FloatArray,
+    pixels_next: FloatArray,
+    camera: PinholeCamera,
+    n_at_start: int | None = None,
+    solver: TwoViewSolver = solve_poselib,
 ) -> RelativeMotion:
     """Motion of the camera between two frames.
-
-    PoseLib maps points as ``X_next = R X_prev + t``; the result is turned round, into the camera's own motion.
 
     Parameters
     ----------
     pixels_prev, pixels_next
-        (n, 2) positions of the same corners.
+        (n, 2) positions of the same corners, as they are in the images.
     camera
-        Intrinsics of both frames.
+        Intrinsics and distortion of both frames.
     n_at_start
         Corners in the previous frame before tracking, to tell a blank frame from a cut.
+    solver
+        Finds the motion: :func:`~conformodal.motion.solve_poselib` or :func:`~conformodal.motion.solve_opencv`.
 
     Returns
     -------
@@ -53,6 +54,7 @@ def estimate_relative_motion(
     if n < MIN_TRACKS:
         blank = (n_at_start if n_at_start is not None else n) < MIN_TRACKS
         return RelativeMotion(MotionStatus.TOO_FEW if blank else MotionStatus.LOST, n_tracks=n)
+    pixels_prev, pixels_next = undistort(pixels_prev, camera), undistort(pixels_next, camera)
     pixel = 2.0 / (camera.fx + camera.fy)  # radians
     flow = np.linalg.norm(pixels_next - pixels_prev, axis=1)
     if np.median(flow) < REPEATED_FLOW_PX:
@@ -80,20 +82,11 @@ def estimate_relative_motion(
             ),
         )
 
-    model = {
-        "model": "PINHOLE",
-        "width": camera.width,
-        "height": camera.height,
-        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-    }
-    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, _REFINEMENT)
-    inliers = np.asarray(info["inliers"], dtype=bool)
-    direction = -np.asarray(pose.R).T @ np.asarray(pose.t)
-    length = float(np.linalg.norm(direction))
-    sound = inliers.sum() >= MIN_TRACKS and inliers.mean() >= MIN_INLIER_SHARE
-    if not sound or not np.isfinite(length) or length < 1e-9:
-        return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=int(inliers.sum()))
-    R_prev_next = np.asarray(pose.R).T
+    found = solver(pixels_prev, pixels_next, camera)
+    if found is None or found.inliers.sum() < MIN_TRACKS or found.inliers.mean() < MIN_INLIER_SHARE:
+        n_inliers = 0 if found is None else int(found.inliers.sum())
+        return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=n_inliers)
+    R_prev_next, direction, inliers = found
     parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
     enough = parallax >= MIN_PARALLAX_PX * pixel
     status = MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX
@@ -101,7 +94,7 @@ def estimate_relative_motion(
         rays_prev[inliers],
         rays_next[inliers],
         R_prev_next,
-        direction / length,
+        direction,
         image_cells(pixels_prev[inliers], camera),
         pixel,
     )
@@ -114,7 +107,7 @@ def estimate_relative_motion(
     return RelativeMotion(
         status,
         R_prev_next,
-        direction / length if enough else None,
+        direction if enough else None,
         n,
         int(inliers.sum()),
         parallax,

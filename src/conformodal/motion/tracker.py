@@ -13,6 +13,7 @@ FloatArray = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
 
 HARRIS_K = 0.04
+_UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 
 
 @dataclass(frozen=True)
@@ -27,17 +28,23 @@ class TrackerConfig:
         Weakest Harris response, relative to the strongest.
     spacing_share
         Least distance between new corners, as a share of the image width.
+    renew_below
+        New corners are sought when fewer than this share of `max_corners` are left.
     window_px, levels
         Lucas-Kanade window and pyramid levels above the image.
+    back_levels
+        Levels on the way back, which starts from where the corner was.
     max_back_error_px
         Largest distance between a corner and itself tracked forth and back.
     """
 
-    max_corners: int = 400
+    max_corners: int = 500
     quality: float = 1e-4
-    spacing_share: float = 0.018
-    window_px: int = 15
+    spacing_share: float = 0.025
+    renew_below: float = 0.85
+    window_px: int = 11
     levels: int = 4
+    back_levels: int = 1
     max_back_error_px: float = 0.7
 
 
@@ -70,15 +77,12 @@ class CornerTracker:
         if previous is None or len(self._now) == 0:
             return
         cfg = self.config
-        options: dict[str, Any] = {
-            "winSize": (cfg.window_px, cfg.window_px),
-            "maxLevel": cfg.levels,
-            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
-        }
-        there, found, _ = cv2.calcOpticalFlowPyrLK(
-            previous, image, self._now[:, None], self._now[:, None].copy(), **options
-        )
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, self._now[:, None].copy(), **options)
+        options: dict[str, Any] = {"winSize": (cfg.window_px, cfg.window_px), "criteria": _UNTIL}
+        start = self._now[:, None]
+        there, found, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=cfg.levels, **options)
+        # the way back may start at its end: a corner that is stable there is found again, a false one is not
+        options |= {"maxLevel": cfg.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
         there, back = there[:, 0], back[:, 0]
         height, width = image.shape
         alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
@@ -90,8 +94,9 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        missing = self.config.max_corners - len(self._now)
-        if missing > 0:
+        most = self.config.max_corners
+        missing = most - len(self._now)
+        if len(self._now) < self.config.renew_below * most:
             self._now = np.concatenate((self._now, self._new_corners(self._image, missing)))
         self._marked = self._now.copy()
         self.n_at_mark = len(self._now)

@@ -4,6 +4,7 @@ from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import METHODS, Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
 from .provenance import provenance
+from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .results import (
     read_metrics,
     read_region_records,
@@ -12,6 +13,7 @@ from .results import (
     write_metrics,
     write_run,
 )
+from .selection import calibrate_selection, recording_errors
 from .store import load_model, save_model
 from .targets import TARGET_NAMES, pose_targets
 from .training import ModelConfig, TrainingData, data_digest, prepare_training_data, train_model
@@ -25,17 +27,23 @@ __all__ = [
     "OdometryError",
     "OdometryRun",
     "PoseModel",
+    "PoseRadius",
+    "Promise",
     "ResultsError",
     "TrainingData",
     "VisualOdometry",
+    "calibrate_selection",
     "data_digest",
+    "fit_pose_radius",
     "load_model",
+    "pose_errors",
     "pose_targets",
     "prepare_training_data",
     "provenance",
     "read_metrics",
     "read_region_records",
     "read_trajectories",
+    "recording_errors",
     "records_contain",
     "save_model",
     "train_model",

@@ -16,13 +16,15 @@ from conformodal.datasets import ImageError, Sequence
 from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import (
+    LAG,
     Candidates,
+    Observations,
     OnlineReasoner,
     greedy,
     interval_candidates,
     mode_candidates,
-    smooth_orientations,
-    smooth_positions,
+    online,
+    smooth,
     softmax_mean,
     viterbi,
 )
@@ -36,7 +38,7 @@ IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
 # Final answer first; the others are kept for comparison.
-METHODS = ("smoothed", "viterbi", "greedy", "softmax_mean")
+METHODS = ("smoothed", "viterbi", "online", "greedy", "softmax_mean")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +120,12 @@ class VisualOdometry:
     model
         Trained and calibrated.
     lag
-        Frames of a stream whose answer may still change, see :attr:`Estimate.revised`; :meth:`run` knows no lag.
+        Frames of a stream whose answer may still change, see :attr:`Estimate.revised`. :meth:`run` waits for the end.
     """
 
-    def __init__(self, model: PoseModel, lag: int = 30) -> None:
+    def __init__(self, model: PoseModel, lag: int = LAG) -> None:
         self.model = model
+        self.lag = lag
         self._reasoner = OnlineReasoner(model.prior, lag)
         self.reset()
 
@@ -147,8 +150,8 @@ class VisualOdometry:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
 
         The pose is the best given all frames so far, and `revised` those before it, better known by now;
-        :meth:`run` also uses the frames after. A frame that cannot be
-        used does not end the stream: the answer says so.
+        :meth:`run` also uses the frames after. A frame that cannot be used does not end the stream: the answer says
+        so.
 
         Raises
         ------
@@ -267,19 +270,18 @@ class VisualOdometry:
         paper = interval_candidates(proba, run.regions)
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         poses["softmax_mean"] = (mean[:, :3], mean[:, 3:])
+        prior = self.model.prior
         for number in np.unique(recording):  # motion is never linked across recordings
             at = np.flatnonzero(recording == number)
-            motions = [run.motions[t] for t in at]
-            times = run.timestamps_s[at]
-            here = [run.candidates[t] for t in at]
-            poses["greedy"][0][at], poses["greedy"][1][at] = greedy([paper[t] for t in at], motions)
-            move, turn = viterbi(here, motions, times, self.model.prior)
-            p = np.array([c.positions_xyz[k] for c, k in zip(here, move, strict=True)])
-            q = np.array([c.orientations_quat_wxyz[k] for c, k in zip(here, turn, strict=True)])
-            poses["viterbi"][0][at], poses["viterbi"][1][at] = p, q
-            spread = np.array([c.position_spreads[k] for c, k in zip(here, move, strict=True)])
-            angle = np.array([c.orientation_spreads_rad[k] for c, k in zip(here, turn, strict=True)])
-            q = smooth_orientations(q, angle, motions, times, self.model.prior)
-            p = smooth_positions(p, spread, q, motions, times, self.model.prior)
-            poses["smoothed"][0][at], poses["smoothed"][1][at] = p, q
+            motions, times = [run.motions[t] for t in at], run.timestamps_s[at]
+            seen = Observations([run.candidates[t] for t in at], motions, times)
+            best = viterbi(seen, prior)
+            paths = {
+                "greedy": greedy(Observations([paper[t] for t in at], motions, times)),
+                "online": online(seen, prior, self.lag),
+                "viterbi": best,
+                "smoothed": smooth(best, seen, prior, self.model.scale.memory_s),
+            }
+            for name, path in paths.items():
+                poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz
         return {name: Trajectory(run.timestamps_s, p, q) for name, (p, q) in poses.items()}

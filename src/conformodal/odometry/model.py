@@ -15,6 +15,7 @@ from conformodal.reasoning import MotionPrior, SpreadScale
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
+from .radius import PoseRadius
 
 
 @dataclass(eq=False)
@@ -41,6 +42,8 @@ class PoseModel:
         Digest of the training data's frames, to recognise the data set again.
     configuration
         Settings behind the model, for the record.
+    radius
+        Promise for the chosen pose, see :class:`~conformodal.odometry.PoseRadius`; None before it was calibrated.
     """
 
     backbone: Backbone
@@ -54,6 +57,7 @@ class PoseModel:
     split: Split
     data_digest: str
     configuration: dict[str, Any] = field(default_factory=dict)
+    radius: PoseRadius | None = None
 
     @property
     def n_calibration(self) -> int:
@@ -85,10 +89,11 @@ class PoseModel:
         Raises
         ------
         OdometryError
-            If size or intrinsics differ.
+            If size, intrinsics or distortion differ.
         """
         mine, other = self.camera, camera
         same = (mine.width, mine.height) == (other.width, other.height)
         values = [(mine.fx, other.fx), (mine.fy, other.fy), (mine.cx, other.cx), (mine.cy, other.cy)]
+        same = same and np.array_equal(mine.distortion or np.zeros(4), other.distortion or np.zeros(4))
         if not same or any(abs(a - b) > 1e-3 * mine.width for a, b in values):
             raise OdometryError(f"the model was trained with {mine}, the source has {other}")

@@ -27,8 +27,9 @@ from conformodal.vision import Backbone, BackboneConfig, Head
 
 from .errors import ModelFileError
 from .model import PoseModel
+from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-1"
+FORMAT = "conformodal-model-2"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
@@ -63,6 +64,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "data_digest": model.data_digest,
         "configuration": model.configuration,
+        "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
     }
     record["sha256"] = _digest(record)
@@ -112,6 +114,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     calibration.calibrate_scores(arrays["calibration.scores"])
+    lens = tuple(record["camera"]["distortion"])
     prior, scale = record["prior"], record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
@@ -121,12 +124,25 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
         prior=MotionPrior(prior["turn_rate_rad_s"], *(tuple(prior[k]) for k in _PRIOR_TABLES)),
-        scale=SpreadScale(tuple(scale["position"]), scale["orientation"]),
-        camera=PinholeCamera(**record["camera"]),
+        scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["memory_s"]),
+        camera=PinholeCamera(**{**record["camera"], "distortion": lens}),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
         data_digest=record["data_digest"],
         configuration=record["configuration"],
+        radius=_radius(record["radius"]),
     )
+
+
+def _finite(record: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no infinity: null stands for it."""
+    return {k: None if v == float("inf") else v for k, v in record.items()}
+
+
+def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
+    if record is None:
+        return None
+    limits = {k: float("inf") if record[k] is None else float(record[k]) for k in ("radius_m", "radius_rad")}
+    return PoseRadius(**{**record, **limits, "promise": Promise(record["promise"])})
 
 
 def _read_record(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A pinhole camera without distortion."""
+"""A pinhole camera, and the distortion of its lens."""
 
 from __future__ import annotations
 
@@ -14,10 +14,16 @@ from .errors import PoseError
 class PinholeCamera:
     """Intrinsics in pixels, for images of `width` x `height`; (cx, cy) is the principal point.
 
+    Attributes
+    ----------
+    distortion
+        Radial and tangential, (k1, k2, p1, p2) or (k1, k2, p1, p2, k3) in the order of OpenCV and of EuRoC; empty for
+        a lens without.
+
     Raises
     ------
     PoseError
-        If a focal length or a size is not positive.
+        If a focal length or a size is not positive, or distortion has another length or is not finite.
     """
 
     fx: float
@@ -26,13 +32,21 @@ class PinholeCamera:
     cy: float
     width: int
     height: int
+    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not (min(self.fx, self.fy) > 0 and min(self.width, self.height) > 0 and np.isfinite(self.cx + self.cy)):
             raise PoseError(f"camera needs positive focal lengths and sizes, got {self}")
+        if len(self.distortion) not in (0, 4, 5) or not np.isfinite(self.distortion).all():
+            raise PoseError(f"distortion must be k1, k2, p1, p2 and perhaps k3, all finite; got {self.distortion}")
+
+    @property
+    def matrix(self) -> npt.NDArray[np.float64]:
+        """(3, 3) intrinsic matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def bearings(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Unit rays (n, 3) in the camera frame (x right, y down, z forward) through pixels (n, 2)."""
+        """Unit rays (n, 3) in the camera frame (x right, y down, z forward) through undistorted pixels (n, 2)."""
         xy = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         rays = np.column_stack((xy, np.ones(len(xy))))
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

@@ -1,35 +1,46 @@
-"""Choosing among candidate poses with the help of relative motion. NumPy and SciPy only."""
+"""Choosing among candidate poses with the help of relative motion. NumPy and SciPy only.
+
+A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` to a :class:`PosePath`: :func:`greedy`,
+:func:`viterbi`, :func:`online`. :func:`smooth` makes any path finer.
+"""
 
 from .candidates import (
     Candidates,
     SpreadScale,
-    fit_spread_scale,
     interval_candidates,
     mode_candidates,
     softmax_mean,
 )
 from .errors import ReasoningError
 from .greedy import greedy
-from .online import OnlineReasoner, Revision
+from .observations import Observations, PosePath, Reasoner
+from .online import LAG, OnlineReasoner, online
 from .prior import MotionPrior, fit_motion_prior
-from .smoother import smooth_orientations, smooth_positions
+from .smoother import smooth, smooth_orientations, smooth_positions
+from .spreads import error_memory, fit_spread_scale
 from .viterbi import Decoder, orientation_cost, position_cost, viterbi
 
 __all__ = [
+    "LAG",
     "Candidates",
     "Decoder",
     "MotionPrior",
+    "Observations",
     "OnlineReasoner",
+    "PosePath",
+    "Reasoner",
     "ReasoningError",
-    "Revision",
     "SpreadScale",
+    "error_memory",
     "fit_motion_prior",
     "fit_spread_scale",
     "greedy",
     "interval_candidates",
     "mode_candidates",
+    "online",
     "orientation_cost",
     "position_cost",
+    "smooth",
     "smooth_orientations",
     "smooth_positions",
     "softmax_mean",

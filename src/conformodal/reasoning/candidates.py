@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.poses import angle_between_quats, normalise_quat
+from conformodal.poses import normalise_quat
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,12 +28,11 @@ POSITION = (0, 1, 2)
 ORIENTATION = (3, 4, 5, 6)
 MAX_CANDIDATES = 48
 MIN_MASS = 1e-4
-# Two peaks are two modes where the probability between them falls below this share of the lower one.
-VALLEY_SHARE = 0.5
+# Two peaks are two modes where the probability between them falls below this share of the lower one. Softmaxes are
+# rough; at a half, single modes fell apart and lost their tails (benchmarks/reasoning.py).
+VALLEY_SHARE = 0.05
 # Four components chosen one by one need not be a unit quaternion; the further from one, the less they fit together.
 _NORM_SPREAD = 0.1
-# Medians of |N(0, 1)| and of the length of a standard normal vector in three dimensions.
-_MEDIAN_OF_ABS_NORMAL, _MEDIAN_OF_NORM3 = 0.6745, 1.5382
 
 Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
 
@@ -67,10 +66,19 @@ class Candidates:
 
 @dataclass(frozen=True)
 class SpreadScale:
-    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames."""
+    """From spreads of the softmax to errors; learnt on calibration frames.
+
+    Attributes
+    ----------
+    position, orientation
+        Factors from spreads of the softmax to spreads of the error, an axis and for the angle.
+    memory_s
+        Time over which the correlation of position errors falls to 1/e: neighbours err alike.
+    """
 
     position: tuple[float, float, float] = (1.0, 1.0, 1.0)
     orientation: float = 1.0
+    memory_s: float = 0.0
 
 
 def mode_candidates(
@@ -78,6 +86,7 @@ def mode_candidates(
     bins: QuantileBins,
     *,
     scale: SpreadScale | None = None,
+    valley_share: float = VALLEY_SHARE,
     min_mass: float = MIN_MASS,
     max_candidates: int = MAX_CANDIDATES,
 ) -> list[Candidates]:
@@ -91,6 +100,8 @@ def mode_candidates(
         Bins of the seven targets.
     scale
         From :func:`fit_spread_scale`; None leaves spreads as the softmax has them.
+    valley_share
+        Two peaks are two modes where the probability between falls below this share of the lower one.
     min_mass
         Combinations less probable than this are dropped (never the most probable one).
     max_candidates
@@ -99,7 +110,7 @@ def mode_candidates(
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
-        pieces = [_pieces(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
+        pieces = [_pieces(p, _basins(p, valley_share), e) for p, e in zip(rows, bins.edges_, strict=True)]
         found.append(_combine(pieces, scale or SpreadScale(), np.log(min_mass), max_candidates))
     return found
 
@@ -123,25 +134,6 @@ def interval_candidates(
             pieces.append(_pieces(p[i].astype(np.float64), intervals, e))
         found.append(_combine(pieces, SpreadScale(), -np.inf, max_candidates))
     return found
-
-
-def fit_spread_scale(
-    candidates: Sequence[Candidates], positions_xyz: FloatArray, quats_wxyz: FloatArray
-) -> SpreadScale:
-    """How large errors are in units of spreads, from frames with known poses that no network was trained on.
-
-    Takes the candidate nearest to the truth, and medians, so that wrong modes do not count as wide ones.
-    """
-    z_position, z_orientation = [], []
-    for c, p, q in zip(candidates, positions_xyz, quats_wxyz, strict=True):
-        k = int(np.argmin(np.linalg.norm(c.positions_xyz - p, axis=1)))
-        z_position.append(np.abs(c.positions_xyz[k] - p) / c.position_spreads[k])
-        angle = angle_between_quats(c.orientations_quat_wxyz, q)
-        k = int(np.argmin(angle))
-        z_orientation.append(angle[k] / c.orientation_spreads_rad[k])
-    x, y, z = np.maximum(np.median(z_position, axis=0) / _MEDIAN_OF_ABS_NORMAL, 0.05)
-    turn = max(float(np.median(z_orientation)) / _MEDIAN_OF_NORM3, 0.05)
-    return SpreadScale((float(x), float(y), float(z)), turn)
 
 
 def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
@@ -181,7 +173,7 @@ def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> _P
     return _Pieces(np.array(means), np.array(spreads), np.log(masses))
 
 
-def _basins(p: FloatArray) -> list[tuple[int, int]]:
+def _basins(p: FloatArray, share: float) -> list[tuple[int, int]]:
     """Cut all bins at the lowest between peaks that stand clear of it."""
     cuts = [0]
     peak = valley = p[0]
@@ -189,7 +181,7 @@ def _basins(p: FloatArray) -> list[tuple[int, int]]:
     for k in range(1, len(p)):
         if p[k] < valley:
             valley, valley_at = p[k], k
-        elif valley < VALLEY_SHARE * min(peak, p[k]):
+        elif valley < share * min(peak, p[k]):
             cuts.append(valley_at)
             peak = valley = p[k]
             valley_at = k

@@ -4,20 +4,14 @@ relative motion predicts from the pose chosen before (section 3). One wrong pick
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.poses import RelativeMotion
-
-from .candidates import Candidates
-
-FloatArray = npt.NDArray[np.float64]
+from .observations import Observations, PosePath
+from .prior import MotionPrior
 
 
-def greedy(candidates: Sequence[Candidates], motions: Sequence[RelativeMotion | None]) -> tuple[FloatArray, FloatArray]:
+def greedy(seen: Observations, prior: MotionPrior | None = None) -> PosePath:
     """Choose one candidate a frame.
 
     Orientation: the q that minimises ``|q - q_next|`` with ``q_next = quaternion(R_prev R_rel)``; q and -q count as
@@ -26,32 +20,27 @@ def greedy(candidates: Sequence[Candidates], motions: Sequence[RelativeMotion | 
 
     Parameters
     ----------
-    candidates
-        One a frame; for the paper's result, made without splitting intervals.
-    motions
-        ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
-
-    Returns
-    -------
-    positions_xyz (n, 3), orientations_quat_wxyz (n, 4)
+    seen
+        For the paper's result, with :func:`~conformodal.reasoning.interval_candidates`.
+    prior
+        Not used: the paper has none.
     """
-    position, quat = candidates[0].most_probable
-    positions, quats = [position], [quat]
-    for here, motion in zip(candidates[1:], motions[1:], strict=True):
-        p_prev, q_prev = positions[-1], quats[-1]
-        position, quat = here.most_probable
+    moves, turns = [0], [0]
+    pairs = zip(seen.candidates, seen.candidates[1:], seen.motions[1:], strict=False)
+    for before, here, motion in pairs:
+        move = turn = 0
         if motion is not None and motion.R_prev_next is not None:
-            rotation_prev = Rotation.from_quat(q_prev, scalar_first=True)
+            rotation_prev = Rotation.from_quat(before.orientations_quat_wxyz[turns[-1]], scalar_first=True)
             q_next = (rotation_prev * Rotation.from_matrix(motion.R_prev_next)).as_quat(scalar_first=True)
             options = here.orientations_quat_wxyz
             signed = options * np.where(options @ q_next < 0, -1.0, 1.0)[:, None]
-            quat = options[np.argmin(np.linalg.norm(signed - q_next, axis=1))]
+            turn = int(np.argmin(np.linalg.norm(signed - q_next, axis=1)))
             if motion.direction_prev is not None:
                 t_rel = rotation_prev.apply(motion.direction_prev)
-                step = here.positions_xyz - p_prev
+                step = here.positions_xyz - before.positions_xyz[moves[-1]]
                 length = np.linalg.norm(step, axis=1, keepdims=True)
                 heading = np.divide(step, length, out=np.zeros_like(step), where=length > 0)
-                position = here.positions_xyz[np.argmin(np.linalg.norm(t_rel - heading, axis=1))]
-        positions.append(position)
-        quats.append(quat)
-    return np.array(positions), np.array(quats)
+                move = int(np.argmin(np.linalg.norm(t_rel - heading, axis=1)))
+        moves.append(move)
+        turns.append(turn)
+    return PosePath.choose(seen.candidates, seen.timestamps_s, moves, turns)

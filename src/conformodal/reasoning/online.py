@@ -16,11 +16,14 @@ from conformodal.poses import RelativeMotion
 
 from .candidates import Candidates
 from .errors import ReasoningError
+from .observations import Observations, PosePath
 from .prior import MotionPrior
 from .viterbi import best_step, orientation_cost, position_cost, way_back
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+LAG = 10
 
 
 @dataclass
@@ -45,22 +48,6 @@ class _Frame:
     turn_used: int = 0  # the orientation that this frame's directions were turned by, when the next was scored
 
 
-@dataclass(frozen=True)
-class Revision:
-    """The best path through the last frames, oldest first.
-
-    Attributes
-    ----------
-    timestamps_s : (l,)
-    positions_xyz : (l, 3) metres, world
-    orientations_quat_wxyz : (l, 4) world from camera
-    """
-
-    timestamps_s: FloatArray
-    positions_xyz: FloatArray
-    orientations_quat_wxyz: FloatArray
-
-
 class OnlineReasoner:
     """Global search over a stream, revised for the last `lag` frames.
 
@@ -79,7 +66,7 @@ class OnlineReasoner:
         If `lag` is negative.
     """
 
-    def __init__(self, prior: MotionPrior, lag: int = 30) -> None:
+    def __init__(self, prior: MotionPrior, lag: int = LAG) -> None:
         if lag < 0:
             raise ReasoningError(f"lag must be at least 0 frames, got {lag}")
         self.prior = prior
@@ -91,8 +78,13 @@ class OnlineReasoner:
         """Start a new recording."""
         self._frames.clear()
 
-    def push(self, candidates: Candidates, motion: RelativeMotion | None, timestamp_s: float) -> Revision:
+    def push(self, candidates: Candidates, motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
         """Take the next frame; `motion` leads from the frame before, None where nothing is known of it.
+
+        Returns
+        -------
+        PosePath
+            The best through the last frames, at most `lag` + 1 of them, oldest first, this one last.
 
         Raises
         ------
@@ -111,11 +103,10 @@ class OnlineReasoner:
         turns = _path([f.turn for f in self._frames])
         self._score_moves(turns)
         moves = _path([f.move for f in self._frames])
-        chosen = list(zip(self._frames, turns.tolist(), moves.tolist(), strict=True))[-(self.lag + 1) :]
-        return Revision(
-            np.array([f.timestamp_s for f, _, _ in chosen]),
-            np.array([f.candidates.positions_xyz[m] for f, _, m in chosen]),
-            np.array([f.candidates.orientations_quat_wxyz[t] for f, t, _ in chosen]),
+        last = slice(-(self.lag + 1), None)
+        frames = list(self._frames)[last]
+        return PosePath.choose(
+            [f.candidates for f in frames], [f.timestamp_s for f in frames], moves[last], turns[last]
         )
 
     def _score_moves(self, turns: IntArray) -> None:
@@ -134,3 +125,15 @@ class OnlineReasoner:
 
 def _path(search: list[_Search]) -> IntArray:
     return way_back([step.back for step in search], int(np.argmax(search[-1].score)))
+
+
+def online(seen: Observations, prior: MotionPrior, lag: int = LAG) -> PosePath:
+    """What :class:`OnlineReasoner` has made of every frame once `lag` more have followed it, or the recording ended."""
+    reasoner = OnlineReasoner(prior, lag)
+    parts: list[PosePath] = []
+    for candidates, motion, timestamp_s in zip(seen.candidates, seen.motions, seen.timestamps_s, strict=True):
+        revised = reasoner.push(candidates, motion, float(timestamp_s))
+        if len(revised.timestamps_s) == lag + 1:
+            parts.append(revised[:1])
+    parts.append(revised[1:] if parts else revised)
+    return PosePath.join(parts)

@@ -17,6 +17,7 @@ from conformodal.poses import RelativeMotion, angle_between_quats
 
 from .candidates import Candidates
 from .errors import ReasoningError
+from .observations import Observations, PosePath
 from .prior import MotionPrior
 
 FloatArray = npt.NDArray[np.float64]
@@ -82,46 +83,23 @@ def way_back(backs: Sequence[IntArray], last: int) -> IntArray:
     return chosen
 
 
-def viterbi(
-    candidates: Sequence[Candidates],
-    motions: Sequence[RelativeMotion | None],
-    timestamps_s: FloatArray,
-    prior: MotionPrior,
-) -> tuple[IntArray, IntArray]:
-    """Choose one candidate a frame over a whole recording.
-
-    Parameters
-    ----------
-    candidates
-        One a frame.
-    motions
-        ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
-    timestamps_s
-        (n,) seconds.
-    prior
-        Speeds and turning rates to expect.
-
-    Returns
-    -------
-    positions, orientations
-        (n,) indices into each frame's candidates.
-    """
-    if not len(candidates) == len(motions) == len(timestamps_s):
-        raise ReasoningError(f"{len(candidates)} candidates, {len(motions)} motions, {len(timestamps_s)} timestamps")
-    steps = np.diff(timestamps_s)
+def viterbi(seen: Observations, prior: MotionPrior) -> PosePath:
+    """Choose one candidate a frame over a whole recording; `prior` says what speeds and turning rates to expect."""
+    candidates, motions = seen.candidates, seen.motions
+    steps = np.diff(seen.timestamps_s)
     turn = Decoder()
     turn.push(candidates[0].orientation_log_mass)
     for t in range(1, len(candidates)):
         cost = orientation_cost(candidates[t - 1], candidates[t], motions[t], steps[t - 1], prior)
         turn.push(candidates[t].orientation_log_mass, -cost)
-    orientations = turn.path()
+    turns = turn.path()
     move = Decoder()
     move.push(candidates[0].position_log_mass)
     for t in range(1, len(candidates)):
-        q_prev = candidates[t - 1].orientations_quat_wxyz[orientations[t - 1]]
+        q_prev = candidates[t - 1].orientations_quat_wxyz[turns[t - 1]]
         cost = position_cost(candidates[t - 1], candidates[t], q_prev, motions[t], steps[t - 1], prior)
         move.push(candidates[t].position_log_mass, -cost)
-    return move.path(), orientations
+    return PosePath.choose(candidates, seen.timestamps_s, move.path(), turns)
 
 
 def orientation_cost(

@@ -112,6 +112,7 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     axis = figure.subplots()
     styles = {"smoothed": ("-", COLOURS["smoothed"]), "classical": ("-", COLOURS["classical"])}
     styles |= {"classical_smoothed": ("--", COLOURS["classical"]), "viterbi": ("--", COLOURS["smoothed"])}
+    styles |= {"online": ("-.", COLOURS["smoothed"])}
     styles |= {"greedy": (":", COLOURS["alike"]), "softmax_mean": (":", COLOURS["truth"])}
     share = (np.arange(len(truth)) + 1) / len(truth)
     for name, (line, colour) in styles.items():

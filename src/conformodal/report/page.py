@@ -16,6 +16,7 @@ from PIL import Image
 _LABELS = {
     "smoothed": "conformal: global search and smoothing (the answer)",
     "viterbi": "conformal: global search",
+    "online": "conformal: fixed-lag search, as in a stream",
     "greedy": "conformal: greedy, the paper's reasoning",
     "softmax_mean": "softmax mean, no reasoning",
     "classical": "classical regressor",

@@ -1,6 +1,7 @@
 """Turning scores into thresholds that keep a promise: split, by group, under covariate shift, over folds."""
 
 from .cross import CrossConformal
+from .grouped import grouped_maximum_quantile, grouped_quantile
 from .joint import Joint, as_joint
 from .mondrian import MondrianConformal
 from .split import SplitConformal
@@ -13,5 +14,7 @@ __all__ = [
     "SplitConformal",
     "WeightedConformal",
     "as_joint",
+    "grouped_maximum_quantile",
+    "grouped_quantile",
     "weighted_quantile",
 ]

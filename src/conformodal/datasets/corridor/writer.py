@@ -7,9 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
-
-from conformodal.poses import PinholeCamera
 
 from .path import FRAME_RATE_HZ, drone_path
 from .render import Renderer
@@ -43,24 +42,34 @@ def write_corridor(
     world = CorridorWorld(n_modules, seed=seed)
     renderer = Renderer(world)
     poses = drone_path(world, n_laps, seed).poses_se3
-    recording = folder / "seq-01"
+    return write_flight(folder / "seq-01", renderer, poses, noise_seed=seed * 1_000_003, progress=progress)
+
+
+def write_flight(
+    recording: Path,
+    renderer: Renderer,
+    poses_se3: npt.NDArray[np.float64],
+    *,
+    noise_seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write what the camera sees from `poses_se3` (n, 4, 4) ``T_world_cam`` as a recording; returns its folder.
+
+    Intrinsics and frame rate are written into the folder above, which may hold many recordings. Frame i has camera
+    noise of seed ``noise_seed + i``.
+    """
     recording.mkdir(parents=True, exist_ok=True)
-    np.savetxt(folder / "camera-intrinsics.txt", intrinsic_matrix(renderer.camera))
-    (folder / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
+    np.savetxt(recording.parent / "camera-intrinsics.txt", renderer.camera.matrix)
+    (recording.parent / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
     with ThreadPoolExecutor(max_workers=1) as writer:  # encode one frame while the next is cast
         pending = []
-        for i, pose in enumerate(poses):
-            image = renderer.render(pose, noise_seed=seed * 1_000_003 + i)
+        for i, pose in enumerate(poses_se3):
+            image = renderer.render(pose, noise_seed=noise_seed + i)
             stem = recording / f"frame-{i:06d}"
             pending.append(writer.submit(Image.fromarray(image).save, f"{stem}.color.png", compress_level=1))
             np.savetxt(f"{stem}.pose.txt", pose, fmt="%.12e")
             if progress is not None:
-                progress(i + 1, len(poses))
+                progress(i + 1, len(poses_se3))
         for job in pending:
             job.result()
     return recording
-
-
-def intrinsic_matrix(camera: PinholeCamera) -> np.ndarray:
-    """The 3x3 matrix K of a camera."""
-    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])

@@ -1,0 +1,180 @@
+"""What each part of the reasoning is worth, against the best candidate and the classical regressor; and its cost.
+
+python benchmarks/reasoning.py [--seeds 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+import tracemalloc
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from common import DATA, spread, write_table
+
+from conformodal.cli.demo import ALPHA, N_LAPS, N_MODULES, TRAINING
+from conformodal.datasets import Sequence, read_sevenscenes
+from conformodal.datasets.corridor import write_corridor
+from conformodal.datasets.corridor.world import MODULE_LENGTH
+from conformodal.experiments import train_classical
+from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
+from conformodal.poses import RelativeMotion, angle_between_quats
+from conformodal.reasoning import (
+    MotionPrior,
+    Observations,
+    OnlineReasoner,
+    PosePath,
+    greedy,
+    interval_candidates,
+    mode_candidates,
+    online,
+    smooth,
+    softmax_mean,
+    viterbi,
+)
+from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+
+LONG = 10_000
+
+
+def without_directions(motions: list[RelativeMotion | None]) -> list[RelativeMotion | None]:
+    return [m and replace(m, direction_prev=None, direction_sigma_rad=np.inf) for m in motions]
+
+
+def methods(
+    sequence: Sequence, config: ModelConfig, cache: FeatureCache
+) -> tuple[dict[str, PosePath], PosePath, Observations, MotionPrior, float]:
+    """Paths of all methods over the test frames, the truth, and what reasoning was given."""
+    data = prepare_training_data(sequence, config, cache)
+    model = train_model(data, config)
+    run = VisualOdometry(model).process(sequence, model.split.test, cache=cache)
+    assert len(np.unique(sequence.recording)) == 1
+    features = data.features[run.frames]
+    proba = model.proba(features)
+    times, motions, prior, memory = run.timestamps_s, run.motions, model.prior, model.scale.memory_s
+    truth = sequence.require_truth()[run.frames]
+    seen = Observations(run.candidates, motions, times)
+    nowhere = np.full((len(times), 3), np.nan)
+
+    def bare(positions: np.ndarray, quats: np.ndarray) -> PosePath:
+        return PosePath(times, positions, nowhere, quats, nowhere[:, 0])
+
+    mean = softmax_mean(proba, model.bins)
+    best_move = [
+        np.linalg.norm(c.positions_xyz - p, axis=1).argmin()
+        for c, p in zip(seen.candidates, truth.positions_xyz, strict=True)
+    ]
+    turns = zip(seen.candidates, truth.orientations_quat_wxyz, strict=True)
+    best_turn = [int(angle_between_quats(c.orientations_quat_wxyz, q).argmin()) for c, q in turns]
+    rough = Observations(mode_candidates(proba, model.bins, scale=model.scale, valley_share=0.5), motions, times)
+    chosen = viterbi(seen, prior)
+    blind = Observations(seen.candidates, without_directions(motions), times)
+    still = Observations(seen.candidates, [None] * len(times), times)
+    found = {
+        "softmax mean": bare(mean[:, :3], mean[:, 3:] / np.linalg.norm(mean[:, 3:], axis=1, keepdims=True)),
+        "greedy, as in the paper": greedy(Observations(interval_candidates(proba, run.regions), motions, times)),
+        "viterbi, no relative motion": viterbi(still, prior),
+        "viterbi, peaks split at half their height": viterbi(rough, prior),
+        "viterbi": chosen,
+        "online, lag 0": online(seen, prior, 0),
+        "online, lag 10": online(seen, prior, 10),
+        "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
+        "smoother, errors taken for independent": smooth(chosen, seen, prior),
+        "smoother, no relative directions": smooth(chosen, blind, prior, memory),
+        "smoother": smooth(chosen, seen, prior, memory),
+    }
+    regressor = train_classical(data, config.training)
+    for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():
+        label = {"classical": "classical regressor", "classical_smoothed": "classical regressor, same smoother"}[name]
+        found[label] = bare(trajectory.positions_xyz, trajectory.orientations_quat_wxyz)
+    return found, bare(truth.positions_xyz, truth.orientations_quat_wxyz), seen, prior, memory
+
+
+def cost(seen: Observations, prior: MotionPrior, memory: float) -> list[tuple[str, float, float]]:
+    """Seconds and megabytes over a long recording: `seen` again and again."""
+    n = len(seen.timestamps_s)
+    rounds = -(-LONG // n)
+    times = np.arange(rounds * n)[:LONG] / 30
+    long = Observations((list(seen.candidates) * rounds)[:LONG], (list(seen.motions) * rounds)[:LONG], times)
+    found = []
+
+    def measure(name: str, work: Callable[[], PosePath | None]) -> PosePath | None:
+        started = time.perf_counter()
+        result = work()
+        seconds = time.perf_counter() - started
+        tracemalloc.start()
+        work()
+        peak = tracemalloc.get_traced_memory()[1] / 1e6
+        tracemalloc.stop()
+        found.append((name, seconds, peak))
+        return result
+
+    def stream() -> None:
+        reasoner = OnlineReasoner(prior, 10)
+        for candidates, motion, timestamp in zip(long.candidates, long.motions, long.timestamps_s, strict=True):
+            reasoner.push(candidates, motion, float(timestamp))
+
+    chosen = measure("viterbi", lambda: viterbi(long, prior))
+    measure("online, lag 10", stream)  # type: ignore[arg-type, func-returns-value]
+    measure("smoother", lambda: smooth(chosen, long, prior, memory))  # type: ignore[arg-type]
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3)
+    seeds = range(parser.parse_args().seeds)
+    rows, costs = [], []
+    for place in ("corridor", "redkitchen"):
+        metres: dict[str, list[float]] = defaultdict(list)
+        degrees: dict[str, list[float]] = defaultdict(list)
+        right: dict[str, list[float]] = defaultdict(list)
+        for seed in seeds:
+            with tempfile.TemporaryDirectory() as scratch:
+                if place == "corridor":
+                    write_corridor(Path(scratch), n_modules=N_MODULES, n_laps=N_LAPS, seed=seed)
+                    sequence, cache = read_sevenscenes(scratch), FeatureCache(Path(scratch) / "cache")
+                    config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
+                else:
+                    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+                    cache = FeatureCache(default_cache_dir())
+                    config = ModelConfig(seed=seed, training=TrainingConfig(seed=seed))
+                found, truth, seen, prior, memory = methods(sequence, config, cache)
+            for name, path in found.items():
+                off = np.linalg.norm(path.positions_xyz - truth.positions_xyz, axis=1)
+                angle = angle_between_quats(path.orientations_quat_wxyz, truth.orientations_quat_wxyz)
+                metres[name].append(float(np.sqrt(np.mean(off**2))))
+                degrees[name].append(float(np.degrees(np.sqrt(np.mean(angle**2)))))
+                right[name].append(float(np.mean(off < MODULE_LENGTH / 2)))
+            if seed == seeds[0]:
+                costs += [
+                    (place, len(np.concatenate([c.position_log_mass for c in seen.candidates])) / len(off), c)
+                    for c in cost(seen, prior, memory)
+                ]
+        best = metres["best candidate (knows the truth)"]
+        for name, values in metres.items():
+            share = spread(right[name], 3) if place == "corridor" else ""
+            ratio = spread([v / b for v, b in zip(values, best, strict=True)], 2)
+            rows.append([place, name, spread(values), ratio, spread(degrees[name], 2), share])
+    notes = "\n".join(
+        f"- {place} ({candidates:.1f} candidate positions a frame), {LONG} frames: {name} {seconds:.1f} s, "
+        f"{1e3 * seconds / LONG:.2f} ms a frame, peak {megabytes:.0f} MB."
+        for place, candidates, (name, seconds, megabytes) in costs
+    )
+    notes = (
+        f"Test frames of the `interleaved` split; median (range) over seeds {seeds[0]} to {seeds[-1]}. "
+        f"Right mode: less than half a module ({MODULE_LENGTH / 2:.1f} m) from the truth.\n\n{notes}"
+    )
+    header = ["data", "method", "rmse_m", "of the best candidate's", "rmse_deg", "right mode"]
+    write_table(
+        "reasoning", "What each part of the reasoning is worth", "python benchmarks/reasoning.py", header, rows, notes
+    )
+
+
+if __name__ == "__main__":
+    main()

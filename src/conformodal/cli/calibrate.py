@@ -1,0 +1,51 @@
+"""``conformodal calibrate``: a radius around the chosen pose, from recordings that the model has not seen."""
+
+from __future__ import annotations
+
+from math import ceil, isfinite
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from conformodal.odometry import METHODS, Promise, calibrate_selection, load_model, save_model
+from conformodal.vision import FeatureCache, default_cache_dir
+
+from .console import console, kind_errors, print_where, progress_bars
+from .sources import DataFormat, open_sequence
+
+
+@kind_errors
+def calibrate(
+    model: Annotated[Path, typer.Argument(help="Folder of a saved model; the radius is saved with it.")],
+    data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
+    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the recordings.")] = (
+        DataFormat.SEVENSCENES
+    ),
+    alpha: Annotated[float, typer.Option(help="Miscoverage rate of the radius.")] = 0.1,
+    promise: Annotated[
+        Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
+    ] = Promise.FRAME,
+    method: Annotated[str, typer.Option(help="Whose answer the radius is about.")] = METHODS[0],
+    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+) -> None:
+    """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
+    loaded = load_model(model)
+    sequence = open_sequence(data, layout, require_poses=True)
+    features = FeatureCache(cache or default_cache_dir())
+    with progress_bars() as report:
+        radius = calibrate_selection(loaded, sequence, alpha, promise, method, cache=features, progress=report)
+    loaded.radius = radius
+    save_model(loaded, model)
+    if isfinite(radius.radius_m):
+        console.print(f"radius {radius.radius_m:.4f} m and {np.degrees(radius.radius_rad):.2f} degrees. ", end="")
+        console.print(radius.assumption, soft_wrap=True)
+    else:
+        needed = ceil(2 / alpha) - 1
+        console.print(
+            f"[bold]The radius is infinite[/]: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
+            f"at least {needed} are needed, and more where frames could not be read.",
+            soft_wrap=True,
+        )
+    print_where(model)

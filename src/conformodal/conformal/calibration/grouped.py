@@ -1,0 +1,87 @@
+"""A threshold from whole groups of scores, such as recordings, whose members are not exchangeable with each other.
+
+Lee, Barber and Willett 2023, "Distribution-free inference with hierarchical data".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from math import lcm
+
+import numpy as np
+import numpy.typing as npt
+
+from ..checks import Alpha, as_alpha
+from ..errors import ConformalError
+from ..rank import conformal_quantile
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
+    """Threshold that a member of a new group, drawn at random, exceeds with probability at most `alpha`.
+
+    Every group weighs the same, whatever its size, and shares its weight among its members; the new group stands at
+    ``+inf``. If groups are exchangeable (their members need not be), the promise holds in a new group, on average over
+    its members. Sums are exact. With groups of one this is :func:`~conformodal.conformal_quantile`.
+
+    Parameters
+    ----------
+    groups
+        K vectors of nonconformity scores, none empty; ``+inf`` is allowed.
+    alpha
+        Miscoverage rate in (0, 1).
+
+    Returns
+    -------
+    float
+        One of the scores, or ``+inf`` if there are fewer groups than ``1 / alpha - 1``.
+
+    Raises
+    ------
+    ConformalError
+        If a group is empty or no vector, scores hold NaN, or `alpha` is outside (0, 1).
+
+    Examples
+    --------
+    >>> grouped_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.4)
+    5.0
+    """
+    rate = as_alpha(alpha)
+    arrays = _as_groups(groups)
+    if not arrays:
+        return float("inf")
+    scores = np.concatenate(arrays)
+    order = np.argsort(scores, kind="stable")
+    # in units of 1 / whole, so that every member's weight is a whole number
+    whole = lcm(*(a.size for a in arrays))
+    weights = np.repeat(np.array([whole // a.size for a in arrays], dtype=object), [a.size for a in arrays])
+    need = -((len(arrays) + 1) * whole * (rate.numerator - rate.denominator) // rate.denominator)
+    for at, reached in zip(order, accumulate(weights[order]), strict=True):
+        if reached >= need:
+            return float(scores[at])
+    return float("inf")
+
+
+def grouped_maximum_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
+    """Threshold that a new group keeps below in all its members with probability at least ``1 - alpha``.
+
+    The conformal quantile of the groups' maxima; parameters, result and errors as for :func:`grouped_quantile`.
+
+    Examples
+    --------
+    >>> grouped_maximum_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.5)
+    8.0
+    """
+    return float(conformal_quantile([a.max() for a in _as_groups(groups)], alpha))
+
+
+def _as_groups(groups: Sequence[npt.ArrayLike]) -> list[FloatArray]:
+    arrays = [np.asarray(group, dtype=np.float64) for group in groups]
+    for i, array in enumerate(arrays):
+        if array.ndim != 1 or array.size == 0:
+            raise ConformalError(f"group {i} must be a vector of at least one score, got shape {array.shape}")
+        if np.isnan(array).any():
+            raise ConformalError(f"group {i} holds NaN; a sample that cannot be scored should score +inf")
+    return arrays

@@ -1,0 +1,95 @@
+"""Five-point solvers: PoseLib's, refined, by default; OpenCV's as the paper has it (its section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import poselib
+
+from conformodal.poses import PinholeCamera
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_EPIPOLAR_ERROR_PX = 1.0
+_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 20, "seed": 0}
+# corners drift by a few tenths of a pixel; a quarter is where the final fit starts to doubt one
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
+# In units of the step between the cameras: beyond it OpenCV does not count a point as in front of both.
+_FARTHEST = 1e4
+
+
+class TwoView(NamedTuple):
+    """A motion and the corners that agree with it.
+
+    Attributes
+    ----------
+    R_prev_next, direction_prev
+        As in :class:`~conformodal.poses.RelativeMotion`.
+    inliers
+        (n,) bool.
+    """
+
+    R_prev_next: FloatArray
+    direction_prev: FloatArray
+    inliers: npt.NDArray[np.bool_]
+
+
+TwoViewSolver: TypeAlias = Callable[[FloatArray, FloatArray, PinholeCamera], TwoView | None]
+
+
+def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
+    """Five points in LO-RANSAC, then a robust fit to all inliers.
+
+    PoseLib maps points as ``X_next = R X_prev + t``; the result is turned round, into the camera's own motion.
+
+    Parameters
+    ----------
+    pixels_prev, pixels_next
+        (n, 2) undistorted positions of the same corners.
+    camera
+        Intrinsics of both frames.
+
+    Returns
+    -------
+    TwoView, or None where no motion was found
+    """
+    model = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+    }
+    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, _REFINEMENT)
+    return _turned_round(np.asarray(pose.R), np.asarray(pose.t), np.asarray(info["inliers"], dtype=np.bool_))
+
+
+def solve_opencv(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
+    """OpenCV's ``findEssentialMat`` with RANSAC and ``recoverPose``; parameters as for :func:`solve_poselib`."""
+    intrinsics = camera.matrix
+    cv2.setRNGSeed(0)
+    found, mask = cv2.findEssentialMat(
+        pixels_prev, pixels_next, intrinsics, cv2.RANSAC, 0.999, MAX_EPIPOLAR_ERROR_PX, 1000
+    )
+    if found is None or mask is None:
+        return None
+    inliers = mask.ravel() > 0
+    best: tuple[int, FloatArray, FloatArray] | None = None
+    for E in np.asarray(found).reshape(-1, 3, 3):  # five points may leave several matrices, one below the other
+        n, R, t, *_ = cv2.recoverPose(
+            E, pixels_prev[inliers], pixels_next[inliers], intrinsics, distanceThresh=_FARTHEST
+        )
+        if best is None or n > best[0]:
+            best = int(n), np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
+    return None if best is None else _turned_round(best[1], best[2].ravel(), inliers)
+
+
+def _turned_round(R_next_prev: FloatArray, t: FloatArray, inliers: npt.NDArray[np.bool_]) -> TwoView | None:
+    direction = -R_next_prev.T @ t
+    length = float(np.linalg.norm(direction))
+    if not np.isfinite(length) or length < 1e-9:
+        return None
+    return TwoView(R_next_prev.T, direction / length, inliers)

@@ -1,0 +1,22 @@
+"""Where corners would be without the lens's distortion. Only corners are moved, never whole images."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+FloatArray = npt.NDArray[np.float64]
+
+_UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
+
+
+def undistort(pixels: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """Pixels (n, 2) of the same rays in the pinhole camera without distortion."""
+    if not camera.distortion or not len(pixels):
+        return pixels
+    matrix, lens = camera.matrix, np.array(camera.distortion)
+    ideal = cv2.undistortPoints(pixels[:, None], matrix, lens, R=np.eye(3), P=matrix, criteria=_UNTIL)
+    return np.asarray(ideal, dtype=np.float64)[:, 0]

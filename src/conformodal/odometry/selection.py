@@ -1,0 +1,74 @@
+"""A promise for the chosen pose: the whole procedure, from frames to one trajectory, calibrated on whole recordings.
+
+A region keeps its promise because nothing was chosen; choosing one place in it voids that. Here the chosen pose gets
+a promise of its own: recordings that the model has not seen are answered from first frame to last, and how far the
+answers were off becomes a radius around the answers to come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal.checks import Alpha
+from conformodal.datasets import Sequence
+from conformodal.poses import Trajectory
+from conformodal.vision import FeatureCache
+
+from .errors import OdometryError
+from .estimator import METHODS, OdometryRun, VisualOdometry
+from .model import PoseModel
+from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
+from .training import data_digest
+
+Progress = Callable[[str, int, int], None]
+
+
+def calibrate_selection(
+    model: PoseModel,
+    sequence: Sequence,
+    alpha: Alpha = 0.1,
+    promise: Promise = Promise.FRAME,
+    method: str = METHODS[0],
+    *,
+    cache: FeatureCache | None = None,
+    progress: Progress | None = None,
+) -> PoseRadius:
+    """Answer whole recordings with known poses, and turn the errors into a radius.
+
+    Parameters
+    ----------
+    model
+        Trained on other recordings.
+    sequence
+        Recordings to calibrate on, the more the better: fewer than ``2 / alpha - 1`` leave the radius infinite.
+    alpha, promise, method
+        See :class:`PoseRadius`.
+    cache, progress
+        As for :meth:`~conformodal.VisualOdometry.process`.
+
+    Raises
+    ------
+    OdometryError
+        If the recordings are those that the model was trained on, or the method is unknown.
+    PoseError
+        If the sequence has no poses.
+    """
+    if method not in METHODS:
+        raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
+    if data_digest(sequence) == model.data_digest:
+        raise OdometryError(f"{sequence.name}: is the data set the model was trained on; calibrate on other recordings")
+    truth = sequence.require_truth()
+    run = VisualOdometry(model).process(sequence, cache=cache, progress=progress)
+    return fit_pose_radius(recording_errors(run, method, truth, sequence.recording), alpha, promise, method)
+
+
+def recording_errors(
+    run: OdometryRun, method: str, truth: Trajectory, recording: npt.NDArray[np.int64]
+) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+    """Errors of a run, one pair of vectors a recording. A frame that could not be read is infinitely far off."""
+    position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
+    position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
+    return [(position[recording == k], angle[recording == k]) for k in np.unique(recording)]

@@ -1,0 +1,105 @@
+"""What reasoning is given, what it answers, and the one interface between: every reasoner is such a function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import RelativeMotion
+
+from .candidates import Candidates
+from .errors import ReasoningError
+from .prior import MotionPrior
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What is known of the n frames of one recording.
+
+    Attributes
+    ----------
+    candidates
+        One a frame.
+    motions
+        ``motions[t]`` leads from frame t - 1 to frame t, None where nothing is known of it; the first is ignored.
+    timestamps_s
+        (n,) seconds, increasing.
+
+    Raises
+    ------
+    ReasoningError
+        If there are no frames, lengths differ, or timestamps do not increase.
+    """
+
+    candidates: Sequence[Candidates]
+    motions: Sequence[RelativeMotion | None]
+    timestamps_s: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.candidates)
+        if n == 0 or not n == len(self.motions) == len(self.timestamps_s):
+            raise ReasoningError(
+                f"observations need as many candidates as motions and timestamps, at least one: got {n} candidates, "
+                f"{len(self.motions)} motions, {len(self.timestamps_s)} timestamps"
+            )
+        late = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
+        if late.size:
+            t = int(late[0])
+            raise ReasoningError(f"timestamps must increase: {self.timestamps_s[t : t + 2]} s at frames {t}, {t + 1}")
+
+
+@dataclass(frozen=True, eq=False)
+class PosePath:
+    """One pose a frame, with the spreads of its errors.
+
+    Attributes
+    ----------
+    timestamps_s : (n,)
+    positions_xyz, position_spreads : (n, 3) metres, world
+    orientations_quat_wxyz : (n, 4) world from camera
+    orientation_spreads_rad : (n,)
+    """
+
+    timestamps_s: FloatArray
+    positions_xyz: FloatArray
+    position_spreads: FloatArray
+    orientations_quat_wxyz: FloatArray
+    orientation_spreads_rad: FloatArray
+
+    @classmethod
+    def choose(
+        cls,
+        candidates: Sequence[Candidates],
+        timestamps_s: npt.ArrayLike,
+        positions: Sequence[int] | IntArray,
+        orientations: Sequence[int] | IntArray,
+    ) -> Self:
+        """The candidates with these indices, one a frame, for position and for orientation."""
+        moves = list(zip(candidates, positions, strict=True))
+        turns = list(zip(candidates, orientations, strict=True))
+        return cls(
+            np.asarray(timestamps_s, dtype=np.float64),
+            np.array([c.positions_xyz[k] for c, k in moves]),
+            np.array([c.position_spreads[k] for c, k in moves]),
+            np.array([c.orientations_quat_wxyz[k] for c, k in turns]),
+            np.array([c.orientation_spreads_rad[k] for c, k in turns]),
+        )
+
+    @classmethod
+    def join(cls, parts: Sequence[PosePath]) -> Self:
+        """One path after the other."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def __getitem__(self, which: slice | IntArray) -> PosePath:
+        """The frames of a slice or an index array."""
+        return PosePath(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+Reasoner: TypeAlias = Callable[[Observations, MotionPrior], PosePath]

@@ -1,0 +1,64 @@
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformodal.conformal import ConformalError, conformal_quantile, grouped_maximum_quantile, grouped_quantile
+
+GROUPS = st.lists(st.lists(st.integers(0, 12), min_size=1, max_size=6), min_size=2, max_size=9)
+
+
+@settings(deadline=None, max_examples=300)
+@given(GROUPS, st.integers(1, 99))
+def test_the_promise_holds_exactly_for_exchangeable_groups(groups, percent):
+    """Given the groups, each is the new one with the same probability: the law is a finite sum, compared exactly."""
+    alpha, rate = f"0.{percent:02d}", Fraction(percent, 100)
+    member, whole = Fraction(0), Fraction(0)
+    for k, new in enumerate(groups):
+        others = groups[:k] + groups[k + 1 :]
+        limit = grouped_quantile(others, alpha)
+        member += Fraction(sum(s <= limit for s in new), len(new) * len(groups))
+        whole += Fraction(int(max(new) <= grouped_maximum_quantile(others, alpha)), len(groups))
+    assert member >= 1 - rate
+    assert whole >= 1 - rate
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 10_000), st.integers(2, 30), st.integers(1, 99))
+def test_it_is_no_larger_than_it_must_be(seed, n_groups, percent):
+    """Without ties the promise is kept to within one member's weight of the new total, and the group at infinity."""
+    rng = np.random.default_rng(seed)
+    groups = [rng.random(rng.integers(1, 8)) for _ in range(n_groups)]
+    limit = grouped_quantile(groups, f"0.{percent:02d}")
+    below = sum(Fraction(int((g < limit).sum()), g.size) for g in groups) / (n_groups + 1)
+    assert below < 1 - Fraction(percent, 100)
+
+
+def test_groups_of_one_are_split_conformal():
+    rng = np.random.default_rng(0)
+    for n in (1, 5, 19, 60):
+        scores = rng.random(n)
+        for alpha in ("0.05", "0.1", "0.35"):
+            expected = float(conformal_quantile(scores, alpha))
+            assert grouped_quantile(scores[:, None].tolist(), alpha) == expected
+            assert grouped_maximum_quantile(scores[:, None].tolist(), alpha) == expected
+
+
+def test_too_few_groups_give_infinity_however_many_members():
+    assert grouped_quantile([np.zeros(1000)] * 18, "0.05") == np.inf
+    assert grouped_quantile([np.zeros(1000)] * 19, "0.05") == 0
+    assert grouped_quantile([], 0.5) == np.inf
+
+
+def test_sums_are_exact_where_floats_are_not():
+    """Ten thirds of thirds are no one in floats: the rank would be one off."""
+    groups = [np.arange(3) + 10 * k for k in range(9)]
+    assert grouped_quantile(groups, "0.1") == 82  # all the weight of nine groups of ten, to the last third
+
+
+@pytest.mark.parametrize(("group", "message"), [([], "group 1"), ([[1.0]], "group 1"), ([np.nan], "NaN")])
+def test_groups_that_are_none_are_refused(group, message):
+    with pytest.raises(ConformalError, match=message):
+        grouped_quantile([[1.0], group], 0.1)
