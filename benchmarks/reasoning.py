@@ -48,7 +48,7 @@ def without_directions(motions: list[RelativeMotion | None]) -> list[RelativeMot
 
 def methods(
     sequence: Sequence, config: ModelConfig, cache: FeatureCache
-) -> tuple[dict[str, PosePath], PosePath, Observations, MotionPrior, float]:
+) -> tuple[dict[str, PosePath], PosePath, Observations, MotionPrior]:
     """Paths of all methods over the test frames, the truth, and what reasoning was given."""
     data = prepare_training_data(sequence, config, cache)
     model = train_model(data, config)
@@ -56,7 +56,7 @@ def methods(
     assert len(np.unique(sequence.recording)) == 1
     features = data.features[run.frames]
     proba = model.proba(features)
-    times, motions, prior, memory = run.timestamps_s, run.motions, model.prior, model.scale.memory_s
+    times, motions, prior = run.timestamps_s, run.motions, model.prior
     truth = sequence.require_truth()[run.frames]
     seen = Observations(run.candidates, motions, times)
     nowhere = np.full((len(times), 3), np.nan)
@@ -71,7 +71,7 @@ def methods(
     ]
     turns = zip(seen.candidates, truth.orientations_quat_wxyz, strict=True)
     best_turn = [int(angle_between_quats(c.orientations_quat_wxyz, q).argmin()) for c, q in turns]
-    rough = Observations(mode_candidates(proba, model.bins, scale=model.scale, valley_share=0.5), motions, times)
+    rough = Observations(mode_candidates(proba, model.bins, scale=model.scale, mode_bins=0), motions, times)
     chosen = viterbi(seen, prior)
     blind = Observations(seen.candidates, without_directions(motions), times)
     still = Observations(seen.candidates, [None] * len(times), times)
@@ -79,23 +79,22 @@ def methods(
         "softmax mean": bare(mean[:, :3], mean[:, 3:] / np.linalg.norm(mean[:, 3:], axis=1, keepdims=True)),
         "greedy, as in the paper": greedy(Observations(interval_candidates(proba, run.regions), motions, times)),
         "viterbi, no relative motion": viterbi(still, prior),
-        "viterbi, peaks split at half their height": viterbi(rough, prior),
+        "viterbi, near peaks split at half their height": viterbi(rough, prior),
         "viterbi": chosen,
         "online, lag 0": online(seen, prior, 0),
         "online, lag 10": online(seen, prior, 10),
         "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
-        "smoother, errors taken for independent": smooth(chosen, seen, prior),
-        "smoother, no relative directions": smooth(chosen, blind, prior, memory),
-        "smoother": smooth(chosen, seen, prior, memory),
+        "smoother, no relative directions": smooth(chosen, blind, prior),
+        "smoother": smooth(chosen, seen, prior),
     }
     regressor = train_classical(data, config.training)
     for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():
         label = {"classical": "classical regressor", "classical_smoothed": "classical regressor, same smoother"}[name]
         found[label] = bare(trajectory.positions_xyz, trajectory.orientations_quat_wxyz)
-    return found, bare(truth.positions_xyz, truth.orientations_quat_wxyz), seen, prior, memory
+    return found, bare(truth.positions_xyz, truth.orientations_quat_wxyz), seen, prior
 
 
-def cost(seen: Observations, prior: MotionPrior, memory: float) -> list[tuple[str, float, float]]:
+def cost(seen: Observations, prior: MotionPrior) -> list[tuple[str, float, float]]:
     """Seconds and megabytes over a long recording: `seen` again and again."""
     n = len(seen.timestamps_s)
     rounds = -(-LONG // n)
@@ -121,7 +120,7 @@ def cost(seen: Observations, prior: MotionPrior, memory: float) -> list[tuple[st
 
     chosen = measure("viterbi", lambda: viterbi(long, prior))
     measure("online, lag 10", stream)  # type: ignore[arg-type, func-returns-value]
-    measure("smoother", lambda: smooth(chosen, long, prior, memory))  # type: ignore[arg-type]
+    measure("smoother", lambda: smooth(chosen, long, prior))  # type: ignore[arg-type]
     return found
 
 
@@ -144,7 +143,7 @@ def main() -> None:
                     sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
                     cache = FeatureCache(default_cache_dir())
                     config = ModelConfig(seed=seed, training=TrainingConfig(seed=seed))
-                found, truth, seen, prior, memory = methods(sequence, config, cache)
+                found, truth, seen, prior = methods(sequence, config, cache)
             for name, path in found.items():
                 off = np.linalg.norm(path.positions_xyz - truth.positions_xyz, axis=1)
                 angle = angle_between_quats(path.orientations_quat_wxyz, truth.orientations_quat_wxyz)
@@ -154,7 +153,7 @@ def main() -> None:
             if seed == seeds[0]:
                 costs += [
                     (place, len(np.concatenate([c.position_log_mass for c in seen.candidates])) / len(off), c)
-                    for c in cost(seen, prior, memory)
+                    for c in cost(seen, prior)
                 ]
         best = metres["best candidate (knows the truth)"]
         for name, values in metres.items():

@@ -75,9 +75,23 @@ def test_spread_scale_measures_errors_in_spreads():
     spread = candidates[0].position_spreads[0]
     truth = candidates[0].positions_xyz[0] + rng.normal(size=(400, 3)) * spread * [0.5, 1, 2]
     quats = np.tile(candidates[0].orientations_quat_wxyz[0], (400, 1))
-    scale = fit_spread_scale(candidates, Trajectory(np.arange(400.0), truth, quats), np.zeros(400, int))
-    assert scale.memory_s < 0.5  # frames are a second apart, and errors independent
+    scale = fit_spread_scale(candidates, Trajectory(np.arange(400.0), truth, quats))
     np.testing.assert_allclose(scale.position, [0.5, 1, 2], rtol=0.15)
     assert scale.orientation == pytest.approx(0.05)
     scaled = mode_candidates(proba, pose_bins(), scale=scale)
     np.testing.assert_allclose(scaled[0].position_spreads[0], spread * scale.position)
+
+
+@pytest.mark.parametrize(("apart", "n_modes"), [(3, 1), (5, 2), (9, 2)])
+def test_near_peaks_are_one_mode_unless_nothing_lies_between(apart, n_modes):
+    proba = [bumps((5.5, 0.6), (5.5 + apart, 0.4)), *[bumps((10.0, 1))] * 2, *identity_quat()]
+    assert len(mode_candidates(proba, pose_bins())[0].positions_xyz) == n_modes
+
+
+def test_far_peaks_are_two_modes_though_something_lies_between():
+    rough = bumps((4.5, 0.5), (13.5, 0.3)) + 0.01
+    proba = [rough / rough.sum(), *[bumps((10.0, 1))] * 2, *identity_quat()]
+    found = mode_candidates(proba, pose_bins())[0]
+    assert len(found.positions_xyz) == 2
+    near = mode_candidates(proba, pose_bins(), mode_bins=20)[0]
+    assert len(near.positions_xyz) == 1

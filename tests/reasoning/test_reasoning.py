@@ -13,7 +13,6 @@ from conformodal.reasoning import (
     OnlineReasoner,
     PosePath,
     ReasoningError,
-    error_memory,
     fit_motion_prior,
     greedy,
     online,
@@ -227,50 +226,18 @@ def test_smoothing_keeps_what_is_exact_and_short():
         smooth_positions(positions, np.zeros((30, 3)), quats, motions, t, PRIOR)
 
 
-def forgetful_noise(rng, n, dt, memory_s):
-    """Unit noise whose correlation falls to 1/e over `memory_s`."""
-    alike = np.exp(-dt / memory_s)
-    noise = rng.normal(size=(n, 3))
-    for i in range(1, n):
-        noise[i] = alike * noise[i - 1] + np.sqrt(1 - alike**2) * noise[i]
-    return noise
-
-
-@pytest.mark.parametrize("memory_s", [0.05, 0.3, 1.5])
-def test_the_memory_of_errors_is_found_whatever_their_sizes(memory_s):
-    rng = np.random.default_rng(0)
-    t, recording = np.arange(3000) * 0.1, np.repeat([0, 1], 1500)
-    noise = forgetful_noise(rng, 3000, 0.1, memory_s) * (2.0, 0.1, 7.0)
-    noise[::97] += 60  # a wrong mode now and then
-    assert error_memory(noise, t, recording) == pytest.approx(memory_s, rel=0.35)
-
-
-def test_errors_without_memory_have_none():
-    rng = np.random.default_rng(0)
-    t = np.arange(2000) * 0.1
-    assert error_memory(rng.normal(size=(2000, 3)), t, np.zeros(2000)) < 0.04
-    assert error_memory(rng.normal(size=(3, 3)), t[:3], np.arange(3)) == 0  # every frame a recording of its own
-
-
-def test_a_smoother_that_knows_errors_to_last_is_not_led_by_frames_that_err_together():
+def test_a_path_is_smoothed_orientations_first():
     rng = np.random.default_rng(2)
-    t, positions, rotations = path(300)
-    motions = [None] * 300
-    quats = rotations.as_quat(scalar_first=True)
-    spreads = np.full((300, 3), 0.1)
-    noisy = positions + 0.1 * forgetful_noise(rng, 300, 0.1, 0.4)
-
-    def rms(memory_s):
-        found = smooth_positions(noisy, spreads, quats, motions, t, PRIOR, memory_s)
-        return np.sqrt(np.mean((found - positions) ** 2))
-
-    assert rms(0.4) < 0.97 * rms(0.0)
+    t, positions, rotations = path(50)
+    motions = exact_motions(positions, rotations)
     seen = Observations(ambiguous(positions, rotations), motions, t)
-    own = PosePath(t, noisy, spreads, quats, np.full(300, 0.02))
-    np.testing.assert_array_equal(
-        smooth(own, seen, PRIOR, 0.4).positions_xyz,
-        smooth_positions(noisy, spreads, quats, motions, t, PRIOR, 0.4),
-    )
+    quats = (Rotation.from_rotvec(rng.normal(size=(50, 3)) * 0.03) * rotations).as_quat(scalar_first=True)
+    own = PosePath(t, positions + rng.normal(size=(50, 3)) * 0.1, np.full((50, 3), 0.1), quats, np.full(50, 0.03))
+    found = smooth(own, seen, PRIOR)
+    turned = smooth_orientations(quats, own.orientation_spreads_rad, motions, t, PRIOR)
+    np.testing.assert_array_equal(found.orientations_quat_wxyz, turned)
+    moved = smooth_positions(own.positions_xyz, own.position_spreads, turned, motions, t, PRIOR)
+    np.testing.assert_array_equal(found.positions_xyz, moved)
 
 
 def test_prior_learns_speeds_and_turns():

@@ -23,7 +23,7 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.odometry import OdometryRun, TrainingData
 from conformodal.poses import Trajectory, angle_between_quats, normalise_quat
-from conformodal.reasoning import MotionPrior, Observations, PosePath, error_memory, smooth
+from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
 
 from .errors import ExperimentError
@@ -48,8 +48,6 @@ class ClassicalRegressor:
     spread_m, spread_rad
         Root mean square error per axis (3,) and of the angle on the calibration part, before the last training:
         what a smoother needs to know.
-    memory_s
-        How long its position errors last, from the same frames.
     """
 
     head: Head
@@ -58,7 +56,6 @@ class ClassicalRegressor:
     learning_rate: float
     spread_m: npt.NDArray[np.float64]
     spread_rad: float
-    memory_s: float
 
     def predict(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
@@ -77,7 +74,7 @@ class ClassicalRegressor:
         for number in np.unique(recording):
             at = np.flatnonzero(recording == number)
             seen = Observations([run.candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
-            path = smooth(own[at], seen, prior, self.memory_s)
+            path = smooth(own[at], seen, prior)
             smooth_p[at], smooth_q[at] = path.positions_xyz, path.orientations_quat_wxyz
         return {
             "classical": Trajectory(run.timestamps_s, p, q),
@@ -133,18 +130,14 @@ def train_classical(
     head = fit(everything, best)
     report(len(errors) + 1, len(errors) + 1)
     truth = data.targets[check]
-    off = errors[best][:, :3]
-    spread = np.sqrt(np.mean(off**2, axis=0))
-    times, recording = data.sequence.timestamps_s[check], data.sequence.recording[check]
     angle = angle_between_quats(truth[:, 3:] + errors[best][:, 3:], truth[:, 3:])
     return ClassicalRegressor(
         head=head,
         mean=mean,
         scale=scale,
         learning_rate=best,
-        spread_m=spread,
+        spread_m=np.sqrt(np.mean(errors[best][:, :3] ** 2, axis=0)),
         spread_rad=float(np.sqrt(np.mean(angle**2))),
-        memory_s=error_memory(off / np.maximum(spread, 1e-9), times, recording),
     )
 
 
@@ -157,7 +150,6 @@ def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
         "hidden": regressor.head.output.in_features,
         "learning_rate": regressor.learning_rate,
         "spread_rad": regressor.spread_rad,
-        "memory_s": regressor.memory_s,
         "sha256": hashlib.sha256(content).hexdigest(),
     }
     (folder / _FILES[1]).write_bytes(content)
@@ -183,8 +175,8 @@ def load_classical(folder: Path) -> ClassicalRegressor | None:
         state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
         head = Head(len(state["feature_mean"]), [1] * len(arrays["mean"]), record["hidden"])
         head.load_state_dict(state)
-        rate, angle, memory = (float(record[k]) for k in ("learning_rate", "spread_rad", "memory_s"))
-        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle, memory)
+        rate, angle = float(record["learning_rate"]), float(record["spread_rad"])
+        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle)
     except ExperimentError:
         raise
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as exc:

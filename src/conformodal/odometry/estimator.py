@@ -280,7 +280,7 @@ class VisualOdometry:
                 "greedy": greedy(Observations([paper[t] for t in at], motions, times)),
                 "online": online(seen, prior, self.lag),
                 "viterbi": best,
-                "smoothed": smooth(best, seen, prior, self.model.scale.memory_s),
+                "smoothed": smooth(best, seen, prior),
             }
             for name, path in paths.items():
                 poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz

@@ -124,7 +124,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
         prior=MotionPrior(prior["turn_rate_rad_s"], *(tuple(prior[k]) for k in _PRIOR_TABLES)),
-        scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["memory_s"]),
+        scale=SpreadScale(tuple(scale["position"]), scale["orientation"]),
         camera=PinholeCamera(**{**record["camera"], "distortion": lens}),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
         data_digest=record["data_digest"],

@@ -151,15 +151,14 @@ def train_model(
     proba = predict_proba(head, data.features[held_out])
     calibration.calibrate(proba, data.targets[held_out])
     truth = data.sequence.require_truth()
-    recording = data.sequence.recording
     return PoseModel(
         backbone=data.backbone,
         head=head,
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,
-        prior=fit_motion_prior(truth[train], recording[train]),
-        scale=fit_spread_scale(mode_candidates(proba, bins), truth[held_out], recording[held_out]),
+        prior=fit_motion_prior(truth[train], data.sequence.recording[train]),
+        scale=fit_spread_scale(mode_candidates(proba, bins), truth[held_out]),
         camera=data.sequence.camera,
         split=data.split,
         data_digest=data_digest(data.sequence),

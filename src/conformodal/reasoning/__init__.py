@@ -17,7 +17,7 @@ from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_orientations, smooth_positions
-from .spreads import error_memory, fit_spread_scale
+from .spreads import fit_spread_scale
 from .viterbi import Decoder, orientation_cost, position_cost, viterbi
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "Reasoner",
     "ReasoningError",
     "SpreadScale",
-    "error_memory",
     "fit_motion_prior",
     "fit_spread_scale",
     "greedy",

@@ -28,9 +28,11 @@ POSITION = (0, 1, 2)
 ORIENTATION = (3, 4, 5, 6)
 MAX_CANDIDATES = 48
 MIN_MASS = 1e-4
-# Two peaks are two modes where the probability between them falls below this share of the lower one. Softmaxes are
-# rough; at a half, single modes fell apart and lost their tails (benchmarks/reasoning.py).
-VALLEY_SHARE = 0.05
+# Two peaks are two modes where the probability between them falls below this share of the lower one.
+VALLEY_SHARE = 0.5
+# Softmaxes are rough: peaks fewer bins apart than this are one mode unless next to nothing lies between them. Split at
+# a half, single modes fell apart and lost their tails (benchmarks/reasoning.py).
+MODE_BINS, NEAR_VALLEY_SHARE = 6, 0.05
 # Four components chosen one by one need not be a unit quaternion; the further from one, the less they fit together.
 _NORM_SPREAD = 0.1
 
@@ -66,19 +68,10 @@ class Candidates:
 
 @dataclass(frozen=True)
 class SpreadScale:
-    """From spreads of the softmax to errors; learnt on calibration frames.
-
-    Attributes
-    ----------
-    position, orientation
-        Factors from spreads of the softmax to spreads of the error, an axis and for the angle.
-    memory_s
-        Time over which the correlation of position errors falls to 1/e: neighbours err alike.
-    """
+    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames."""
 
     position: tuple[float, float, float] = (1.0, 1.0, 1.0)
     orientation: float = 1.0
-    memory_s: float = 0.0
 
 
 def mode_candidates(
@@ -86,7 +79,7 @@ def mode_candidates(
     bins: QuantileBins,
     *,
     scale: SpreadScale | None = None,
-    valley_share: float = VALLEY_SHARE,
+    mode_bins: int = MODE_BINS,
     min_mass: float = MIN_MASS,
     max_candidates: int = MAX_CANDIDATES,
 ) -> list[Candidates]:
@@ -100,8 +93,8 @@ def mode_candidates(
         Bins of the seven targets.
     scale
         From :func:`fit_spread_scale`; None leaves spreads as the softmax has them.
-    valley_share
-        Two peaks are two modes where the probability between falls below this share of the lower one.
+    mode_bins
+        Peaks fewer bins apart are one mode, unless the probability between them nearly vanishes.
     min_mass
         Combinations less probable than this are dropped (never the most probable one).
     max_candidates
@@ -110,7 +103,7 @@ def mode_candidates(
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
-        pieces = [_pieces(p, _basins(p, valley_share), e) for p, e in zip(rows, bins.edges_, strict=True)]
+        pieces = [_pieces(p, _basins(p, mode_bins), e) for p, e in zip(rows, bins.edges_, strict=True)]
         found.append(_combine(pieces, scale or SpreadScale(), np.log(min_mass), max_candidates))
     return found
 
@@ -173,21 +166,20 @@ def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> _P
     return _Pieces(np.array(means), np.array(spreads), np.log(masses))
 
 
-def _basins(p: FloatArray, share: float) -> list[tuple[int, int]]:
+def _basins(p: FloatArray, mode_bins: int) -> list[tuple[int, int]]:
     """Cut all bins at the lowest between peaks that stand clear of it."""
     cuts = [0]
-    peak = valley = p[0]
-    valley_at = 0
+    peak_at = valley_at = 0
     for k in range(1, len(p)):
-        if p[k] < valley:
-            valley, valley_at = p[k], k
-        elif valley < share * min(peak, p[k]):
+        if p[k] < p[valley_at]:
+            valley_at = k
+            continue
+        share = NEAR_VALLEY_SHARE if k - peak_at < mode_bins else VALLEY_SHARE
+        if p[valley_at] < share * min(p[peak_at], p[k]):
             cuts.append(valley_at)
-            peak = valley = p[k]
-            valley_at = k
-        elif p[k] > peak:
-            peak = valley = p[k]
-            valley_at = k
+            peak_at = valley_at = k
+        elif p[k] > p[peak_at]:
+            peak_at = valley_at = k
     return list(zip(cuts, [*cuts[1:], len(p)], strict=True))
 
 

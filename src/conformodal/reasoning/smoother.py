@@ -28,7 +28,7 @@ _ITERATIONS = 12
 _CAUCHY = 2.0
 
 
-def smooth(path: PosePath, seen: Observations, prior: MotionPrior, memory_s: float = 0.0) -> PosePath:
+def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
     """A path finer than candidates: orientations first, then positions; spreads stay those of the path given.
 
     Parameters
@@ -37,13 +37,13 @@ def smooth(path: PosePath, seen: Observations, prior: MotionPrior, memory_s: flo
         Chosen poses of the frames of `seen`.
     seen
         Gives the relative motions.
-    prior, memory_s
+    prior
         See :func:`smooth_positions`.
     """
     times, motions = seen.timestamps_s, seen.motions
     quats = smooth_orientations(path.orientations_quat_wxyz, path.orientation_spreads_rad, motions, times, prior)
     spreads = path.position_spreads
-    positions = smooth_positions(path.positions_xyz, spreads, quats, motions, times, prior, memory_s)
+    positions = smooth_positions(path.positions_xyz, spreads, quats, motions, times, prior)
     return replace(path, positions_xyz=positions, orientations_quat_wxyz=quats)
 
 
@@ -108,7 +108,6 @@ def smooth_positions(
     motions: Sequence[RelativeMotion | None],
     timestamps_s: FloatArray,
     prior: MotionPrior,
-    memory_s: float = 0.0,
 ) -> FloatArray:
     """Positions (n, 3) in metres that agree with the chosen ones, the relative directions and the way the camera moves.
 
@@ -120,9 +119,6 @@ def smooth_positions(
         (n, 4) orientations, which turn relative directions into the world.
     motions, timestamps_s, prior
         As for :func:`smooth_orientations`; the prior's velocity changes bind three frames at a time.
-    memory_s
-        How long errors of the frames' own answers last: their correlation falls to 1/e over this time, as in an
-        Ornstein-Uhlenbeck process. Frames that see the same thing err alike; ten of them are no ten witnesses.
     """
     n = len(positions_xyz)
     if n < 3:
@@ -144,17 +140,14 @@ def smooth_positions(
     first = (sparse.eye_array(n - 1, n, k=1) - sparse.eye_array(n - 1, n)).tocsr()[linked]
     differences = sparse.kron(first, sparse.eye_array(3)).tocsr()
     bends = sparse.kron(second, sparse.eye_array(3)).tocsr()
-    whiten = _whitening(dt, memory_s)
     now = positions_xyz.copy()
     for turn in range(_ITERATIONS):
         miss = (now - positions_xyz) / spreads
-        doubt = np.sqrt(_cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3)))[:, None] / spreads
-        own = whiten @ sparse.diags_array(doubt.ravel())
-        own = own.T @ own
+        w_own = _cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3))[:, None] / spreads**2
         bend = np.linalg.norm((second @ now), axis=1) * np.sqrt(w_smooth / 3)
         # at the start nothing is missed yet, so a wrong answer would pass for a sharp turn: hold bends stiff once
         w_bend = w_smooth * (_cauchy(bend / 2) if turn else 1.0)
-        matrix = own + bends.T @ sparse.diags_array(np.repeat(w_bend, 3)) @ bends
+        matrix = sparse.diags_array(w_own.ravel()) + bends.T @ sparse.diags_array(np.repeat(w_bend, 3)) @ bends
         if linked:
             move = np.diff(now, axis=0)[linked]
             length = np.linalg.norm(move, axis=1)
@@ -165,21 +158,12 @@ def smooth_positions(
             weight = np.where(np.isfinite(off), _cauchy(np.where(np.isfinite(off), off, 0)), 0.0) / sigma**2
             blocks = sparse.block_diag(list(across * weight[:, None, None]), format="csr")
             matrix = matrix + differences.T @ blocks @ differences
-        after = spsolve(matrix.tocsc(), own @ positions_xyz.ravel()).reshape(n, 3)
+        after = spsolve(matrix.tocsc(), (w_own * positions_xyz).ravel()).reshape(n, 3)
         change = np.abs(after - now).max()
         now = after
         if change < 1e-6:
             break
     return now
-
-
-def _whitening(dt: FloatArray, memory_s: float) -> sparse.csr_array:
-    """(3n, 3n): turns errors that last for `memory_s` into independent ones of the same size."""
-    n = len(dt) + 1
-    alike = np.exp(-dt / memory_s) if memory_s > 0 else np.zeros(n - 1)
-    fresh = sparse.diags_array(np.append(1, 1 / np.sqrt(1 - alike**2)))
-    whiten = fresh @ (sparse.eye_array(n) - sparse.diags_array(alike, offsets=-1, shape=(n, n)))
-    return sparse.kron(whiten, sparse.eye_array(3)).tocsr()
 
 
 def _second_differences(dt: FloatArray) -> sparse.csr_array:
