@@ -56,6 +56,7 @@ def methods(
     assert len(np.unique(sequence.recording)) == 1
     features = data.features[run.frames]
     proba = model.proba(features)
+    search = model.search_proba(features, proba)
     times, motions, prior = run.timestamps_s, run.motions, model.prior
     truth = sequence.require_truth()[run.frames]
     seen = Observations(run.candidates, motions, times)
@@ -64,14 +65,16 @@ def methods(
     def bare(positions: np.ndarray, quats: np.ndarray) -> PosePath:
         return PosePath(times, positions, nowhere, quats, nowhere[:, 0])
 
-    mean = softmax_mean(proba, model.bins)
+    mean = softmax_mean(search, model.bins)
     best_move = [
         np.linalg.norm(c.positions_xyz - p, axis=1).argmin()
         for c, p in zip(seen.candidates, truth.positions_xyz, strict=True)
     ]
     turns = zip(seen.candidates, truth.orientations_quat_wxyz, strict=True)
     best_turn = [int(angle_between_quats(c.orientations_quat_wxyz, q).argmin()) for c, q in turns]
-    rough = Observations(mode_candidates(proba, model.bins, scale=model.scale, mode_bins=0), motions, times)
+    rough = Observations(mode_candidates(search, model.bins, scale=model.scale, mode_bins=0), motions, times)
+    alone = Observations(mode_candidates(proba, model.bins, scale=model.scale), motions, times)
+    alone_path = viterbi(alone, prior)
     chosen = viterbi(seen, prior)
     blind = Observations(seen.candidates, without_directions(motions), times)
     still = Observations(seen.candidates, [None] * len(times), times)
@@ -80,11 +83,13 @@ def methods(
         "greedy, as in the paper": greedy(Observations(interval_candidates(proba, run.regions), motions, times)),
         "viterbi, no relative motion": viterbi(still, prior),
         "viterbi, near peaks split at half their height": viterbi(rough, prior),
+        "viterbi, without the finder": alone_path,
         "viterbi": chosen,
         "online, lag 0": online(seen, prior, 0),
         "online, lag 10": online(seen, prior, 10),
         "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
         "smoother, no relative directions": smooth(chosen, blind, prior),
+        "smoother, without the finder": smooth(alone_path, alone, prior),
         "smoother": smooth(chosen, seen, prior),
     }
     regressor = train_classical(data, config.training)

@@ -293,3 +293,14 @@ def test_the_front_end_takes_another_solver():
         motion = front_end.measure(image)
     assert asked
     assert motion.reliable
+
+
+def test_directions_are_trusted_only_where_little_is_claimed_to_be_wrong():
+    before, after, _ = two_views([0.02, 0.1, -0.03], np.array([0.5, 0.1, 0.0]), noise_px=0.1)
+    sharp = estimate_relative_motion(before, after, CAMERA)
+    assert sharp.direction_trusted
+    before, after, _ = two_views([0.02, 0.1, -0.03], np.array([0.05, 0.01, 0.0]), noise_px=0.8)
+    blurred = estimate_relative_motion(before, after, CAMERA)
+    assert blurred.direction_sigma_rad > sharp.direction_sigma_rad
+    assert not blurred.direction_trusted
+    assert not estimate_relative_motion(before, before, CAMERA).direction_trusted

@@ -170,7 +170,8 @@ class VisualOdometry:
             features = self.model.backbone(prepared).numpy().astype(np.float16).astype(np.float32)
         proba = self.model.proba(features)
         region = self.model.calibration.predict(proba)
-        here = mode_candidates(proba, self.model.bins, scale=self.model.scale)[0]
+        search = self.model.search_proba(features, proba)
+        here = mode_candidates(search, self.model.bins, scale=self.model.scale)[0]
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
@@ -224,17 +225,18 @@ class VisualOdometry:
             None if progress is None else lambda done, total: progress("network", done, total),
         )
         proba = self.model.proba(features)
+        search = self.model.search_proba(features, proba)
         motions = [motion_of[i] for i in usable.tolist()]
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
             regions=self.model.calibration.predict(proba),
-            candidates=mode_candidates(proba, self.model.bins, scale=self.model.scale),
+            candidates=mode_candidates(search, self.model.bins, scale=self.model.scale),
             motions=motions,
             trajectories={},
             unreadable=unreadable,
         )
-        run.trajectories = self._trajectories(run, proba, sequence.recording[usable])
+        run.trajectories = self._trajectories(run, proba, search, sequence.recording[usable])
         return run
 
     def _motions(
@@ -264,9 +266,13 @@ class VisualOdometry:
         return found
 
     def _trajectories(
-        self, run: OdometryRun, proba: list[npt.NDArray[Any]], recording: IntArray
+        self,
+        run: OdometryRun,
+        proba: list[npt.NDArray[Any]],
+        search: list[npt.NDArray[Any]],
+        recording: IntArray,
     ) -> dict[str, Trajectory]:
-        mean = softmax_mean(proba, self.model.bins)
+        mean = softmax_mean(search, self.model.bins)
         paper = interval_candidates(proba, run.regions)
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         poses["softmax_mean"] = (mean[:, :3], mean[:, 3:])

@@ -25,7 +25,9 @@ class PoseModel:
     Attributes
     ----------
     backbone, head
-        Image to softmax of every target.
+        Image to softmax of every target; calibrated, so never trained on the calibration frames.
+    finder
+        The same, trained on the calibration frames as well. Nothing is promised of it: it helps to choose the pose.
     bins
         Bins of the seven targets.
     calibration
@@ -48,6 +50,7 @@ class PoseModel:
 
     backbone: Backbone
     head: Head
+    finder: Head
     bins: QuantileBins
     calibration: SplitConformal
     sign_reference: npt.NDArray[np.float64]
@@ -72,6 +75,12 @@ class PoseModel:
     def proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
         """Softmax of the seven targets for features (n, F)."""
         return predict_proba(self.head, features)
+
+    def search_proba(
+        self, features: npt.NDArray[np.float32], proba: list[npt.NDArray[np.floating[Any]]]
+    ) -> list[npt.NDArray[np.floating[Any]]]:
+        """What reasoning starts from: the mean of :meth:`proba` and the finder's softmax. Not calibrated."""
+        return [(a + b) / 2 for a, b in zip(proba, predict_proba(self.finder, features), strict=True)]
 
     def recalibrate(self, alpha: float) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.

@@ -37,7 +37,10 @@ _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 
 def save_model(model: PoseModel, folder: Path) -> None:
     """Write a model into a folder, created if missing."""
-    arrays: dict[str, npt.NDArray[Any]] = {f"head.{k}": v.numpy() for k, v in model.head.state_dict().items()}
+    heads = {"head": model.head, "finder": model.finder}
+    arrays: dict[str, npt.NDArray[Any]] = {
+        f"{name}.{k}": v.numpy() for name, head in heads.items() for k, v in head.state_dict().items()
+    }
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays["calibration.scores"] = model.calibration.scores_
@@ -105,9 +108,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
             f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "
             "made it, or train again"
         )
-    state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
-    head = Head(len(state["feature_mean"]), record["head"]["outputs"], record["head"]["hidden"])
-    head.load_state_dict(state)
+    head, finder = (_head(name, record["head"], arrays) for name in ("head", "finder"))
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
     calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
@@ -119,7 +120,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
         backbone=backbone,
-        head=head.eval(),
+        head=head,
+        finder=finder,
         bins=bins,
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
@@ -131,6 +133,14 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
     )
+
+
+def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Head:
+    start = f"{name}."
+    state = {k.removeprefix(start): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(start)}
+    head = Head(len(state["feature_mean"]), shape["outputs"], shape["hidden"])
+    head.load_state_dict(state)
+    return head.eval()
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

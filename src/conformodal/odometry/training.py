@@ -22,6 +22,7 @@ from conformodal.vision import (
     Backbone,
     BackboneConfig,
     FeatureCache,
+    Head,
     TrainingConfig,
     extract_features,
     fit_head,
@@ -132,20 +133,29 @@ def prepare_training_data(
 def train_model(
     data: TrainingData, config: ModelConfig, *, checkpoint_dir: Path | None = None, progress: Progress | None = None
 ) -> PoseModel:
-    """Train on the training part, calibrate on the calibration part; the test part is not touched."""
+    """Train on the training part, calibrate on the calibration part; the test part is not touched.
+
+    A second head, the finder, is trained on both parts: the region must not know the calibration frames, but the
+    search for the pose, of which nothing is promised, may, as a plain regressor would.
+    """
     train, held_out = data.split.train, data.split.calibration
     bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
     calibration = SplitConformal(bins, config.alpha, config.score, as_joint(config.joint))
-    labels = np.concatenate(bins.soft_targets(data.targets[train], config.sigma_bins), axis=1)
-    head = fit_head(
-        data.features[train],
-        labels,
-        bins.sizes,
-        soft_cross_entropy,
-        config.training,
-        checkpoint_dir=checkpoint_dir,
-        progress=_stage(progress, "training"),
-    )
+
+    def fit(rows: npt.NDArray[np.int64], stage: str) -> Head:
+        labels = np.concatenate(bins.soft_targets(data.targets[rows], config.sigma_bins), axis=1)
+        return fit_head(
+            data.features[rows],
+            labels,
+            bins.sizes,
+            soft_cross_entropy,
+            config.training,
+            checkpoint_dir=checkpoint_dir,
+            progress=_stage(progress, stage),
+        )
+
+    head = fit(train, "training")
+    finder = fit(np.sort(np.concatenate((train, held_out))), "finder")
     if config.joint == "max":
         calibration.fit_scale(predict_proba(head, data.features[train]), data.targets[train])
     proba = predict_proba(head, data.features[held_out])
@@ -154,6 +164,7 @@ def train_model(
     return PoseModel(
         backbone=data.backbone,
         head=head,
+        finder=finder,
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,

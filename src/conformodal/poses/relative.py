@@ -8,6 +8,9 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+# A direction is trusted if its error is claimed to be no larger.
+TRUSTED_DIRECTION_RAD = np.radians(10.0)
+
 
 class MotionStatus(StrEnum):
     """What a pair of frames allowed; everything but ``OK`` leaves the direction out."""
@@ -57,3 +60,8 @@ class RelativeMotion:
     def reliable(self) -> bool:
         """Whether at least the rotation can be trusted."""
         return self.R_prev_next is not None
+
+    @property
+    def direction_trusted(self) -> bool:
+        """Whether there is a direction with a claimed spread of at most 10 degrees; others still weigh, by theirs."""
+        return self.direction_prev is not None and self.direction_sigma_rad <= TRUSTED_DIRECTION_RAD
