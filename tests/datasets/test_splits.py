@@ -44,3 +44,21 @@ def test_impossible_splits_are_refused(call, match):
 def test_unknown_part():
     with pytest.raises(SplitError, match="part"):
         make_split(np.zeros(100, int), "blocks").part("validation")
+
+
+@pytest.mark.parametrize("kind", ["interleaved", "blocks"])
+def test_less_data_leaves_the_test_part_as_it_is(kind):
+    recording = np.zeros(1000, int)
+    whole = make_split(recording, kind, seed=2)
+    less = make_split(recording, kind, seed=2, calibration=0.08, used=0.4)
+    assert less.test.tolist() == whole.test.tolist()
+    assert len(less.train) + len(less.calibration) == pytest.approx(400, abs=40)
+    assert len(less.calibration) == pytest.approx(80, abs=40)
+    same = make_split(recording, kind, seed=2, used=0.8)
+    assert same.train.tolist() == whole.train.tolist()
+
+
+@pytest.mark.parametrize("used", [0.1, 0.16, 0.9])
+def test_shares_that_do_not_fit_are_refused(used):
+    with pytest.raises(SplitError, match="used"):
+        make_split(np.zeros(100, int), "interleaved", used=used)

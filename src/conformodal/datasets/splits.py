@@ -51,6 +51,7 @@ def make_split(
     seed: int = 0,
     test: float = 0.2,
     calibration: float = 0.16,
+    used: float | None = None,
     n_blocks: int = 25,
 ) -> Split:
     """Cut frames into parts.
@@ -64,14 +65,17 @@ def make_split(
     seed
         Of the random choice of frames or blocks.
     test, calibration
-        Shares of all frames; the rest is for training.
+        Shares of all frames.
+    used
+        Share of all frames for training and calibration together; all but the test part by default. The test part is
+        the same whatever it is.
     n_blocks
         Number of stretches that ``blocks`` cuts the sequence into.
 
     Raises
     ------
     SplitError
-        If a share is not positive, or a part would be empty.
+        If a share is not positive, shares exceed the whole, or a part would be empty.
     """
     n = len(recording)
     try:
@@ -80,6 +84,10 @@ def make_split(
         raise SplitError(f"split must be one of {[str(k) for k in SplitKind]}, got {kind!r}") from None
     if not (test > 0 and calibration > 0 and test + calibration < 1):
         raise SplitError(f"test ({test}) and calibration ({calibration}) must be positive shares that leave training")
+    if used is not None and not calibration < used <= 1 - test + 1e-9:
+        raise SplitError(
+            f"used ({used}) must be more than calibration ({calibration}), and with test ({test}) at most 1"
+        )
     rng = np.random.default_rng(seed)
     if kind is SplitKind.INTERLEAVED:
         units = [np.array([i]) for i in range(n)]
@@ -90,7 +98,8 @@ def make_split(
     order = rng.permutation(len(units))
     n_test = round(test * len(units))
     n_calibration = round(calibration * len(units))
-    groups = np.split(order, [n_test, n_test + n_calibration])
+    n_used = len(units) - n_test if used is None else round(used * len(units))
+    groups = np.split(order[: n_test + n_used], [n_test, n_test + n_calibration])
     if any(len(g) == 0 for g in groups):
         raise SplitError(f"{n} frames in {len(units)} pieces are too few for a {kind} split into three parts")
     parts = [np.sort(np.concatenate([units[u] for u in g])) for g in groups]

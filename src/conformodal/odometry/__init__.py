@@ -3,6 +3,7 @@
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import METHODS, Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
+from .motions import MotionRecord, measure_motions
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .results import (
@@ -24,6 +25,7 @@ __all__ = [
     "Estimate",
     "ModelConfig",
     "ModelFileError",
+    "MotionRecord",
     "OdometryError",
     "OdometryRun",
     "PoseModel",
@@ -36,6 +38,7 @@ __all__ = [
     "data_digest",
     "fit_pose_radius",
     "load_model",
+    "measure_motions",
     "pose_errors",
     "pose_targets",
     "prepare_training_data",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy.typing as npt
 import torch
 
 from conformodal.conformal import Regions
-from conformodal.datasets import ImageError, Sequence
+from conformodal.datasets import Sequence
 from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import (
@@ -32,10 +31,10 @@ from conformodal.vision import FeatureCache, extract_features
 
 from .errors import OdometryError
 from .model import PoseModel
+from .motions import MotionRecord, Progress, measure_motions
 from .store import load_model
 
 IntArray = npt.NDArray[np.int64]
-Progress = Callable[[str, int, int], None]
 
 # Final answer first; the others are kept for comparison.
 METHODS = ("smoothed", "viterbi", "online", "greedy", "softmax_mean")
@@ -190,6 +189,7 @@ class VisualOdometry:
         frames: IntArray | None = None,
         *,
         cache: FeatureCache | None = None,
+        motions: MotionRecord | None = None,
         progress: Progress | None = None,
     ) -> OdometryRun:
         """Work out regions and trajectories of a sequence.
@@ -203,6 +203,8 @@ class VisualOdometry:
             corners through the frames between them, as a camera would deliver them.
         cache
             Of features.
+        motions
+            From :func:`measure_motions` on the same frames, if they are known already.
         progress
             Called with stage, frames done and frames in all.
 
@@ -213,57 +215,31 @@ class VisualOdometry:
         """
         self.model.check_camera(sequence.camera)
         wanted = np.arange(len(sequence)) if frames is None else np.asarray(frames, dtype=np.int64)
-        unreadable: dict[int, str] = {}
-        motion_of = self._motions(sequence, wanted, unreadable, progress)
-        usable = np.array([i for i in wanted.tolist() if i in motion_of], dtype=np.int64)
+        if motions is None:
+            motions = measure_motions(sequence, wanted, progress)
+        usable = np.array([i for i in wanted.tolist() if i in motions.motions], dtype=np.int64)
         if usable.size == 0:
-            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {unreadable}")
+            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {motions.unreadable}")
         features = extract_features(
             [sequence.image_paths[i] for i in usable],
             self.model.backbone,
             cache or FeatureCache(None),
             None if progress is None else lambda done, total: progress("network", done, total),
+            sequence.noise,
         )
         proba = self.model.proba(features)
         search = self.model.search_proba(features, proba)
-        motions = [motion_of[i] for i in usable.tolist()]
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
             regions=self.model.calibration.predict(proba),
             candidates=mode_candidates(search, self.model.bins, scale=self.model.scale),
-            motions=motions,
+            motions=[motions.motions[i] for i in usable.tolist()],
             trajectories={},
-            unreadable=unreadable,
+            unreadable=motions.unreadable,
         )
         run.trajectories = self._trajectories(run, proba, search, sequence.recording[usable])
         return run
-
-    def _motions(
-        self, sequence: Sequence, wanted: IntArray, unreadable: dict[int, str], progress: Progress | None
-    ) -> dict[int, RelativeMotion | None]:
-        answer = set(wanted.tolist())
-        front_end = MotionFrontEnd(sequence.camera)
-        found: dict[int, RelativeMotion | None] = {}
-        recording = None
-        span = range(int(wanted.min()), int(wanted.max()) + 1) if wanted.size else range(0)
-        for done, i in enumerate(span, start=1):
-            if sequence.recording[i] != recording:
-                front_end.reset()
-                recording = sequence.recording[i]
-            try:
-                image = sequence.image(i)
-            except ImageError as exc:
-                if i in answer:
-                    unreadable[i] = str(exc)
-                continue
-            if i in answer:
-                found[i] = front_end.measure(image)
-            else:
-                front_end.pass_by(image)
-            if progress is not None:
-                progress("motion", done, len(span))
-        return found
 
     def _trajectories(
         self,

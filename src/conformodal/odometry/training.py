@@ -25,6 +25,7 @@ from conformodal.vision import (
     Head,
     TrainingConfig,
     extract_features,
+    find_network,
     fit_head,
     predict_proba,
     soft_cross_entropy,
@@ -52,8 +53,10 @@ class ModelConfig:
         Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
     alpha, score, joint
         Of :class:`~conformodal.conformal.SplitConformal`.
-    test, calibration
-        Shares of all frames.
+    test, calibration, used
+        Shares of all frames, see :func:`~conformodal.datasets.make_split`.
+    network
+        Of :data:`~conformodal.vision.NETWORKS`.
     seed
         Of the split and of training.
     training
@@ -61,7 +64,7 @@ class ModelConfig:
 
     Raises
     ------
-    ConformalError
+    ConformalError, VisionError
         If a setting cannot be used; before any frame is read.
     """
 
@@ -74,6 +77,8 @@ class ModelConfig:
     joint: str = "bonferroni"
     test: float = 0.2
     calibration: float = 0.16
+    used: float | None = None
+    network: str = "efficientnet_lite0"
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
@@ -82,6 +87,7 @@ class ModelConfig:
         as_joint(self.joint)
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
+        find_network(self.network)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
 
@@ -122,10 +128,16 @@ def prepare_training_data(
     """
     truth = sequence.require_truth()
     split = make_split(
-        sequence.recording, config.split, seed=config.seed, test=config.test, calibration=config.calibration
+        sequence.recording,
+        config.split,
+        seed=config.seed,
+        test=config.test,
+        calibration=config.calibration,
+        used=config.used,
     )
-    backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height))
-    features = extract_features(sequence.image_paths, backbone, cache, _stage(progress, "features"))
+    backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height, config.network))
+    stage = _stage(progress, "features")
+    features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     return TrainingData(sequence, split, backbone, features, pose_targets(truth, reference), reference)
 

@@ -4,9 +4,11 @@ from .backbone import Backbone, BackboneConfig
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .heads import Head, predict_proba, predict_values
+from .networks import NETWORKS, find_network
 from .training import TrainingConfig, fit_head, mean_squared_error, soft_cross_entropy
 
 __all__ = [
+    "NETWORKS",
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
@@ -15,6 +17,7 @@ __all__ = [
     "VisionError",
     "default_cache_dir",
     "extract_features",
+    "find_network",
     "fit_head",
     "mean_squared_error",
     "predict_proba",

