@@ -214,3 +214,6 @@ def test_head_splits_its_outputs_by_target():
 def test_too_little_data_is_refused():
     with pytest.raises(VisionError, match="two samples"):
         fit_head(np.zeros((1, 3), np.float32), np.zeros((1, 2)), [2], soft_cross_entropy, CONFIG)
+    for loss in (soft_cross_entropy, mean_squared_error):
+        with pytest.raises(VisionError, match="shape of the outputs"):
+            fit_head(np.zeros((8, 3), np.float32), np.zeros((8, 1)), [2], loss, CONFIG)

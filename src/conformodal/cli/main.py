@@ -11,6 +11,7 @@ from conformodal import __version__
 from .calibrate import calibrate
 from .demo import demo
 from .evaluate import evaluate
+from .reproduce import app as reproduce_app
 from .run import run
 from .train import train
 
@@ -38,3 +39,4 @@ def main(
 
 for command in (demo, train, calibrate, run, evaluate):
     app.command()(command)
+app.add_typer(reproduce_app, name="reproduce")

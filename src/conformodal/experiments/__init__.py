@@ -2,6 +2,7 @@
 
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import ClassicalRegressor, load_classical, save_classical, train_classical
+from .engine import run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, motion_table, radius_table
 
@@ -16,6 +17,7 @@ __all__ = [
     "load_classical",
     "motion_table",
     "radius_table",
+    "run_tasks",
     "save_classical",
     "train_classical",
 ]

@@ -43,6 +43,7 @@ class TrainingConfig:
 
 def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     """Mean over targets of the cross-entropy with order-aware labels; `targets` is (n, sum of K_j)."""
+    _same_shape(raw, targets)
     blocks = zip(head.split(raw), torch.split(targets, head.outputs, dim=1), strict=True)
     losses = [-(t * torch.log_softmax(r, dim=1)).sum(dim=1).mean() for r, t in blocks]
     return torch.stack(losses).mean()
@@ -50,7 +51,13 @@ def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> 
 
 def mean_squared_error(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     """The classical regressor's loss, on standardised targets (n, d)."""
+    _same_shape(raw, targets)
     return torch.nn.functional.mse_loss(raw, targets)
+
+
+def _same_shape(raw: torch.Tensor, targets: torch.Tensor) -> None:
+    if raw.shape != targets.shape:  # broadcasting would train on nonsense
+        raise VisionError(f"targets must have the shape of the outputs, {tuple(raw.shape)}, got {tuple(targets.shape)}")
 
 
 def fit_head(
@@ -60,6 +67,7 @@ def fit_head(
     loss: Loss,
     config: TrainingConfig,
     *,
+    head_type: type[Head] = Head,
     checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Head:
@@ -68,13 +76,15 @@ def fit_head(
     Parameters
     ----------
     features, targets
-        (n, F), and (n, sum of outputs).
+        (n, F), and (n, p) in whatever form the loss takes.
     outputs
         Outputs of each target.
     loss
-        :func:`soft_cross_entropy` or :func:`mean_squared_error`.
+        :func:`soft_cross_entropy`, :func:`mean_squared_error`, or another function of head, outputs and targets.
     config
         See :class:`TrainingConfig`.
+    head_type
+        A subclass, for losses with parameters of their own.
     checkpoint_dir
         Where to keep the state while training. A run that was stopped goes on from there if data and settings are
         the same; when training ends, its state is removed.
@@ -88,15 +98,13 @@ def fit_head(
     """
     x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
     y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))
-    if len(x) < 2 or len(x) != len(y) or y.shape[1] != sum(outputs):
-        raise VisionError(
-            f"training needs two samples or more, (n, F) and (n, {sum(outputs)}); got {x.shape}, {y.shape}"
-        )
+    if len(x) < 2 or len(x) != len(y):
+        raise VisionError(f"training needs two samples or more, as many as targets; got {x.shape}, {y.shape}")
     from .loop import run_loop  # noqa: PLC0415 - Lightning takes seconds to import; running a model needs none of it
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        head = Head(x.shape[1], outputs, config.hidden, config.dropout)
+        head = head_type(x.shape[1], outputs, config.hidden, config.dropout)
         head.standardise_by(x)
         run_loop(head, x, y, loss, config, checkpoint_dir, progress)
     return head.eval()

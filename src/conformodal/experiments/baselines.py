@@ -1,0 +1,226 @@
+"""Other ways to regress a pose from the same features, with the same trunk, optimiser and epochs.
+
+All are trained on the training and calibration parts together, at the learning rate that was searched for the
+classical regressor; only conformalised quantile regression holds the calibration part out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from conformodal.conformal import conformal_quantile
+from conformodal.odometry import TrainingData
+from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
+
+from .classical import ClassicalRegressor
+
+FloatArray = npt.NDArray[np.float64]
+Features: TypeAlias = npt.NDArray[np.float32]
+Answer: TypeAlias = Callable[[Features], FloatArray]
+
+N_POSITION = 3
+N_COMPONENTS = 5
+N_PASSES, N_MEMBERS = 30, 5
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """A trained baseline.
+
+    Attributes
+    ----------
+    answer
+        From features (n, F) to targets (n, 7): metres, and an unnormalised quaternion wxyz.
+    train_s
+        Seconds of training.
+    n_parameters
+        Trained numbers.
+    """
+
+    answer: Answer
+    train_s: float
+    n_parameters: int
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What baselines learn from: the classical regressor's data, scaling and learning rate."""
+
+    data: TrainingData
+    config: TrainingConfig
+    mean: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def of(cls, data: TrainingData, classical: ClassicalRegressor, config: TrainingConfig) -> Problem:
+        """With the classical regressor's scaling and learning rate."""
+        settings = replace(config, learning_rate=classical.learning_rate)
+        return cls(data, settings, classical.mean, classical.scale)
+
+    @property
+    def known(self) -> npt.NDArray[np.int64]:
+        """Training and calibration frames."""
+        return np.sort(np.concatenate((self.data.split.train, self.data.split.calibration)))
+
+    def standard(self, rows: npt.NDArray[np.int64]) -> FloatArray:
+        """Standardised targets (n, 7)."""
+        return np.asarray((self.data.targets[rows] - self.mean) / self.scale)
+
+    def metric(self, standard: FloatArray) -> FloatArray:
+        """Back from standardised targets."""
+        return np.asarray(standard * self.scale + self.mean)
+
+
+class WeightedHead(Head):
+    """A head with a learnt log variance for position and one for orientation."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.log_variance = torch.nn.Parameter(torch.zeros(2))
+
+
+def learnt_weights_loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Squared errors of position and orientation, weighted by learnt variances (Kendall and Cipolla 2017, eq. 3)."""
+    square = (raw - targets) ** 2
+    log_variance: torch.Tensor = head.log_variance  # type: ignore[assignment]
+    parts = torch.stack((square[:, :N_POSITION].mean(), square[:, N_POSITION:].mean()))
+    return (parts * torch.exp(-log_variance) + log_variance).sum()
+
+
+def mixture_loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Negative log likelihood of a mixture of diagonal normals over all targets (Bishop 1994)."""
+    logits, means, log_sigma = split_mixture(raw, targets.shape[1])
+    z = (targets[:, None] - means) * torch.exp(-log_sigma)
+    log_density = (-0.5 * z**2 - log_sigma).sum(dim=2)
+    return -torch.logsumexp(torch.log_softmax(logits, dim=1) + log_density, dim=1).mean()
+
+
+def split_mixture(raw: torch.Tensor, d: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Logits (n, M), means (n, M, d) and log spreads (n, M, d), the last kept within reason."""
+    logits, means, log_sigma = torch.split(raw, [N_COMPONENTS, N_COMPONENTS * d, N_COMPONENTS * d], dim=1)
+    return logits, means.reshape(-1, N_COMPONENTS, d), log_sigma.reshape(-1, N_COMPONENTS, d).clamp(-6, 3)
+
+
+def pinball_loss(levels: tuple[float, ...]) -> Any:
+    """Pinball loss of quantiles `levels` for every target (Koenker and Bassett 1978)."""
+    at = torch.tensor(levels)
+
+    def loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        miss = targets[:, :, None] - raw.reshape(len(raw), -1, len(levels))
+        return torch.maximum(at * miss, (at - 1) * miss).mean()
+
+    loss.__qualname__ = f"pinball_loss({levels})"
+    return loss
+
+
+def learnt_weights(problem: Problem) -> Baseline:
+    """The classical regressor with learnt loss weights."""
+    started = time.perf_counter()
+    head = _fit(problem, learnt_weights_loss, head_type=WeightedHead)
+    return _trained(problem, [head], started, lambda features: predict_values(head, features))
+
+
+def mixture_density(problem: Problem) -> Baseline:
+    """A mixture density network; answers with the mean of its heaviest component."""
+    d = problem.mean.size
+    started = time.perf_counter()
+    head = _fit(problem, mixture_loss, outputs=[N_COMPONENTS * (1 + 2 * d)])
+
+    def answer(features: Features) -> FloatArray:
+        raw = torch.from_numpy(predict_values(head, features))
+        logits, means, _ = split_mixture(raw, d)
+        return np.asarray(means[torch.arange(len(raw)), logits.argmax(dim=1)].numpy())
+
+    return _trained(problem, [head], started, answer)
+
+
+def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
+    """The classical regressor, asked 30 times with dropout and averaged (Gal and Ghahramani 2016)."""
+    head = classical.head
+
+    def answer(features: Features) -> FloatArray:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(problem.config.seed)
+            head.train()
+            try:
+                return np.asarray(np.mean([predict_values(head, features) for _ in range(N_PASSES)], axis=0))
+            finally:
+                head.eval()
+
+    return _trained(problem, [head], time.perf_counter(), answer)
+
+
+def deep_ensemble(problem: Problem, classical: ClassicalRegressor) -> Baseline:
+    """The mean of five classical regressors from different starts (Lakshminarayanan, Pritzel and Blundell 2017)."""
+    started = time.perf_counter()
+    seeds = (problem.config.seed + 1000 * k for k in range(1, N_MEMBERS))
+    heads = [classical.head, *(_fit(problem, mean_squared_error, seed=seed) for seed in seeds)]
+
+    def answer(features: Features) -> FloatArray:
+        return np.asarray(np.mean([predict_values(head, features) for head in heads], axis=0))
+
+    return _trained(problem, heads, started, answer)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantileIntervals:
+    """Conformalised quantile regression, one interval a target.
+
+    Attributes
+    ----------
+    baseline
+        Answers with the median.
+    interval
+        From features (n, F) to lower and upper ends, (n, 7) each.
+    """
+
+    baseline: Baseline
+    interval: Callable[[Features], tuple[FloatArray, FloatArray]]
+
+
+def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
+    """Quantiles by the pinball loss, then calibrated for each target (Romano, Patterson and Candes 2019)."""
+    d = problem.mean.size
+    train, held_out = problem.data.split.train, problem.data.split.calibration
+    started = time.perf_counter()
+    head = _fit(problem, pinball_loss((alpha / 2, 0.5, 1 - alpha / 2)), outputs=[3] * d, rows=train)
+
+    def quantiles(features: Features) -> FloatArray:
+        return np.sort(predict_values(head, features).reshape(-1, d, 3), axis=2)
+
+    seen, y = quantiles(problem.data.features[held_out]), problem.standard(held_out)
+    slack = conformal_quantile(np.maximum(seen[:, :, 0] - y, y - seen[:, :, 2]), alpha)
+
+    def interval(features: Features) -> tuple[FloatArray, FloatArray]:
+        found = quantiles(features)
+        return problem.metric(found[:, :, 0] - slack), problem.metric(found[:, :, 2] + slack)
+
+    return QuantileIntervals(_trained(problem, [head], started, lambda x: quantiles(x)[:, :, 1]), interval)
+
+
+def _fit(
+    problem: Problem,
+    loss: Any,
+    *,
+    outputs: list[int] | None = None,
+    rows: npt.NDArray[np.int64] | None = None,
+    seed: int | None = None,
+    head_type: type[Head] = Head,
+) -> Head:
+    at = problem.known if rows is None else rows
+    config = problem.config if seed is None else replace(problem.config, seed=seed)
+    out = [1] * problem.mean.size if outputs is None else outputs
+    return fit_head(problem.data.features[at], problem.standard(at), out, loss, config, head_type=head_type)
+
+
+def _trained(problem: Problem, heads: list[Head], started: float, standard: Answer) -> Baseline:
+    seconds = time.perf_counter() - started
+    size = sum(p.numel() for head in heads for p in head.parameters())
+    return Baseline(lambda features: problem.metric(standard(features)), seconds, size)

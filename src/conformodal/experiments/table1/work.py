@@ -1,0 +1,184 @@
+"""One training of the conformal model and of every baseline, and their errors at every noise."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import spearmanr
+
+from conformodal.conformal import SplitConformal
+from conformodal.datasets import PixelNoise, Sequence
+from conformodal.odometry import (
+    ModelConfig,
+    MotionRecord,
+    OdometryRun,
+    PoseModel,
+    TrainingData,
+    VisualOdometry,
+    measure_motions,
+    pose_targets,
+    prepare_training_data,
+    train_model,
+)
+from conformodal.poses import Trajectory, normalise_quat, trajectory_errors
+from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
+
+from ..baselines import (
+    Baseline,
+    Problem,
+    QuantileIntervals,
+    deep_ensemble,
+    dropout_passes,
+    learnt_weights,
+    mixture_density,
+    quantile_regression,
+)
+from ..classical import ClassicalRegressor, train_classical
+from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
+
+ALPHA = 0.1
+FloatArray = npt.NDArray[np.float64]
+
+
+class Table1Worker:
+    """Works out training tasks on one data set.
+
+    Parameters
+    ----------
+    sequence
+        With poses.
+    cache
+        Of features.
+    """
+
+    def __init__(self, sequence: Sequence, cache: FeatureCache) -> None:
+        self.sequence = sequence
+        self.cache = cache
+        # motions depend on the test frames and the noise alone: the trainings of one split share them
+        self._motions: dict[tuple[Any, ...], MotionRecord] = {}
+
+    def __call__(self, task: TrainingTask) -> dict[str, Any]:
+        """Errors, coverage and cost, by noise; JSON."""
+        training = model_training(task)
+        config = ModelConfig(
+            split=task.split,
+            alpha=ALPHA,
+            test=TEST,
+            calibration=CALIBRATION_SHARE * task.used,
+            used=task.used,
+            network=task.network,
+            seed=task.seed,
+            training=training,
+        )
+        data = prepare_training_data(self.sequence, config, self.cache)
+        started = time.perf_counter()
+        model = train_model(data, config)
+        conformal_s = time.perf_counter() - started
+        started = time.perf_counter()
+        classical = train_classical(data, training)
+        classical_s = time.perf_counter() - started
+        problem = Problem.of(data, classical, training)
+        quantiles = quantile_regression(problem, ALPHA)
+        baselines = {
+            "learnt_weights": learnt_weights(problem),
+            "mixture_density": mixture_density(problem),
+            "dropout_passes": dropout_passes(problem, classical),
+            "deep_ensemble": deep_ensemble(problem, classical),
+            "quantile_regression": quantiles.baseline,
+        }
+        cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
+        cost["smoothed"] = {"train_s": conformal_s, "n_parameters": _size(model.head) + _size(model.finder)}
+        cost["classical"] = {"train_s": classical_s, "n_parameters": _size(classical.head)}
+        trained = _Trained(task, data, model, classical, baselines, quantiles)
+        parts = {name: len(data.split.part(name)) for name in ("train", "calibration", "test")}
+        return {
+            "frames": parts,
+            "learning_rate": classical.learning_rate,
+            "cost": cost,
+            "noise": {f"{sigma:g}": self._tested(trained, sigma) for sigma in task.sigmas},
+        }
+
+    def _tested(self, trained: _Trained, sigma: float) -> dict[str, Any]:
+        task, data, model, classical = trained.task, trained.data, trained.model, trained.classical
+        noisy = replace(self.sequence, noise=PixelNoise(sigma, task.seed) if sigma else None)
+        motions = self._measured(task, noisy, data.split.test)
+        run = VisualOdometry(model).process(noisy, data.split.test, cache=self.cache, motions=motions)
+        truth, recording = self.sequence.require_truth()[run.frames], self.sequence.recording[run.frames]
+        paths = [self.sequence.image_paths[i] for i in run.frames]
+        features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
+        found = {**run.trajectories, **classical.trajectories(features, run, recording, model.prior)}
+        answer_ms = {}
+        for name, baseline in trained.baselines.items():
+            baseline.answer(features)  # warm
+            started = time.perf_counter()
+            values = baseline.answer(features)
+            answer_ms[name] = 1e3 * (time.perf_counter() - started) / len(features)
+            found[name] = Trajectory(run.timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
+        targets = pose_targets(truth, model.sign_reference)
+        lower, upper = trained.quantiles.interval(features)
+        return {
+            "errors": {name: trajectory_errors(t, truth) for name, t in found.items()},
+            "region": _regions(run, model, features, targets, truth),
+            "quantile_regression": {
+                "coverage": float(((targets >= lower) & (targets <= upper)).mean()),
+                "length": _in_deviations(upper - lower, targets),
+            },
+            "answer_ms": answer_ms,
+            "n_unreliable": int(np.sum(~run.reliable)),
+        }
+
+    def _measured(self, task: TrainingTask, noisy: Sequence, frames: npt.NDArray[np.int64]) -> MotionRecord:
+        key = (task.split, task.seed, noisy.noise)
+        if key not in self._motions:
+            self._motions = {k: v for k, v in self._motions.items() if k[:2] == key[:2]}
+            self._motions[key] = measure_motions(noisy, frames)
+        return self._motions[key]
+
+
+def model_training(task: TrainingTask) -> TrainingConfig:
+    """Settings that every network of a task is trained with, but for learning rates."""
+    return TrainingConfig(epochs=task.epochs, seed=task.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trained:
+    task: TrainingTask
+    data: TrainingData
+    model: PoseModel
+    classical: ClassicalRegressor
+    baselines: dict[str, Baseline]
+    quantiles: QuantileIntervals
+
+
+def _size(head: Head) -> int:
+    return sum(p.numel() for p in head.parameters())
+
+
+def _regions(
+    run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], targets: FloatArray, truth: Trajectory
+) -> dict[str, Any]:
+    """Coverage and size: of the whole pose at alpha, and of each target at alpha as in the paper."""
+    single = SplitConformal(model.bins, ALPHA, model.calibration.score, "none")
+    single.calibrate_scores(model.calibration.scores_)
+    alone = single.predict(model.proba(features))
+    position = run.regions.length[:, :3]
+    off = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
+    spread = np.linalg.norm(position, axis=1)
+    rank = float(spearmanr(spread, off).statistic) if np.ptp(spread) > 0 else float("nan")
+    widths = np.array([e[-1] - e[0] for e in model.bins.edges_])
+    return {
+        "joint_coverage": float(run.regions.contains(targets, joint=True).mean()),
+        "coverage": float(alone.contains(targets).mean()),
+        "length": _in_deviations(np.minimum(alone.length, widths), targets),
+        "intervals": float(alone.n_intervals.mean()),
+        "size_error_rank_correlation": rank if np.isfinite(rank) else None,
+    }
+
+
+def _in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:
+    """Mean lengths of the targets' sets, in standard deviations of the test targets."""
+    return list((length.mean(axis=0) / targets.std(axis=0)).tolist())
