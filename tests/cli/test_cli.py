@@ -27,9 +27,10 @@ def results(small_world, tmp_path_factory):
 
 def test_help_of_every_verb_explains_every_option():
     verbs = typer.main.get_command(app).commands
-    assert set(verbs) == {"demo", "train", "calibrate", "run", "evaluate"}
+    assert set(verbs) == {"demo", "train", "calibrate", "run", "evaluate", "reproduce"}
+    verbs |= {f"reproduce {name}": verb for name, verb in verbs.pop("reproduce").commands.items()}
     for name, verb in verbs.items():
-        assert invoke(name, "--help").exit_code == 0
+        assert invoke(*name.split(), "--help").exit_code == 0
         for parameter in verb.params:
             assert getattr(parameter, "help", None), f"{name} does not explain {parameter.name}"
     assert invoke("--version").output.strip()[0].isdigit()

@@ -155,7 +155,8 @@ def smooth_positions(
             sigma = np.maximum(angles * np.maximum(length, np.median(length)), 1e-9)
             off = np.linalg.norm(np.einsum("tij,tj->ti", across, move), axis=1) / sigma
             off = np.where(np.einsum("ti,ti->t", move, directions) < 0, np.inf, off)  # backwards: the pair misleads
-            weight = np.where(np.isfinite(off), _cauchy(np.where(np.isfinite(off), off, 0)), 0.0) / sigma**2
+            # a direction far off is no evidence at all (Geman and McClure): blur and near planes mislead a whole pair
+            weight = np.where(np.isfinite(off), _cauchy(np.where(np.isfinite(off), off, 0)) ** 2, 0.0) / sigma**2
             blocks = sparse.block_diag(list(across * weight[:, None, None]), format="csr")
             matrix = matrix + differences.T @ blocks @ differences
         after = spsolve(matrix.tocsc(), (w_own * positions_xyz).ravel()).reshape(n, 3)

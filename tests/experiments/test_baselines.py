@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+import torch
+
+from conformodal.datasets import Split, SplitKind
+from conformodal.experiments.baselines import (
+    N_COMPONENTS,
+    Problem,
+    WeightedHead,
+    deep_ensemble,
+    dropout_passes,
+    learnt_weights,
+    learnt_weights_loss,
+    mixture_density,
+    mixture_loss,
+    pinball_loss,
+    quantile_regression,
+    split_mixture,
+)
+from conformodal.experiments.classical import ClassicalRegressor, train_classical
+from conformodal.odometry import TrainingData
+from conformodal.vision import TrainingConfig
+
+CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=1)
+
+
+def make_data(two_answers=False, n=900):
+    """Targets that are smooth functions of the features; or +-1 at random, which no feature tells apart."""
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(n, 6)).astype(np.float32)
+    targets = np.tanh(features @ rng.normal(size=(6, 7))) + 0.05 * rng.normal(size=(n, 7))
+    if two_answers:
+        targets[:, :] = np.where(rng.random(n) < 0.6, 1.0, -1.0)[:, None] + 0.05 * rng.normal(size=(n, 7))
+    order = rng.permutation(n)
+    split = Split(SplitKind.INTERLEAVED, 0, *(np.sort(p) for p in np.split(order, [n // 2, 3 * n // 4])))
+    return TrainingData(None, split, None, features, targets, np.array([1.0, 0, 0, 0]))
+
+
+@pytest.fixture(scope="module")
+def trained():
+    data = make_data()
+    classical = train_classical(data, CONFIG)
+    return data, classical, Problem.of(data, classical, CONFIG)
+
+
+def rmse(values, data):
+    return np.sqrt(np.mean((values - data.targets[data.split.test]) ** 2))
+
+
+def test_all_learn_what_can_be_learnt(trained):
+    data, classical, problem = trained
+    x = data.features[data.split.test]
+    nothing = data.targets.std()
+    assert problem.config.learning_rate == classical.learning_rate
+    found = {
+        "classical": classical.predict(x),
+        "weights": learnt_weights(problem).answer(x),
+        "mixture": mixture_density(problem).answer(x),
+        "dropout": dropout_passes(problem, classical).answer(x),
+        "ensemble": deep_ensemble(problem, classical).answer(x),
+        "quantiles": quantile_regression(problem, 0.1).baseline.answer(x),
+    }
+    errors = {name: rmse(values, data) for name, values in found.items()}
+    assert max(errors.values()) < 0.5 * nothing, errors
+    assert errors["ensemble"] < 1.05 * errors["classical"]
+
+
+def test_an_ensemble_is_the_mean_of_five_and_knows_its_size(trained):
+    data, classical, problem = trained
+    x = data.features[:5]
+    ensemble = deep_ensemble(problem, classical)
+    one = sum(p.numel() for p in classical.head.parameters())
+    assert ensemble.n_parameters == 5 * one
+    assert ensemble.train_s > 0
+    assert not np.allclose(ensemble.answer(x), classical.predict(x))
+
+
+def test_dropout_is_averaged_the_same_way_every_time_and_switched_off_again(trained):
+    data, classical, problem = trained
+    x = data.features[:5]
+    passes = dropout_passes(problem, classical)
+    first = passes.answer(x)
+    np.testing.assert_array_equal(first, passes.answer(x))
+    assert not classical.head.training
+    assert np.abs(first - classical.predict(x)).max() > 0
+
+
+def test_a_mixture_answers_with_one_of_two_values_where_a_mean_lies_between():
+    data = make_data(two_answers=True)
+    classical = ClassicalRegressor(None, data.targets.mean(axis=0), data.targets.std(axis=0), 3e-3, None, 0.0)
+    answers = mixture_density(Problem.of(data, classical, CONFIG)).answer(data.features[data.split.test])
+    assert np.median(np.abs(np.abs(answers) - 1)) < 0.1
+
+
+def test_mixture_loss_is_the_likelihood():
+    torch.manual_seed(0)
+    d, n = 3, 4
+    raw, y = torch.randn(n, N_COMPONENTS * (1 + 2 * d)), torch.randn(n, d)
+    logits, means, log_sigma = split_mixture(raw, d)
+    mixture = torch.distributions.MixtureSameFamily(
+        torch.distributions.Categorical(logits=logits),
+        torch.distributions.Independent(torch.distributions.Normal(means, log_sigma.exp()), 1),
+    )
+    expected = -mixture.log_prob(y).mean() - 0.5 * d * np.log(2 * np.pi)  # constants do not matter
+    assert float(mixture_loss(None, raw, y)) == pytest.approx(float(expected), abs=1e-5)
+
+
+def test_learnt_variances_settle_at_the_mean_squares():
+    head = WeightedHead(2, [1] * 7)
+    raw, y = torch.zeros(100, 7), torch.ones(100, 7)
+    y[:, :3] = 3.0
+    optimiser = torch.optim.Adam([head.log_variance], lr=0.1)
+    for _ in range(400):
+        optimiser.zero_grad()
+        learnt_weights_loss(head, raw, y).backward()
+        optimiser.step()
+    np.testing.assert_allclose(head.log_variance.detach().exp().numpy(), [9, 1], rtol=0.02)
+
+
+def test_pinball_loss_is_least_at_the_quantiles():
+    y = torch.arange(100.0)[:, None]
+    loss = pinball_loss((0.1, 0.5, 0.9))
+
+    def at(*q):
+        return float(loss(None, torch.tensor(q).repeat(100, 1), y))
+
+    best = at(9.5, 49.5, 89.5)
+    for other in ((20.0, 49.5, 89.5), (9.5, 60.0, 89.5), (9.5, 49.5, 80.0)):
+        assert at(*other) > best
+
+
+def test_quantile_intervals_hold_as_often_as_promised(trained):
+    data, _, problem = trained
+    found = quantile_regression(problem, 0.2)
+    lower, upper = found.interval(data.features[data.split.test])
+    y = data.targets[data.split.test]
+    held = ((y >= lower) & (y <= upper)).mean(axis=0)
+    # 225 calibration and 225 test samples: the Beta-binomial law spreads by 0.04 about 0.8
+    assert np.abs(held - 0.8).max() < 0.12
+    assert (lower < upper).all()

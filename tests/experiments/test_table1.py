@@ -1,0 +1,98 @@
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.datasets import SplitKind
+from conformodal.experiments.table1 import ROWS, main_table, method_table, tasks_of, tidy
+from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
+from conformodal.experiments.table1.summary import METHODS
+
+BOTH = [SplitKind.INTERLEAVED, SplitKind.BLOCKS]
+
+
+def test_every_row_has_its_training_and_none_is_done_twice():
+    tasks = tasks_of(BOTH, [0, 1], 100, "digest")
+    assert len({t.key for t in tasks}) == len(tasks) == 2 * 2 * 4
+    for row in ROWS:
+        matching = [t for t in tasks if (t.used, t.network) == (row.used, row.network) and row.sigma in t.sigmas]
+        assert len(matching) == 4
+    assert json.loads(json.dumps(tasks[0].settings))["sigmas"] == [0.0, 0.05, 0.1, 0.2]
+
+
+def made_up(task):
+    """Results in which the conformal error is 0.01 + seed / 1000, and the classical one three times that."""
+    ours = 0.01 + task.seed / 1000
+    errors = {m: {"rmse_m": 2 * ours, "rmse_deg": 1.0, "median_m": 0.0, "median_deg": 0.0} for m in METHODS}
+    errors["smoothed"]["rmse_m"] = ours
+    errors["classical"]["rmse_m"] = 3 * ours
+    errors["deep_ensemble"]["rmse_m"] = 1.5 * ours
+    region = {
+        "joint_coverage": 0.9,
+        "coverage": 0.95,
+        "length": [0.1] * 7,
+        "intervals": 1.5,
+        "size_error_rank_correlation": None,
+    }
+    tested = {"errors": errors, "region": region, "answer_ms": {"classical": 0.1}}
+    cost = {"classical": {"train_s": 5.0, "n_parameters": 10}}
+    noise = {f"{s:g}": tested for s in task.sigmas}
+    return {"frames": {"train": 1, "calibration": 1, "test": 1}, "cost": cost, "noise": noise}
+
+
+def test_the_table_holds_every_row_with_ratios_seed_by_seed():
+    tasks = tasks_of(BOTH, [0, 1, 2], 100, "digest")
+    records = tidy(tasks, [made_up(t) for t in tasks])
+    assert len(records) == len(ROWS) * 2 * 3 * len(METHODS)
+    classical = [r for r in records if r["method"] == "classical"]
+    assert {r["train_s"] for r in classical} == {5.0}
+    assert all(r["ratio"] == pytest.approx(1) for r in classical)
+    for split in ("interleaved", "blocks"):
+        lines = main_table(records, split).splitlines()
+        assert len(lines) == 2 + len(ROWS)
+        assert len({line.count("|") for line in lines}) == 1
+        first = [cell.strip() for cell in lines[2].split("|")]
+        assert first[1:7] == [
+            ROWS[0].label,
+            "0.0110 ± 0.0010",
+            "1.00 ± 0.00",
+            "0.0330 ± 0.0030",
+            "1.00 ± 0.00",
+            "3.00 ± 0.00",
+        ]
+        assert first[8] == "1.50 ± 0.00 deep ensemble of 5"
+        assert first[12] == ""  # no correlation known
+        assert first[13] == "2.5 (0.136 / 0.0534)"
+        table = method_table(records, split).splitlines()
+        assert len(table) == 2 + len(METHODS)
+
+
+@pytest.mark.slow
+def test_reproduce_table1_on_a_small_corridor_and_go_on(small_world, tmp_path):
+    arguments = ["reproduce", "table1", small_world.folder, "--out", tmp_path, "--seeds", "1", "--epochs", "1"]
+    arguments += ["--split", "interleaved", "--cache", small_world.cache]
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == f"results: {tmp_path.resolve()}"
+    records = json.loads((tmp_path / "table1.json").read_text())
+    assert {r["row"] for r in records} == {row.label for row in ROWS}
+    assert {*METHODS, "online"} == {r["method"] for r in records}
+    by_row = {r["row"]: r for r in records if r["method"] == "smoothed"}
+    n = sum(by_row["80 % of the data"][f"frames_{part}"] for part in ("train", "calibration", "test"))
+    small = by_row["40 % of the data"]
+    assert small["frames_test"] == by_row["80 % of the data"]["frames_test"]
+    assert small["frames_train"] + small["frames_calibration"] == pytest.approx(0.4 * n, abs=2)
+    assert small["frames_calibration"] == pytest.approx(CALIBRATION_SHARE * 0.4 * n, abs=2)
+    same = ("rmse_m", "rmse_deg")
+    assert [small[k] for k in same] == [by_row["no noise"][k] for k in same]
+    assert small["rmse_m"] != by_row["pixel noise 0.2"]["rmse_m"]
+    assert np.isfinite([r["rmse_m"] for r in records]).all()
+    kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()}
+    assert len(kept) == 4
+    (tmp_path / "table1.md").unlink()
+    again = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert again.exit_code == 0
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == kept
+    assert "| 40 % of the data |" in (tmp_path / "table1.md").read_text()
