@@ -25,12 +25,16 @@ def spread(values: list[float], digits: int = 4) -> str:
 
 def write_table(name: str, title: str, command: str, header: list[str], rows: list[list[str]], notes: str = "") -> None:
     """Print a Markdown table and keep it under ``benchmarks/results``, with what made it."""
+    lines = [f"| {' | '.join(header)} |", f"| {' | '.join('---' for _ in header)} |"]
+    lines += [f"| {' | '.join(row)} |" for row in rows]
+    write_page(name, title, command, [*lines, "", notes] if notes else lines)
+
+
+def write_page(name: str, title: str, command: str, content: list[str]) -> None:
+    """Print Markdown lines and keep them likewise."""
     made = provenance()
     packages = ", ".join(f"{k} {v}" for k, v in made["packages"].items())
-    lines = [f"# {title}", "", f"`{command}`", ""]
-    lines += [f"| {' | '.join(header)} |", f"| {' | '.join('---' for _ in header)} |"]
-    lines += [f"| {' | '.join(row)} |" for row in rows]
-    lines += ["", notes] if notes else []
+    lines = [f"# {title}", "", f"`{command}`", "", *content]
     lines += [
         "",
         f"{date.today()}, source {made['source_revision']}, {platform.machine()} with {os.cpu_count()} cores, "

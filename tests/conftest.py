@@ -8,6 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples every time, so that main does not depend on luck; HYPOTHESIS_PROFILE=default searches anew.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 DATA = Path(os.environ.get("CONFORMODAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 

@@ -1,7 +1,9 @@
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
@@ -9,6 +11,8 @@ from conformodal.datasets import SplitKind
 from conformodal.experiments.table1 import ROWS, main_table, method_table, tasks_of, tidy
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
 from conformodal.experiments.table1.summary import METHODS
+from conformodal.odometry import ResultsError
+from conformodal.report.stored import StoredRun
 
 BOTH = [SplitKind.INTERLEAVED, SplitKind.BLOCKS]
 
@@ -96,3 +100,23 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(small_world, tmp_path):
     assert again.exit_code == 0
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == kept
     assert "| 40 % of the data |" in (tmp_path / "table1.md").read_text()
+
+    drawn = CliRunner().invoke(app, [str(a) for a in ["reproduce", "figures", *arguments[2:5], *arguments[7:]]])
+    assert drawn.exit_code == 0, drawn.output
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == kept  # drawn from what is there
+    names = json.loads((tmp_path / "figures" / "metrics.json").read_text())["figures"]
+    assert len(names) == 7
+    for name in names:
+        root = ElementTree.parse(tmp_path / "figures" / f"{name}.svg").getroot()
+        assert root.tag.endswith("svg")
+        with Image.open(tmp_path / "figures" / f"{name}.png") as image:
+            assert np.asarray(image.convert("L")).std() > 10  # there is something on it
+    run = StoredRun.read(tmp_path / "runs" / "interleaved-seed0-0.4-efficientnet_lite0-noise0.2")
+    error = np.linalg.norm(run.answer.positions_xyz - run.truth.positions_xyz, axis=1)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(by_row["pixel noise 0.2"]["rmse_m"], rel=1e-4)
+    assert set(run.trajectories) == {*METHODS, "online"}
+    inside = [any(a <= p <= b for a, b in run.intervals(i, "x")) for i, p in enumerate(run.truth.positions_xyz[:, 0])]
+    assert np.mean(inside) > 0.5
+    (tmp_path / "runs" / "interleaved-bins10" / "regions.jsonl").write_text("")
+    with pytest.raises(ResultsError, match="differ in length"):
+        StoredRun.read(tmp_path / "runs" / "interleaved-bins10")

@@ -8,16 +8,28 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.datasets import SplitKind
+from conformodal.datasets import Sequence, SplitKind
 from conformodal.experiments import run_tasks
-from conformodal.experiments.table1 import Table1Worker, main_table, method_table, tasks_of, tidy
+from conformodal.experiments.table1 import (
+    Table1Worker,
+    TrainingTask,
+    bin_runs,
+    main_table,
+    method_table,
+    tasks_of,
+    tidy,
+)
 from conformodal.odometry import data_digest, provenance, write_metrics
 from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
+from .figures import draw_figures
 from .sources import DataFormat, open_sequence
 
 app = typer.Typer(help="The paper's results on a data set of your own.", no_args_is_help=True)
+
+
+_EPOCHS = TrainingConfig().epochs
 
 
 @app.callback()
@@ -25,24 +37,28 @@ def reproduce() -> None:
     """The paper's results on a data set of your own."""
 
 
+Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
+Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
+Layout = Annotated[DataFormat, typer.Option("--format", help="Layout of the data set.")]
+Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
+Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
+
+
 @app.command()
 @kind_errors
 def table1(
-    data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
-    out: Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")],
-    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the data set.")] = DataFormat.SEVENSCENES,
+    data: Data,
+    out: Out,
+    layout: Layout = DataFormat.SEVENSCENES,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
     split: Annotated[SplitKind | None, typer.Option(help="One split only; both by default.")] = None,
-    epochs: Annotated[int, typer.Option(min=1, help="Of every training.")] = TrainingConfig().epochs,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+    epochs: Epochs = _EPOCHS,
+    cache: Cache = None,
 ) -> None:
     """Less data, other networks, noise: the conformal method beside every baseline. Writes OUT/table1.md."""
     sequence = open_sequence(data, layout, require_poses=True)
     splits = list(SplitKind) if split is None else [split]
-    tasks = tasks_of(splits, list(range(seeds)), epochs, data_digest(sequence))
-    worker = Table1Worker(sequence, FeatureCache(cache or default_cache_dir()))
-    with progress_bars() as report:
-        results = run_tasks(tasks, worker, out / "tasks", progress=report)
+    tasks, results = _work(sequence, out, splits, seeds, epochs, cache)
     records = tidy(tasks, results)
     (out / "table1.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
     text = [f"# The paper's table 1 on {sequence.name}", "", _note(seeds, epochs)]
@@ -51,11 +67,47 @@ def table1(
         text.append(method_table(records, str(kind)))
     (out / "table1.md").write_text("\n".join(text) + "\n", encoding="utf-8")
     settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
-    write_metrics(
-        out, {"command": "reproduce table1", "provenance": provenance(), "configuration": settings, "seed": 0}
-    )
+    write_metrics(out, {"command": "reproduce table1", "provenance": provenance(), "configuration": settings})
     console.print("\n".join(text), soft_wrap=True, markup=False)
     print_where(out)
+
+
+@app.command()
+@kind_errors
+def figures(
+    data: Data,
+    out: Out,
+    layout: Layout = DataFormat.SEVENSCENES,
+    split: Annotated[SplitKind, typer.Option(help="Which split's runs to draw.")] = SplitKind.INTERLEAVED,
+    epochs: Epochs = _EPOCHS,
+    cache: Cache = None,
+) -> None:
+    """The paper's figures from the runs of seed 0 under OUT, as SVG and PNG; what is not there yet is run first."""
+    sequence = open_sequence(data, layout, require_poses=True)
+    _, results = _work(sequence, out, [split], 1, epochs, cache)
+    with progress_bars() as report:
+        bins = bin_runs(sequence, out / "runs", split, epochs, FeatureCache(cache or default_cache_dir()), report)
+    written = draw_figures(sequence, out, split, bins, results)
+    write_metrics(
+        out / "figures",
+        {
+            "command": "reproduce figures",
+            "provenance": provenance(),
+            "configuration": {"data": sequence.name, "seed": 0, "split": split, "epochs": epochs},
+            "figures": written,
+        },
+    )
+    console.print(f"{len(written)} figures: {', '.join(written)}", soft_wrap=True)
+    print_where(out / "figures")
+
+
+def _work(
+    sequence: Sequence, out: Path, splits: list[SplitKind], seeds: int, epochs: int, cache: Path | None
+) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
+    tasks = tasks_of(splits, list(range(seeds)), epochs, data_digest(sequence))
+    worker = Table1Worker(sequence, FeatureCache(cache or default_cache_dir()), out / "runs")
+    with progress_bars() as report:
+        return tasks, run_tasks(tasks, worker, out / "tasks", progress=report)
 
 
 def _note(seeds: int, epochs: int) -> str:

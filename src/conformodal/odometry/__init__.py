@@ -7,6 +7,7 @@ from .motions import MotionRecord, measure_motions
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .results import (
+    METRICS,
     read_metrics,
     read_region_records,
     read_trajectories,
@@ -21,6 +22,7 @@ from .training import ModelConfig, TrainingData, data_digest, prepare_training_d
 
 __all__ = [
     "METHODS",
+    "METRICS",
     "TARGET_NAMES",
     "Estimate",
     "ModelConfig",

@@ -1,4 +1,4 @@
-"""Figures and the result page."""
+"""Figures and the result page; the paper's figures are in :mod:`.paper`."""
 
 from .diagnosis import draw_diagnosis
 from .figures import error_figure, plan_figure, trajectory_figure

@@ -1,7 +1,20 @@
 """The paper's table 1: less data, other networks, noise; against every baseline, over seeds."""
 
-from .conditions import ROWS, Row, TrainingTask, tasks_of
+from .bins import bin_runs
+from .conditions import ROWS, Row, TrainingTask, task_key, tasks_of
 from .summary import main_table, method_table, tidy
-from .work import Table1Worker
+from .work import Table1Worker, run_name
 
-__all__ = ["ROWS", "Row", "Table1Worker", "TrainingTask", "main_table", "method_table", "tasks_of", "tidy"]
+__all__ = [
+    "ROWS",
+    "Row",
+    "Table1Worker",
+    "TrainingTask",
+    "bin_runs",
+    "main_table",
+    "method_table",
+    "run_name",
+    "task_key",
+    "tasks_of",
+    "tidy",
+]

@@ -53,6 +53,11 @@ ROWS = (
 )
 
 
+def task_key(split: SplitKind, seed: int, used: float, network: str) -> str:
+    """Name of a task's files."""
+    return f"{split}-seed{seed}-{used:g}-{network}"
+
+
 @dataclass(frozen=True)
 class TrainingTask:
     """One training of everything, tested at every noise that a row asks for.
@@ -82,7 +87,7 @@ class TrainingTask:
     @property
     def key(self) -> str:
         """File name of the result."""
-        return f"{self.split}-seed{self.seed}-{self.used:g}-{self.network}"
+        return task_key(self.split, self.seed, self.used, self.network)
 
     @property
     def settings(self) -> dict[str, object]:

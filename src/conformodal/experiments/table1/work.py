@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from conformodal.odometry import (
     pose_targets,
     prepare_training_data,
     train_model,
+    write_run,
 )
 from conformodal.poses import Trajectory, normalise_quat, trajectory_errors
 from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
@@ -41,6 +43,7 @@ from ..classical import ClassicalRegressor, train_classical
 from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
 
 ALPHA = 0.1
+RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -53,11 +56,15 @@ class Table1Worker:
         With poses.
     cache
         Of features.
+    runs
+        Folder for the whole runs of seed 0, each in the layout that ``conformodal run`` writes: what figures are
+        drawn from. None keeps none.
     """
 
-    def __init__(self, sequence: Sequence, cache: FeatureCache) -> None:
+    def __init__(self, sequence: Sequence, cache: FeatureCache, runs: Path | None = None) -> None:
         self.sequence = sequence
         self.cache = cache
+        self.runs = runs
         # motions depend on the test frames and the noise alone: the trainings of one split share them
         self._motions: dict[tuple[Any, ...], MotionRecord] = {}
 
@@ -118,6 +125,9 @@ class Table1Worker:
             values = baseline.answer(features)
             answer_ms[name] = 1e3 * (time.perf_counter() - started) / len(features)
             found[name] = Trajectory(run.timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
+        run.trajectories = found
+        if self.runs is not None and task.seed == 0:
+            write_run(self.runs / run_name(task.key, sigma), run, [path.name for path in paths], truth)
         targets = pose_targets(truth, model.sign_reference)
         lower, upper = trained.quantiles.interval(features)
         return {
@@ -137,6 +147,11 @@ class Table1Worker:
             self._motions = {k: v for k, v in self._motions.items() if k[:2] == key[:2]}
             self._motions[key] = measure_motions(noisy, frames)
         return self._motions[key]
+
+
+def run_name(key: str, sigma: float) -> str:
+    """Folder of the run of a task at a noise."""
+    return f"{key}-noise{sigma:g}"
 
 
 def model_training(task: TrainingTask) -> TrainingConfig:
@@ -164,7 +179,8 @@ def _regions(
     """Coverage and size: of the whole pose at alpha, and of each target at alpha as in the paper."""
     single = SplitConformal(model.bins, ALPHA, model.calibration.score, "none")
     single.calibrate_scores(model.calibration.scores_)
-    alone = single.predict(model.proba(features))
+    proba = model.proba(features)
+    alone = single.predict(proba)
     position = run.regions.length[:, :3]
     off = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
     spread = np.linalg.norm(position, axis=1)
@@ -176,6 +192,10 @@ def _regions(
         "length": _in_deviations(np.minimum(alone.length, widths), targets),
         "intervals": float(alone.n_intervals.mean()),
         "size_error_rank_correlation": rank if np.isfinite(rank) else None,
+        "n_calibration": model.n_calibration,
+        "n_test": len(targets),
+        # per target, mean over the seven: what the reliability figure shows
+        "coverage_at": [[a, float(single.at(a).predict(proba).contains(targets).mean())] for a in RELIABILITY_ALPHAS],
     }
 
 
