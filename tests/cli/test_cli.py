@@ -74,10 +74,16 @@ def test_evaluate_agrees_with_run(results, small_world):
     ran = json.loads((results / "metrics.json").read_text())
     evaluated = json.loads((results / "evaluation" / "metrics.json").read_text())
     for method, row in ran["errors"].items():
-        assert evaluated["errors"][method] == pytest.approx(row, rel=1e-4)
+        assert {k: evaluated["errors"][method][k] for k in row} == pytest.approx(row, rel=1e-4)
     assert evaluated["coverage"]["joint_coverage"] == pytest.approx(ran["coverage"]["joint_coverage"])
-    again = invoke("evaluate", results, "--truth", results / "truth.tum")
+    again = invoke("evaluate", results, "--truth", results / "truth.tum", "--align", "sim3")
     assert again.exit_code == 0, again.output
+    aligned = json.loads((results / "evaluation" / "metrics.json").read_text())["errors"]["smoothed"]
+    before = evaluated["errors"]["smoothed"]
+    assert aligned["rmse_m"] < before["rmse_m"]
+    assert aligned["rpe_rmse_deg"] == pytest.approx(before["rpe_rmse_deg"], rel=1e-3)  # no alignment changes it
+    assert 0 <= aligned["recall"]["0.05 m, 5 deg"] <= aligned["recall"]["0.5 m, 5 deg"] <= 1
+    assert "aligned by sim3" in again.output
 
 
 def test_run_without_poses(small_world, tmp_path):

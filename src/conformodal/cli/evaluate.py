@@ -19,7 +19,8 @@ from conformodal.odometry import (
     records_contain,
     write_metrics,
 )
-from conformodal.poses import Trajectory, associate, read_tum
+from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
+from conformodal.poses.drift import KITTI_LENGTHS_M
 
 from .console import console, kind_errors, print_errors, print_where
 from .sources import DataFormat, open_sequence
@@ -32,6 +33,9 @@ def evaluate(
     layout: Annotated[DataFormat, typer.Option("--format", help="Layout, if it is a data set.")] = (
         DataFormat.SEVENSCENES
     ),
+    alignment: Annotated[
+        Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
+    ] = Alignment.NONE,
 ) -> None:
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
     metrics = read_metrics(out)
@@ -43,13 +47,14 @@ def evaluate(
         raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
     mine, theirs = associate(answer, true_poses)
     matched = true_poses[theirs]
-    errors = error_table({name: t[mine] for name, t in trajectories.items()}, matched)
+    moved = {name: align(t[mine], matched, alignment) for name, t in trajectories.items()}
+    errors = {name: row | motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
     sign = np.array(metrics["sign_reference_quat_wxyz"])
     inside = records_contain([records[i] for i in mine], matched, sign)
     result: dict[str, Any] = {
         "command": "evaluate",
         "provenance": provenance(),
-        "configuration": {"results": metrics["configuration"], "truth": truth.name},
+        "configuration": {"results": metrics["configuration"], "truth": truth.name, "align": alignment},
         "seed": metrics["seed"],
         "n_matched": len(mine),
         "n_answered": len(answer),
@@ -63,9 +68,23 @@ def evaluate(
     }
     write_metrics(out / "evaluation", result)
     console.print(f"{len(mine)} of {len(answer)} poses have a true one within 0.01 s")
-    print_errors(errors, f"against {truth.name}")
+    moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
+    print_errors(errors, f"against {truth.name}{moved_by}")
     console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
     print_where(out / "evaluation")
+
+
+def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
+    """Recall; relative errors from pose to pose; and KITTI's drift where the path is long enough."""
+    found: dict[str, Any] = {"recall": recall(estimate, truth)}
+    if len(truth) > 1:
+        metres, degrees = relative_errors(estimate, truth)
+        found |= {"rpe_rmse_m": float(np.sqrt(np.mean(metres**2))), "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2)))}
+    length = float(np.sum(np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)))
+    if length > KITTI_LENGTHS_M[0]:
+        drift = kitti_drift(estimate, truth)
+        found |= {"drift_percent": drift.translation_percent, "drift_deg_per_m": drift.rotation_deg_per_m}
+    return found
 
 
 def read_truth(path: Path, layout: DataFormat) -> Trajectory:

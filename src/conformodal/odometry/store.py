@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -72,8 +73,10 @@ def save_model(model: PoseModel, folder: Path) -> None:
     }
     record["sha256"] = _digest(record)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / _WEIGHTS).write_bytes(weights)
-    (folder / _JSON).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    for name, content in ((_WEIGHTS, weights), (_JSON, (json.dumps(record, indent=1) + "\n").encode())):
+        part = folder / f"{name}.{os.getpid()}.part"
+        part.write_bytes(content)
+        part.replace(folder / name)  # a model that is saved again is whole at any time
 
 
 def load_model(folder: Path | str) -> PoseModel:

@@ -1,8 +1,12 @@
 """Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only."""
 
+from .alignment import Alignment, align, umeyama
 from .camera import PinholeCamera
+from .drift import KittiDrift, kitti_drift, relative_errors
 from .errors import PoseError, TrajectoryFileError
-from .metrics import associate, orientation_errors_deg, position_errors_m, trajectory_errors
+from .euroc import read_euroc, write_euroc
+from .kitti import read_kitti, write_kitti
+from .metrics import associate, orientation_errors_deg, position_errors_m, recall, trajectory_errors
 from .relative import MotionStatus, RelativeMotion
 from .rotations import (
     angle_between_quats,
@@ -17,23 +21,34 @@ from .trajectory import Trajectory
 from .tum import read_tum, write_tum
 
 __all__ = [
+    "Alignment",
+    "KittiDrift",
     "MotionStatus",
     "PinholeCamera",
     "PoseError",
     "RelativeMotion",
     "Trajectory",
     "TrajectoryFileError",
+    "align",
     "angle_between_quats",
     "associate",
     "check_rotation_matrices",
     "fix_sign",
+    "kitti_drift",
     "matrix_from_quat_wxyz",
     "normalise_quat",
     "orientation_errors_deg",
     "position_errors_m",
     "quat_wxyz_from_matrix",
+    "read_euroc",
+    "read_kitti",
     "read_tum",
+    "recall",
+    "relative_errors",
     "sign_reference",
     "trajectory_errors",
+    "umeyama",
+    "write_euroc",
+    "write_kitti",
     "write_tum",
 ]

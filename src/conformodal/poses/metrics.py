@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -43,6 +45,26 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, floa
         "median_m": float(np.median(metres)),
         "median_deg": float(np.median(degrees)),
     }
+
+
+# Metres and degrees, as re-localisation papers give them.
+RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
+
+
+def recall(
+    estimate: Trajectory, truth: Trajectory, thresholds: Sequence[tuple[float, float]] = RECALL_THRESHOLDS
+) -> dict[str, float]:
+    """Share of poses within metres and degrees of the truth, both at once; by ``"0.05 m, 5 deg"``.
+
+    Raises
+    ------
+    PoseError
+        If the two differ in length or hold no pose.
+    """
+    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
+    if metres.size == 0:
+        raise PoseError("a trajectory without poses has no error")
+    return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in thresholds}
 
 
 def associate(

@@ -181,11 +181,11 @@ def _regions(
     single.calibrate_scores(model.calibration.scores_)
     proba = model.proba(features)
     alone = single.predict(proba)
-    position = run.regions.length[:, :3]
+    widths = np.array([e[-1] - e[0] for e in model.bins.edges_])  # what stands for the whole line
+    position = np.minimum(run.regions.length, widths)[:, :3]
     off = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
     spread = np.linalg.norm(position, axis=1)
     rank = float(spearmanr(spread, off).statistic) if np.ptp(spread) > 0 else float("nan")
-    widths = np.array([e[-1] - e[0] for e in model.bins.edges_])
     return {
         "joint_coverage": float(run.regions.contains(targets, joint=True).mean()),
         "coverage": float(alone.contains(targets).mean()),

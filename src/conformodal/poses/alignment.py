@@ -1,0 +1,73 @@
+"""Aligning an estimated trajectory with the truth (Umeyama 1991), for errors that leave out where the world begins."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from .errors import PoseError
+from .trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Alignment(StrEnum):
+    """What an estimate may be moved by before it is compared."""
+
+    NONE = "none"
+    SE3 = "se3"  # rotation and translation
+    SIM3 = "sim3"  # and scale, as for one camera that knows none
+    SCALE = "scale"  # scale alone, about the world's origin
+
+
+def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tuple[FloatArray, FloatArray, float]:
+    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3).
+
+    Returns
+    -------
+    R (3, 3), t (3,), s
+
+    Raises
+    ------
+    PoseError
+        If there are fewer than three points, shapes differ, or the points lie on a line, which leaves R open.
+    """
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
+        raise PoseError(f"alignment needs three or more pairs of points (n, 3), got {source.shape}, {target.shape}")
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
+    centred = source - mean_source
+    covariance = (target - mean_target).T @ centred / len(source)
+    u, d, vt = np.linalg.svd(covariance)
+    if not d[1] > np.finfo(np.float64).eps * max(d[0], np.finfo(np.float64).tiny) * 8:
+        raise PoseError("alignment is undetermined: the positions lie on a line or in one place")
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])  # a rotation, no mirror
+    R = (u * signs) @ vt
+    s = float(d @ signs / np.mean(np.sum(centred**2, axis=1))) if with_scale else 1.0
+    return R, mean_target - s * R @ mean_source, s
+
+
+def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Trajectory:
+    """The estimate, moved to fit the truth as well as `how` allows; the two must be paired already.
+
+    Raises
+    ------
+    PoseError
+        If lengths differ or the alignment is undetermined.
+    """
+    try:
+        kind = Alignment(how)
+    except ValueError:
+        raise PoseError(f"alignment must be one of {[str(k) for k in Alignment]}, got {how!r}") from None
+    if len(estimate) != len(truth):
+        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+    if kind is Alignment.NONE:
+        return estimate
+    p, q = estimate.positions_xyz, estimate.orientations_quat_wxyz
+    R, t, s = umeyama(p, truth.positions_xyz, with_scale=kind is not Alignment.SE3)
+    if kind is Alignment.SCALE:
+        return Trajectory(estimate.timestamps_s, s * p, q)
+    turned = Rotation.from_matrix(R) * Rotation.from_quat(q, scalar_first=True)
+    return Trajectory(estimate.timestamps_s, s * p @ R.T + t, turned.as_quat(scalar_first=True))
