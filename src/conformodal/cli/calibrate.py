@@ -9,20 +9,19 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from conformodal.datasets import Layout
 from conformodal.odometry import METHODS, Promise, calibrate_selection, load_model, save_model
 from conformodal.vision import FeatureCache, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
-from .sources import DataFormat, open_sequence
+from .sources import open_sequence
 
 
 @kind_errors
 def calibrate(
     model: Annotated[Path, typer.Argument(help="Folder of a saved model; the radius is saved with it.")],
     data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
-    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the recordings.")] = (
-        DataFormat.SEVENSCENES
-    ),
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the recordings.")] = (Layout.AUTO),
     alpha: Annotated[float, typer.Option(help="Miscoverage rate of the radius.")] = 0.1,
     promise: Annotated[
         Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from conformodal.datasets import Layout
 from conformodal.experiments import error_table
 from conformodal.odometry import (
     TARGET_NAMES,
@@ -23,16 +24,14 @@ from conformodal.poses import Alignment, Trajectory, align, associate, kitti_dri
 from conformodal.poses.drift import KITTI_LENGTHS_M
 
 from .console import console, kind_errors, print_errors, print_where
-from .sources import DataFormat, open_sequence
+from .sources import open_sequence
 
 
 @kind_errors
 def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
-    layout: Annotated[DataFormat, typer.Option("--format", help="Layout, if it is a data set.")] = (
-        DataFormat.SEVENSCENES
-    ),
+    layout: Annotated[Layout, typer.Option("--format", help="Layout, if it is a data set.")] = (Layout.AUTO),
     alignment: Annotated[
         Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
     ] = Alignment.NONE,
@@ -87,7 +86,7 @@ def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def read_truth(path: Path, layout: DataFormat) -> Trajectory:
+def read_truth(path: Path, layout: Layout) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
         return open_sequence(path, layout, require_poses=True).require_truth()

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.datasets import Sequence, SplitKind
+from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import run_tasks
 from conformodal.experiments.table1 import (
     Table1Worker,
@@ -24,7 +24,7 @@ from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
 from .figures import draw_figures
-from .sources import DataFormat, open_sequence
+from .sources import open_sequence
 
 app = typer.Typer(help="The paper's results on a data set of your own.", no_args_is_help=True)
 
@@ -39,7 +39,7 @@ def reproduce() -> None:
 
 Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
-Layout = Annotated[DataFormat, typer.Option("--format", help="Layout of the data set.")]
+Format = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
 Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 
@@ -49,7 +49,7 @@ Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conform
 def table1(
     data: Data,
     out: Out,
-    layout: Layout = DataFormat.SEVENSCENES,
+    layout: Format = Layout.AUTO,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
     split: Annotated[SplitKind | None, typer.Option(help="One split only; both by default.")] = None,
     epochs: Epochs = _EPOCHS,
@@ -77,7 +77,7 @@ def table1(
 def figures(
     data: Data,
     out: Out,
-    layout: Layout = DataFormat.SEVENSCENES,
+    layout: Format = Layout.AUTO,
     split: Annotated[SplitKind, typer.Option(help="Which split's runs to draw.")] = SplitKind.INTERLEAVED,
     epochs: Epochs = _EPOCHS,
     cache: Cache = None,

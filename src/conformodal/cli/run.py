@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.datasets import Sequence
+from conformodal.datasets import Layout, Sequence
 from conformodal.experiments import (
     coverage_table,
     error_table,
@@ -36,7 +36,7 @@ from conformodal.report import PageFigure, ReportContent, error_figure, plan_fig
 from conformodal.vision import FeatureCache, default_cache_dir, extract_features
 
 from .console import Report, console, kind_errors, print_errors, print_where, progress_bars
-from .sources import DataFormat, open_sequence
+from .sources import open_sequence
 
 
 class Part(StrEnum):
@@ -62,7 +62,7 @@ def run(
     model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
     source: Annotated[Path, typer.Argument(help="Frames: a folder in the given layout, with or without poses.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the source.")] = DataFormat.SEVENSCENES,
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the source.")] = Layout.AUTO,
     part: Annotated[Part, typer.Option(help="Frames to answer: all, or a part of the model's own data set.")] = (
         Part.ALL
     ),

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 
-from conformodal.datasets import Sequence, read_sevenscenes
+from conformodal.datasets import Layout, Sequence, read_sequence, recognise
+
+from .console import console
 
 
-class DataFormat(StrEnum):
-    """Layouts that can be read."""
-
-    SEVENSCENES = "7scenes"
-
-
-def open_sequence(path: Path, layout: DataFormat, *, require_poses: bool) -> Sequence:
-    """Read a data set in a layout.
+def open_sequence(path: Path, layout: Layout, *, require_poses: bool) -> Sequence:
+    """Read a data set in a layout; says what was recognised.
 
     Raises
     ------
     DatasetError
         If it is not there or not in that layout.
     """
-    readers = {DataFormat.SEVENSCENES: read_sevenscenes}
-    return readers[layout](path, require_poses=require_poses)
+    if layout is Layout.AUTO:
+        layout = recognise(path)
+        console.print(f"{path}: {layout} layout", soft_wrap=True)
+    return read_sequence(path, layout, require_poses=require_poses)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal.datasets import Sequence, SplitKind
+from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import save_classical, train_classical
 from conformodal.odometry import (
     ModelConfig,
@@ -23,7 +23,7 @@ from conformodal.odometry import (
 from conformodal.vision import NETWORKS, FeatureCache, TrainingConfig, default_cache_dir
 
 from .console import Report, console, kind_errors, print_where, progress_bars
-from .sources import DataFormat, open_sequence
+from .sources import open_sequence
 
 _DEFAULT = ModelConfig()
 
@@ -32,7 +32,7 @@ _DEFAULT = ModelConfig()
 def train(
     data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
-    layout: Annotated[DataFormat, typer.Option("--format", help="Layout of the data set.")] = DataFormat.SEVENSCENES,
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     split: Annotated[SplitKind, typer.Option(help="How frames are held out: at random, or in stretches.")] = (
         _DEFAULT.split
     ),

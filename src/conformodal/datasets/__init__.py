@@ -1,20 +1,32 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
 from .errors import DatasetError, ImageError, SplitError
+from .euroc import read_euroc_mav
+from .kitti import read_kitti_odometry
+from .layouts import Layout, read_sequence, recognise
 from .noise import PixelNoise
+from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence, read_image
 from .sevenscenes import read_sevenscenes
 from .splits import Split, SplitKind, make_split
+from .tum import read_tum_rgbd
 
 __all__ = [
     "DatasetError",
     "ImageError",
+    "Layout",
     "PixelNoise",
     "Sequence",
     "Split",
     "SplitError",
     "SplitKind",
     "make_split",
+    "read_euroc_mav",
     "read_image",
+    "read_kitti_odometry",
+    "read_rgbd_scenes",
+    "read_sequence",
     "read_sevenscenes",
+    "read_tum_rgbd",
+    "recognise",
 ]

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
-from .errors import DatasetError, ImageError
-from .sequence import Sequence, read_image
+from .errors import DatasetError
+from .files import camera_beside, image_size, read_numbers
+from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
-DEFAULT_INTRINSICS = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
+CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
 # Recordings of one scene are laid one after the other in time, this far apart.
 _GAP_BETWEEN_RECORDINGS_S = 10.0
 _IMAGE = re.compile(r"frame-(\d+)\.color\.(png|jpg|jpeg)$")
@@ -108,15 +108,8 @@ def _truth(images: list[Path], stamps: npt.NDArray[np.float64], *, required: boo
         raise
 
 
-def _read_numbers(path: Path) -> npt.NDArray[np.float64]:
-    try:
-        return np.array([float(x) for x in path.read_text(encoding="utf-8").split()])
-    except (OSError, ValueError) as exc:
-        raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
-
-
 def _read_matrix(path: Path, size: int, *, last_row: bool = True) -> npt.NDArray[np.float64]:
-    matrix = _read_numbers(path)
+    matrix = read_numbers(path)
     if matrix.size != size * size:
         raise DatasetError(f"{path}: holds {matrix.size} numbers, expected {size * size} ({size}x{size})")
     matrix = matrix.reshape(size, size)
@@ -146,29 +139,5 @@ def _frame_rate(folder: Path, recordings: list[Path]) -> float:
 
 
 def _camera(folder: Path, first_image: Path) -> PinholeCamera:
-    width, height = _image_size(first_image)
     path = _beside("camera-intrinsics.txt", first_image.parent, folder)
-    if path is not None:
-        k = _read_matrix(path, 3)
-        beside = path.with_name("camera-distortion.txt")
-        lens = tuple(_read_numbers(beside).tolist()) if beside.is_file() else ()
-        try:
-            return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height, lens)
-        except PoseError as exc:
-            raise DatasetError(f"{path}{f', {beside}' if lens else ''}: {exc}") from exc
-    if (width, height) != (640, 480):
-        raise DatasetError(
-            f"{folder}: images are {width}x{height} and there is no camera-intrinsics.txt; "
-            "the built-in intrinsics of 7-Scenes are for 640x480"
-        )
-    k = DEFAULT_INTRINSICS
-    return PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
-
-
-def _image_size(path: Path) -> tuple[int, int]:
-    try:
-        with Image.open(path) as image:
-            return image.size
-    except OSError:
-        read_image(path)  # says kindly what is wrong
-        raise ImageError(f"{path}: cannot be read") from None
+    return camera_beside(folder if path is None else path.parent, image_size(first_image), CAMERA)

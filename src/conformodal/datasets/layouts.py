@@ -1,0 +1,100 @@
+"""All layouts that can be read, and which of them a folder is in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import NamedTuple
+
+from .errors import DatasetError
+from .euroc import read_euroc_mav
+from .kitti import read_kitti_odometry
+from .rgbd_scenes import read_rgbd_scenes
+from .sequence import Sequence
+from .sevenscenes import read_sevenscenes
+from .tum import read_tum_rgbd
+
+
+class Layout(StrEnum):
+    """Names of the layouts."""
+
+    AUTO = "auto"
+    SEVENSCENES = "7scenes"
+    RGBD_SCENES = "rgbd-scenes"
+    KITTI = "kitti"
+    TUM = "tum"
+    EUROC = "euroc"
+
+
+class _Reader(NamedTuple):
+    read: Callable[..., Sequence]
+    sign: str  # what gives the layout away, for people
+    fits: Callable[[Path], bool]
+
+
+_READERS = {
+    Layout.SEVENSCENES: _Reader(
+        read_sevenscenes,
+        "frame-NNNNNN.color.png or .jpg, in it or in folders seq-NN",
+        lambda f: any(next(place.glob("frame-*.color.*"), None) is not None for place in (f, *sorted(f.glob("seq-*")))),
+    ),
+    Layout.RGBD_SCENES: _Reader(
+        read_rgbd_scenes,
+        "imgs/scene_NN, or FFFFF-color.png",
+        lambda f: (f / "imgs").is_dir() or next(f.glob("*-color.png"), None) is not None,
+    ),
+    Layout.KITTI: _Reader(
+        read_kitti_odometry,
+        "image_0 or image_2, and calib.txt",
+        lambda f: (f / "calib.txt").is_file() and any((f / name).is_dir() for name in ("image_0", "image_2")),
+    ),
+    Layout.TUM: _Reader(read_tum_rgbd, "rgb.txt", lambda f: (f / "rgb.txt").is_file()),
+    Layout.EUROC: _Reader(
+        read_euroc_mav,
+        "mav0/cam0",
+        lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0")),
+    ),
+}
+
+
+def recognise(folder: Path) -> Layout:
+    """The layout that a folder is in.
+
+    Raises
+    ------
+    DatasetError
+        If the folder is missing, or in no layout or in several; says what was looked for.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: no such folder")
+    found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
+    if len(found) == 1:
+        return found[0]
+    looked = "; ".join(f"{layout}: {reader.sign}" for layout, reader in _READERS.items())
+    if found:
+        raise DatasetError(f"{folder}: could be {' or '.join(found)}; name its format")
+    raise DatasetError(f"{folder}: is in no layout that is known. Looked for {looked}")
+
+
+def read_sequence(folder: Path | str, layout: Layout | str = Layout.AUTO, *, require_poses: bool = True) -> Sequence:
+    """Read a data set in a layout, or in the one it is found to be in.
+
+    Parameters
+    ----------
+    folder
+        See the layout's own reader.
+    layout
+        ``auto`` recognises it.
+    require_poses
+        False also reads frames without poses.
+
+    Raises
+    ------
+    DatasetError
+        If the folder is not in the layout, or something in it is missing or damaged.
+    """
+    place = Path(folder)
+    kind = Layout(layout)
+    reader = _READERS[recognise(place) if kind is Layout.AUTO else kind]
+    return reader.read(place, require_poses=require_poses)

@@ -1,0 +1,248 @@
+"""Every layout is written as published, with a scene whose answer is known: the camera walks along x and turns left."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from conformodal.datasets import DatasetError, Layout, read_sequence, recognise
+
+N, SIZE = 5, (64, 48)
+# seen from above, with z up: looks along x first, then turns to the left by 10 degrees a frame
+LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+TURNS = Rotation.from_euler("z", 10.0 * np.arange(N)[:, None], degrees=True) * LEVEL
+PLACES = np.column_stack((0.5 * np.arange(N), np.zeros(N), np.full(N, 1.5)))
+QUATS = TURNS.as_quat(scalar_first=True)
+K = "40 0 32\n0 40 24\n0 0 1\n"
+
+
+def picture(path, i):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", SIZE, (10 * i, 0, 0)).save(path)
+
+
+def matrices():
+    poses = np.tile(np.eye(4), (N, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = TURNS.as_matrix(), PLACES
+    return poses
+
+
+def write_sevenscenes(root):
+    for i, pose in enumerate(matrices()):
+        picture(root / "seq-01" / f"frame-{i:06d}.color.png", i)
+        np.savetxt(root / "seq-01" / f"frame-{i:06d}.pose.txt", pose)
+    (root / "camera-intrinsics.txt").write_text(K)
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_rgbd_scenes(root):
+    for scene in ("01", "02"):
+        for i in range(N):
+            picture(root / "imgs" / f"scene_{scene}" / f"{i:05d}-color.png", i)
+            picture(root / "imgs" / f"scene_{scene}" / f"{i:05d}-depth.png", i)
+        (root / "pc").mkdir(exist_ok=True)
+        np.savetxt(root / "pc" / f"{scene}.pose", np.column_stack((QUATS, PLACES)))
+        (root / "imgs" / f"scene_{scene}" / "camera-intrinsics.txt").write_text(K)
+    return root / "imgs" / "scene_02"
+
+
+def write_kitti(root):
+    sequence = root / "sequences" / "07"
+    for i in range(N):
+        picture(sequence / "image_0" / f"{i:06d}.png", i)
+    (sequence / "calib.txt").write_text("P0: 40 0 32 0 0 40 24 0 0 0 1 0\nP2: 40 0 32 8 0 40 24 0 0 0 1 0\n")
+    (sequence / "times.txt").write_text("\n".join(f"{0.1 * i:.6e}" for i in range(N)))
+    (root / "poses").mkdir()
+    np.savetxt(root / "poses" / "07.txt", matrices()[:, :3].reshape(N, 12))
+    return sequence
+
+
+def write_tum(root):
+    folder = root / "rgbd_dataset_freiburg3_walk"
+    lines = ["# color images"]
+    for i in range(N):
+        picture(folder / "rgb" / f"{i}.png", i)
+        lines.append(f"{100 + 0.1 * i:.4f} rgb/{i}.png")
+    (folder / "rgb.txt").write_text("\n".join(lines))
+    stamps = 100 + 0.1 * np.arange(N) + 0.004
+    rows = np.column_stack((stamps, PLACES, QUATS[:, 1:], QUATS[:, :1]))
+    np.savetxt(folder / "groundtruth.txt", rows, header="timestamp tx ty tz qx qy qz qw")
+    (folder / "camera-intrinsics.txt").write_text(K)
+    return folder
+
+
+def write_euroc(root):
+    cam = root / "mav0" / "cam0"
+    lines = ["#timestamp [ns],filename"]
+    for i in range(N):
+        stamp = 1403636579763555584 + 50_000_000 * i
+        picture(cam / "data" / f"{stamp}.png", i)
+        lines.append(f"{stamp},{stamp}.png")
+    (cam / "data.csv").write_text("\n".join(lines))
+    # the camera sits 0.1 m to the side of the body and is turned by a quarter about its axis
+    T_body_cam = np.eye(4)
+    T_body_cam[:3, :3], T_body_cam[:3, 3] = Rotation.from_euler("z", 90, degrees=True).as_matrix(), [0.1, 0.02, 0]
+    body = matrices() @ np.linalg.inv(T_body_cam)
+    quats = Rotation.from_matrix(body[:, :3, :3]).as_quat(scalar_first=True)
+    truth = root / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    truth.parent.mkdir()
+    rows = ["#timestamp, p_RS_R_x [m], ..."]
+    for i in range(N):
+        numbers = ",".join(f"{v:.12f}" for v in (*body[i, :3, 3], *quats[i], 0.0, 0.0, 0.0))
+        rows.append(f"{1403636579763555584 + 50_000_000 * i + 1_000_000},{numbers}")
+    truth.write_text("\n".join(rows))
+    (cam / "sensor.yaml").write_text(
+        "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: "
+        f"{T_body_cam.ravel().tolist()}\nresolution: [64, 48]\ncamera_model: pinhole\nintrinsics: [40, 40, 32, 24]\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n"
+    )
+    return root
+
+
+WRITERS = {
+    Layout.SEVENSCENES: write_sevenscenes,
+    Layout.RGBD_SCENES: write_rgbd_scenes,
+    Layout.KITTI: write_kitti,
+    Layout.TUM: write_tum,
+    Layout.EUROC: write_euroc,
+}
+
+
+def test_every_layout_is_tested():
+    assert set(WRITERS) | {Layout.AUTO} == set(Layout)
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_the_known_scene_is_read_from_every_layout(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    assert recognise(folder) is layout
+    sequence = read_sequence(folder)
+    assert len(sequence) == N
+    assert (sequence.recording == 0).all()
+    np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices(), atol=1e-9)
+    step = {Layout.RGBD_SCENES: 1 / 30, Layout.EUROC: 0.05}.get(layout, 0.1)
+    np.testing.assert_allclose(np.diff(sequence.timestamps_s), step, atol=1e-6)
+    assert (sequence.camera.fx, sequence.camera.cx, sequence.camera.width, sequence.camera.height) == (40, 32, *SIZE)
+    assert len(sequence.camera.distortion) == (4 if layout is Layout.EUROC else 0)
+    for i in range(N):
+        assert sequence.image(i)[0, 0].tolist() == [10 * i, 0, 0]
+    # what the camera looks at: along x at first, to the left after nine frames
+    forward = sequence.require_truth().poses_se3[:, :3, 2]
+    np.testing.assert_allclose(forward[0], [1, 0, 0], atol=1e-9)
+    assert (np.diff(forward[:, 1]) > 0).all()
+
+
+@pytest.mark.parametrize("layout", [Layout.KITTI, Layout.TUM, Layout.EUROC, Layout.RGBD_SCENES])
+def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    for path in [*tmp_path.rglob("poses/*.txt"), *tmp_path.rglob("groundtruth.txt"), *tmp_path.rglob("*.pose")]:
+        path.unlink()
+    for path in tmp_path.rglob("state_groundtruth_estimate0/data.csv"):
+        path.unlink()
+    with pytest.raises(DatasetError, match=r"07\.txt|groundtruth|data\.csv|\.pose"):
+        read_sequence(folder)
+    sequence = read_sequence(folder, require_poses=False)
+    assert len(sequence) == N
+    assert sequence.truth is None
+
+
+def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
+    folder = write_tum(tmp_path)
+    path = folder / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:-2]))  # the last two poses are gone
+    assert len(read_sequence(folder)) == N - 2
+    whole = read_sequence(folder, require_poses=False)
+    assert len(whole) == N
+    assert whole.truth is None
+    path.write_text("900.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(DatasetError, match=r"groundtruth\.txt: no estimated pose"):
+        read_sequence(folder)
+
+
+def test_several_rgbd_scenes_are_several_recordings(tmp_path):
+    write_rgbd_scenes(tmp_path)
+    for scene in (tmp_path / "imgs").iterdir():
+        (scene / "camera-intrinsics.txt").unlink()
+    (tmp_path / "camera-intrinsics.txt").write_text(K)
+    sequence = read_sequence(tmp_path)
+    assert np.bincount(sequence.recording).tolist() == [N, N]
+    assert (np.diff(sequence.timestamps_s) > 0).all()
+
+
+def test_kitti_s_colour_camera_stands_beside_the_grey_one(tmp_path):
+    folder = write_kitti(tmp_path)
+    (folder / "image_0").rename(folder / "image_2")
+    sequence = read_sequence(folder)
+    # P2's last column is 8 = 40 * 0.2: it sees all points 0.2 m further right, so it stands to the left
+    apart = sequence.require_truth().positions_xyz - PLACES
+    right = TURNS.as_matrix()[:, :, 0]
+    np.testing.assert_allclose(apart, -0.2 * right, atol=1e-9)
+
+
+def test_real_data_are_recognised_and_read(real_data):
+    kitti = read_sequence(real_data("kitti", "sequences", "06"))
+    assert len(kitti) == 51
+    # the car drives along the camera's axis
+    step = np.diff(kitti.require_truth().positions_xyz, axis=0)
+    forward = kitti.require_truth().poses_se3[:-1, :3, 2]
+    assert (np.sum(step * forward, axis=1) > 0.9 * np.linalg.norm(step, axis=1)).all()
+    tum = read_sequence(real_data("tum", "fr3_cabinet"))
+    assert tum.camera.fx == 535.4
+    assert len(tum) == len(tum.require_truth()) > 50
+    assert recognise(real_data("7scenes", "redkitchen", "seq-01")) is Layout.SEVENSCENES
+
+
+def break_file(name, content):
+    def spoil(root):
+        path = next(root.rglob(name))
+        path.write_text(content)
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("layout", "spoil", "match"),
+    [
+        (Layout.KITTI, break_file("calib.txt", "P1: 1\n"), r"calib\.txt: has no line P0"),
+        (Layout.KITTI, break_file("calib.txt", "P0: 1 2\n"), r"calib\.txt: P0 must be twelve"),
+        (Layout.KITTI, break_file("times.txt", "0 1\n"), r"times\.txt: holds 2 times for 5 images"),
+        (Layout.KITTI, break_file("07.txt", "1 2 3\n"), r"07\.txt, line 1"),
+        (Layout.KITTI, break_file("07.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), r"07\.txt.*1 poses, but 5"),
+        (Layout.TUM, break_file("rgb.txt", "now rgb/0.png\n"), r"rgb\.txt, line 1"),
+        (Layout.TUM, break_file("rgb.txt", "# nothing\n"), r"rgb\.txt: lists no image"),
+        (Layout.TUM, break_file("rgb.txt", "2 rgb/0.png\n1 rgb/1.png\n"), "groundtruth|increase"),
+        (Layout.TUM, break_file("camera-intrinsics.txt", "1 2 3\n"), "expected 9"),
+        (Layout.TUM, lambda r: next(r.rglob("camera-intrinsics.txt")).unlink(), "no camera is known for 64x48"),
+        (Layout.EUROC, break_file("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml: is no EuRoC"),
+        (Layout.EUROC, break_file("sensor.yaml", "{"), r"sensor\.yaml: is no EuRoC"),
+        (Layout.RGBD_SCENES, break_file("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose: holds 1 poses.*image 4"),
+        (Layout.RGBD_SCENES, break_file("02.pose", "1 0 0\n"), r"02\.pose, line 1"),
+        (Layout.RGBD_SCENES, break_file("02.pose", "0 0 0 0 1 1 1\n"), r"02\.pose, line 1"),
+    ],
+)
+def test_damaged_data_sets_are_refused_by_name(tmp_path, layout, spoil, match):
+    folder = WRITERS[layout](tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(DatasetError, match=match):
+        read_sequence(folder, layout)
+
+
+def test_another_camera_model_is_refused(tmp_path):
+    write_euroc(tmp_path)
+    path = next(tmp_path.rglob("sensor.yaml"))
+    path.write_text(path.read_text().replace("radial-tangential", "equidistant"))
+    with pytest.raises(DatasetError, match="equidistant; expected pinhole"):
+        read_sequence(tmp_path)
+
+
+def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
+    with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
+        recognise(tmp_path)
+    with pytest.raises(DatasetError, match="no such folder"):
+        recognise(tmp_path / "nowhere")
+    (tmp_path / "rgb.txt").write_text("")
+    (tmp_path / "frame-000000.color.png").write_text("")
+    with pytest.raises(DatasetError, match="could be 7scenes or tum"):
+        recognise(tmp_path)
