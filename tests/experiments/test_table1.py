@@ -8,22 +8,33 @@ from typer.testing import CliRunner
 
 from conformodal.cli.main import app
 from conformodal.datasets import SplitKind
-from conformodal.experiments.table1 import ROWS, main_table, method_table, tasks_of, tidy
+from conformodal.experiments import ExperimentError
+from conformodal.experiments.table1 import main_table, method_table, rows_of, tasks_of, tidy
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
 from conformodal.experiments.table1.summary import METHODS
 from conformodal.odometry import ResultsError
 from conformodal.report.stored import StoredRun
 
+ROWS = rows_of()
 BOTH = [SplitKind.INTERLEAVED, SplitKind.BLOCKS]
 
 
 def test_every_row_has_its_training_and_none_is_done_twice():
-    tasks = tasks_of(BOTH, [0, 1], 100, "digest")
+    tasks = tasks_of(ROWS, BOTH, [0, 1], 100, "digest")
     assert len({t.key for t in tasks}) == len(tasks) == 2 * 2 * 4
     for row in ROWS:
         matching = [t for t in tasks if (t.used, t.network) == (row.used, row.network) and row.sigma in t.sigmas]
         assert len(matching) == 4
     assert json.loads(json.dumps(tasks[0].settings))["sigmas"] == [0.0, 0.05, 0.1, 0.2]
+
+
+def test_networks_of_the_hub_have_file_names_of_their_own():
+    rows = rows_of(["hf:google/efficientnet-b0", "hf:google/efficientnet-b3", "hf:google/efficientnet-b7"])
+    keys = {t.key for t in tasks_of(rows, BOTH, [0], 100, "digest")}
+    assert len(keys) == 8
+    assert all("/" not in key and ":" not in key for key in keys)
+    with pytest.raises(ExperimentError, match="a small, a middle and a large"):
+        rows_of(["efficientnet_lite0"])
 
 
 def made_up(task):
@@ -47,14 +58,14 @@ def made_up(task):
 
 
 def test_the_table_holds_every_row_with_ratios_seed_by_seed():
-    tasks = tasks_of(BOTH, [0, 1, 2], 100, "digest")
-    records = tidy(tasks, [made_up(t) for t in tasks])
+    tasks = tasks_of(ROWS, BOTH, [0, 1, 2], 100, "digest")
+    records = tidy(ROWS, tasks, [made_up(t) for t in tasks])
     assert len(records) == len(ROWS) * 2 * 3 * len(METHODS)
     classical = [r for r in records if r["method"] == "classical"]
     assert {r["train_s"] for r in classical} == {5.0}
     assert all(r["ratio"] == pytest.approx(1) for r in classical)
     for split in ("interleaved", "blocks"):
-        lines = main_table(records, split).splitlines()
+        lines = main_table(ROWS, records, split).splitlines()
         assert len(lines) == 2 + len(ROWS)
         assert len({line.count("|") for line in lines}) == 1
         first = [cell.strip() for cell in lines[2].split("|")]
@@ -69,7 +80,7 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
         assert first[8] == "1.50 ± 0.00 deep ensemble of 5"
         assert first[12] == ""  # no correlation known
         assert first[13] == "2.5 (0.136 / 0.0534)"
-        table = method_table(records, split).splitlines()
+        table = method_table(ROWS, records, split).splitlines()
         assert len(table) == 2 + len(METHODS)
 
 

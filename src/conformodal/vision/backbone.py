@@ -1,24 +1,19 @@
-"""Frozen EfficientNet-Lite features that still know where in the image things are."""
+"""Frozen features that still know where in the image things are."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from importlib import metadata
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
-from efficientnet_lite_pytorch import EfficientNet
 from torch import nn
 
-from .errors import VisionError
 from .networks import find_network
 
-# The scaling that the ImageNet weights were trained with (EfficientNet-Lite, Google 2020).
-_PIXEL_MEAN, _PIXEL_SCALE = 127.0, 128.0
 # Images are not enlarged, and reduced to at most this width.
 MAX_WIDTH = 320
 
@@ -68,27 +63,24 @@ class Backbone(nn.Module):
         If the network is unknown, its weights are not installed, or it has no such block.
     """
 
+    pixel_mean: torch.Tensor
+    pixel_scale: torch.Tensor
+
     def __init__(self, config: BackboneConfig) -> None:
         super().__init__()
         self.config = config
-        self._weights = find_network(config.name).weights()
-        network = EfficientNet.from_name(config.name.replace("_", "-"))
-        # weights_only: tensors and nothing else, so the file cannot run code
-        network.load_state_dict(torch.load(self._weights, map_location="cpu", weights_only=True))
-        blocks = list(network._blocks)
-        if not 0 <= config.block < len(blocks):
-            raise VisionError(f"block must be 0 to {len(blocks) - 1} for {config.name}, got {config.block}")
-        stem = [network._conv_stem, network._bn0, network._swish]
-        self.layers = nn.Sequential(*stem, *blocks[: config.block + 1], nn.AdaptiveAvgPool2d(config.grid))
+        layers, mean, scale, self._identity = find_network(config.name).load(config.block)
+        self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
+        self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
+        self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
         self.eval().requires_grad_(False)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @cached_property
     def fingerprint(self) -> str:
         """Digest of the weights, the configuration and the versions that decide the features."""
-        digest = hashlib.sha256(self._weights.read_bytes())
+        digest = hashlib.sha256(self._identity)
         digest.update(repr(sorted(asdict(self.config).items())).encode())
-        digest.update(metadata.version("efficientnet-lite-pytorch").encode())
         return digest.hexdigest()
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
@@ -101,6 +93,6 @@ class Backbone(nn.Module):
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), uint8 RGB."""
         x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)
-        x = (x - _PIXEL_MEAN) / _PIXEL_SCALE
+        x = (x - self.pixel_mean) / self.pixel_scale
         features: torch.Tensor = self.layers(x).flatten(1)
         return features

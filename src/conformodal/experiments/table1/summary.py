@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .conditions import ROWS, Row, TrainingTask
+from .conditions import Row, TrainingTask
 
 METHODS = {
     "smoothed": "conformal, smoothed",
@@ -25,11 +25,11 @@ METHODS = {
 Record = dict[str, Any]
 
 
-def tidy(tasks: Sequence[TrainingTask], results: Sequence[Record]) -> list[Record]:
+def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[Record]) -> list[Record]:
     """One record a row, split, seed and method."""
     records = []
     for task, result in zip(tasks, results, strict=True):
-        for row in ROWS:
+        for row in rows:
             if (row.used, row.network) != (task.used, task.network):
                 continue
             tested = result["noise"][f"{row.sigma:g}"]
@@ -54,7 +54,7 @@ def tidy(tasks: Sequence[TrainingTask], results: Sequence[Record]) -> list[Recor
     return records
 
 
-def main_table(records: Sequence[Record], split: str) -> str:
+def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> str:
     """Markdown: the paper's table, with its numbers beside ours."""
     lines = [
         "| condition | conformal, m | degrees | classical, m | degrees | ratio | same smoother: ratio "
@@ -62,7 +62,7 @@ def main_table(records: Sequence[Record], split: str) -> str:
         "| paper: ratio (m / m) |",
         "| --- " * 13 + "|",
     ]
-    for row in ROWS:
+    for row in rows:
         cells = [row.label]
         for method in ("smoothed", "classical"):
             cells += [_of(records, row, split, method, "rmse_m", 4), _of(records, row, split, method, "rmse_deg", 2)]
@@ -81,12 +81,12 @@ def main_table(records: Sequence[Record], split: str) -> str:
     return "\n".join(lines)
 
 
-def method_table(records: Sequence[Record], split: str) -> str:
+def method_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> str:
     """Markdown: every method's position RMSE in every row."""
-    labels = [row.label for row in ROWS]
+    labels = [row.label for row in rows]
     lines = [f"| method | {' | '.join(labels)} |", "| --- " * (len(labels) + 1) + "|"]
     for method, name in METHODS.items():
-        cells = [_of(records, row, split, method, "rmse_m", 4) for row in ROWS]
+        cells = [_of(records, row, split, method, "rmse_m", 4) for row in rows]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
