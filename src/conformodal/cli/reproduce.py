@@ -127,13 +127,14 @@ def _work(
 
 
 def _note(seeds: int, epochs: int, networks: str) -> str:
+    over = f"{seeds} {'seed' if seeds == 1 else 'seeds'}"
     return (
-        f"Mean ± standard deviation over {seeds} {'seed' if seeds == 1 else 'seeds'} of split and training, {epochs} "
-        f"epochs. Ratio: the other's RMSE over ours, seed by seed. Frozen features of {networks.replace(',', ', ')}; the "
-        "test frames are the same fifth for every row, a fifth of the used frames calibrate, and the classical "
-        "regressors are trained on these as well, at a learning rate searched for each. Noise is on the camera's "
-        "pixels, in [0, 1], at test time only, for network and tracker alike. Whole pose covered: at alpha = 0.1 "
-        "(bonferroni); promised for `interleaved` without noise, otherwise an observation. Set length and intervals: "
-        "a target at alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of "
-        "the position region's size and the smoothed answer's error."
+        f"Mean ± standard deviation over {over} of split and training, {epochs} epochs. Ratio: the other's RMSE over "
+        f"ours, seed by seed. Frozen features of {networks.replace(',', ', ')}; the test frames are the same fifth for "
+        "every row, a fifth of the used frames calibrate, and the classical regressors are trained on these as well, "
+        "at a learning rate searched for each. Noise is on the camera's pixels, in [0, 1], at test time only, for "
+        "network and tracker alike. Whole pose covered: at alpha = 0.1 (bonferroni); promised for `interleaved` "
+        "without noise, otherwise an observation. Set length and intervals: a target at alpha = 0.1, as in the paper, "
+        "in standard deviations. Size against error: rank correlation of the position region's size and the smoothed "
+        "answer's error."
     )
