@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from .errors import PoseError, TrajectoryFileError
+from .text import read_rows
 from .trajectory import Trajectory
 
 _HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
@@ -32,30 +31,13 @@ def read_euroc(path: Path) -> Trajectory:
     TrajectoryFileError
         If the file is missing, holds no pose, or a line does not start with eight finite numbers.
     """
+    data = read_rows(path, _parse, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as exc:
-        raise TrajectoryFileError(f"{path}: cannot be read as EuRoC ground truth: {exc}") from exc
-    times, rows = [], []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        fields = line.split(",")[:8]
-        try:
-            # whole nanoseconds: as floats, today's would lose a quarter of a microsecond
-            nanoseconds, row = int(fields[0]), [float(field) for field in fields[1:]]
-        except ValueError:
-            nanoseconds, row = 0, []
-        if len(row) != 7 or not np.isfinite(row).all():
-            raise TrajectoryFileError(
-                f"{path}, line {number}: expected 'timestamp [ns], x, y, z, qw, qx, qy, qz', got {line[:80]!r}"
-            )
-        times.append(nanoseconds / 1e9)
-        rows.append(row)
-    if not rows:
-        raise TrajectoryFileError(f"{path}: holds no pose; expected lines 'timestamp [ns], x, y, z, qw, qx, qy, qz'")
-    data = np.array(rows)
-    try:
-        return Trajectory(np.array(times), data[:, :3], data[:, 3:])
+        return Trajectory(data[:, 0], data[:, 1:4], data[:, 4:])
     except PoseError as exc:
         raise TrajectoryFileError(f"{path}: {exc}") from exc
+
+
+def _parse(line: str) -> list[float]:
+    fields = line.split(",")[:8]
+    return [int(fields[0]) / 1e9, *(float(field) for field in fields[1:])]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import PoseError, TrajectoryFileError
+from .text import read_rows
 from .trajectory import Trajectory
 
 
@@ -26,26 +27,8 @@ def read_tum(path: Path) -> Trajectory:
     TrajectoryFileError
         If the file is missing, holds no pose, or a line is not eight finite numbers.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as exc:
-        raise TrajectoryFileError(f"{path}: cannot be read as a TUM trajectory: {exc}") from exc
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            row = [float(field) for field in line.replace(",", " ").split()]
-        except ValueError:
-            row = []
-        if len(row) != 8 or not np.isfinite(row).all():
-            raise TrajectoryFileError(
-                f"{path}, line {number}: expected eight numbers 'timestamp tx ty tz qx qy qz qw', got {line[:80]!r}"
-            )
-        rows.append(row)
-    if not rows:
-        raise TrajectoryFileError(f"{path}: holds no pose; expected lines 'timestamp tx ty tz qx qy qz qw'")
-    data = np.array(rows)
+    expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
+    data = read_rows(path, lambda line: [float(field) for field in line.replace(",", " ").split()], 8, expected)
     try:
         return Trajectory(data[:, 0], data[:, 1:4], data[:, [7, 4, 5, 6]])
     except PoseError as exc:
