@@ -109,7 +109,7 @@ def test_bad_input_is_one_kind_line(small_world, tmp_path, results):
         (["train", small_world.folder, "--out", tmp_path / "m", "--joint", "all"], "joint must be"),
         (["train", small_world.folder, "--out", tmp_path / "m", "--score", "best"], "score must be"),
         (["run", tmp_path, small_world.folder, "--out", tmp_path / "o"], "no saved model"),
-        (["run", small_world.model, tmp_path, "--out", tmp_path / "o"], "holds no frame"),
+        (["run", small_world.model, tmp_path, "--out", tmp_path / "o"], "is in no layout that is known"),
         (["run", small_world.model, small_world.folder, "--out", tmp_path / "o", "--alpha", "0"], "alpha"),
         (["evaluate", tmp_path, "--truth", small_world.folder], "metrics.json"),
         (["evaluate", results, "--truth", tmp_path / "absent.tum"], "absent.tum"),
