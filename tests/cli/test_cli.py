@@ -171,6 +171,12 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     assert radius["radius_m"] > 0
     assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
 
+    part = invoke(
+        "run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part", "--cache", small_world.cache
+    )
+    assert part.exit_code == 0, part.output
+    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
+
     result = invoke("calibrate", model, flights, *cache)
     assert result.exit_code == 0, result.output
     text = " ".join(result.output.split())

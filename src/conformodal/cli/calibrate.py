@@ -21,7 +21,7 @@ from .sources import open_sequence
 def calibrate(
     model: Annotated[Path, typer.Argument(help="Folder of a saved model; the radius is saved with it.")],
     data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of the recordings.")] = (Layout.AUTO),
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the recordings.")] = Layout.AUTO,
     alpha: Annotated[float, typer.Option(help="Miscoverage rate of the radius.")] = 0.1,
     promise: Annotated[
         Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")

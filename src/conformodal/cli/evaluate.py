@@ -31,7 +31,7 @@ from .sources import open_sequence
 def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout, if it is a data set.")] = (Layout.AUTO),
+    layout: Annotated[Layout, typer.Option("--format", help="Layout, if it is a data set.")] = Layout.AUTO,
     alignment: Annotated[
         Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
     ] = Alignment.NONE,

@@ -127,7 +127,8 @@ def run_on(
     }
     if classical is not None:
         metrics["classical_learning_rate"] = classical.learning_rate
-    metrics["radius"] = radius_table(model.radius, result, truth)
+    # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
+    metrics["radius"] = radius_table(model.radius if part is Part.ALL else None, result, truth)
     if truth is not None:
         metrics["errors"] = error_table(result.trajectories, truth)
         metrics["coverage"] = coverage_table(result, truth, model, exchangeable=is_exchangeable(model, str(part)))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.conformal.checks import Alpha, as_alpha
-from conformodal.poses import Trajectory, angle_between_quats
+from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 
 class Promise(StrEnum):
@@ -62,8 +62,7 @@ class PoseRadius:
 
 def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Distances (n,) in metres and angles (n,) in radians between two trajectories of the same frames."""
-    position = np.linalg.norm(estimate.positions_xyz - truth.positions_xyz, axis=1)
-    return position, angle_between_quats(estimate.orientations_quat_wxyz, truth.orientations_quat_wxyz)
+    return position_errors_m(estimate, truth), np.radians(orientation_errors_deg(estimate, truth))
 
 
 def fit_pose_radius(

@@ -7,8 +7,6 @@ answers were off becomes a radius around the answers to come.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
@@ -20,10 +18,9 @@ from conformodal.vision import FeatureCache
 from .errors import OdometryError
 from .estimator import METHODS, OdometryRun, VisualOdometry
 from .model import PoseModel
+from .motions import Progress
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .training import data_digest
-
-Progress = Callable[[str, int, int], None]
 
 
 def calibrate_selection(

@@ -32,9 +32,8 @@ from conformodal.vision import (
 )
 
 from .model import PoseModel
+from .motions import Progress
 from .targets import pose_targets
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from .errors import PoseError
+from .metrics import check_same_length
 from .trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -61,8 +62,7 @@ def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Traj
         kind = Alignment(how)
     except ValueError:
         raise PoseError(f"alignment must be one of {[str(k) for k in Alignment]}, got {how!r}") from None
-    if len(estimate) != len(truth):
-        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+    check_same_length(estimate, truth)
     if kind is Alignment.NONE:
         return estimate
     p, q = estimate.positions_xyz, estimate.orientations_quat_wxyz

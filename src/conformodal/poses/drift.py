@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from .errors import PoseError
+from .metrics import check_same_length
 from .trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -29,8 +30,7 @@ def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> 
     PoseError
         If lengths differ, or there are not more than `delta` poses.
     """
-    if len(estimate) != len(truth):
-        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+    check_same_length(estimate, truth)
     if delta < 1 or len(truth) <= delta:
         raise PoseError(
             f"relative errors need delta of at least 1 and more than delta poses, got {delta}, {len(truth)}"
@@ -69,8 +69,7 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
     PoseError
         If lengths differ, or the true path is shorter than 100 m.
     """
-    if len(estimate) != len(truth):
-        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+    check_same_length(estimate, truth)
     steps = np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)
     along = np.concatenate(([0.0], np.cumsum(steps)))
     by_length: dict[float, tuple[float, float]] = {}

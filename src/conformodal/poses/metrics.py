@@ -17,13 +17,13 @@ MAX_TIME_DIFFERENCE_S = 0.01
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
     """Distance in metres between estimated and true camera centres, (n,)."""
-    _same_length(estimate, truth)
+    check_same_length(estimate, truth)
     return np.asarray(np.linalg.norm(estimate.positions_xyz - truth.positions_xyz, axis=1))
 
 
 def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
     """Angle in degrees between estimated and true orientations, (n,)."""
-    _same_length(estimate, truth)
+    check_same_length(estimate, truth)
     angles = angle_between_quats(estimate.orientations_quat_wxyz, truth.orientations_quat_wxyz)
     return np.asarray(np.degrees(angles))
 
@@ -36,9 +36,7 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, floa
     PoseError
         If the two differ in length or hold no pose.
     """
-    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
-    if metres.size == 0:
-        raise PoseError("a trajectory without poses has no error")
+    metres, degrees = _pose_errors(estimate, truth)
     return {
         "rmse_m": float(np.sqrt(np.mean(metres**2))),
         "rmse_deg": float(np.sqrt(np.mean(degrees**2))),
@@ -61,9 +59,7 @@ def recall(
     PoseError
         If the two differ in length or hold no pose.
     """
-    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
-    if metres.size == 0:
-        raise PoseError("a trajectory without poses has no error")
+    metres, degrees = _pose_errors(estimate, truth)
     return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in thresholds}
 
 
@@ -94,6 +90,19 @@ def associate(
     return np.flatnonzero(matched), order[nearest[matched]]
 
 
-def _same_length(estimate: Trajectory, truth: Trajectory) -> None:
+def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    if len(truth) == 0:
+        raise PoseError("a trajectory without poses has no error")
+    return position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
+
+
+def check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
+    """Refuse trajectories that are not paired pose by pose.
+
+    Raises
+    ------
+    PoseError
+        If the two differ in length.
+    """
     if len(estimate) != len(truth):
         raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")

@@ -60,11 +60,6 @@ class Candidates:
     orientation_spreads_rad: FloatArray
     orientation_log_mass: FloatArray
 
-    @property
-    def most_probable(self) -> tuple[FloatArray, FloatArray]:
-        """Position (3,) and quaternion (4,) of the most probable candidate."""
-        return self.positions_xyz[0], self.orientations_quat_wxyz[0]
-
 
 @dataclass(frozen=True)
 class SpreadScale:
