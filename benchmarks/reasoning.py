@@ -56,7 +56,7 @@ def methods(
     assert len(np.unique(sequence.recording)) == 1
     features = data.features[run.frames]
     proba = model.proba(features)
-    search = model.search_proba(features, proba)
+    search = model.search_proba(features)
     times, motions, prior = run.timestamps_s, run.motions, model.prior
     truth = sequence.require_truth()[run.frames]
     seen = Observations(run.candidates, motions, times)
@@ -83,16 +83,16 @@ def methods(
         "greedy, as in the paper": greedy(Observations(interval_candidates(proba, run.regions), motions, times)),
         "viterbi, no relative motion": viterbi(still, prior),
         "viterbi, near peaks split at half their height": viterbi(rough, prior),
-        "viterbi, without the finder": alone_path,
+        "viterbi, without the finders": alone_path,
         "viterbi": chosen,
         "online, lag 0": online(seen, prior, 0),
         "online, lag 10": online(seen, prior, 10),
         "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
         "smoother, no relative directions": smooth(chosen, blind, prior),
-        "smoother, without the finder": smooth(alone_path, alone, prior),
+        "smoother, without the finders": smooth(alone_path, alone, prior),
         "smoother": smooth(chosen, seen, prior),
     }
-    regressor = train_classical(data, config.training)
+    regressor = train_classical(data, config.training, config.components)
     for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():
         label = {"classical": "classical regressor", "classical_smoothed": "classical regressor, same smoother"}[name]
         found[label] = bare(trajectory.positions_xyz, trajectory.orientations_quat_wxyz)

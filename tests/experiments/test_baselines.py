@@ -17,9 +17,9 @@ from conformodal.experiments.baselines import (
     quantile_regression,
     split_mixture,
 )
-from conformodal.experiments.classical import ClassicalRegressor, train_classical
+from conformodal.experiments.classical import train_classical
 from conformodal.odometry import TrainingData
-from conformodal.vision import TrainingConfig
+from conformodal.vision import Projection, TrainingConfig, fit_projection
 
 CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=1)
 
@@ -40,7 +40,7 @@ def make_data(two_answers=False, n=900):
 def trained():
     data = make_data()
     classical = train_classical(data, CONFIG)
-    return data, classical, Problem.of(data, classical, CONFIG)
+    return data, classical, Problem.of(data, classical)
 
 
 def rmse(values, data):
@@ -51,7 +51,7 @@ def test_all_learn_what_can_be_learnt(trained):
     data, classical, problem = trained
     x = data.features[data.split.test]
     nothing = data.targets.std()
-    assert problem.config.learning_rate == classical.learning_rate
+    assert problem.config == classical.training
     found = {
         "classical": classical.predict(x),
         "weights": learnt_weights(problem).answer(x),
@@ -87,8 +87,10 @@ def test_dropout_is_averaged_the_same_way_every_time_and_switched_off_again(trai
 
 def test_a_mixture_answers_with_one_of_two_values_where_a_mean_lies_between():
     data = make_data(two_answers=True)
-    classical = ClassicalRegressor(None, data.targets.mean(axis=0), data.targets.std(axis=0), 3e-3, None, 0.0)
-    answers = mixture_density(Problem.of(data, classical, CONFIG)).answer(data.features[data.split.test])
+    known = np.concatenate((data.split.train, data.split.calibration))
+    through = fit_projection(data.features[known], CONFIG.components)
+    problem = Problem(data, CONFIG, data.targets.mean(axis=0), data.targets.std(axis=0), through)
+    answers = mixture_density(problem).answer(data.features[data.split.test])
     assert np.median(np.abs(np.abs(answers) - 1)) < 0.1
 
 
@@ -106,7 +108,7 @@ def test_mixture_loss_is_the_likelihood():
 
 
 def test_learnt_variances_settle_at_the_mean_squares():
-    head = WeightedHead(2, [1] * 7)
+    head = WeightedHead(Projection(np.zeros(2, np.float32), np.ones(2, np.float32)), [1] * 7)
     raw, y = torch.zeros(100, 7), torch.ones(100, 7)
     y[:, :3] = 3.0
     optimiser = torch.optim.Adam([head.log_variance], lr=0.1)

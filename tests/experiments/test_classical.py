@@ -8,9 +8,9 @@ def test_saved_regressor_gives_the_same_answers_and_damage_is_named(small_world,
     regressor = load_classical(small_world.model)
     save_classical(regressor, tmp_path)
     back = load_classical(tmp_path)
-    x = np.random.default_rng(0).random((3, len(regressor.head.feature_mean))).astype(np.float32)
+    x = np.random.default_rng(0).random((3, len(regressor.head.offset))).astype(np.float32)
     np.testing.assert_array_equal(regressor.predict(x), back.predict(x))
-    assert back.learning_rate == regressor.learning_rate
+    assert back.training == regressor.training
     path = tmp_path / "classical.safetensors"
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(ExperimentError, match="digest differs"):

@@ -1,34 +1,14 @@
 import json
-from dataclasses import dataclass
+import os
+import sys
+from pathlib import Path
 
 import pytest
 
-from conformodal.experiments import ExperimentError, run_tasks
+from conformodal.experiments import ExperimentError, LocalEngine, RayEngine, run_tasks
 
-
-@dataclass(frozen=True)
-class Square:
-    number: int
-    version: int = 1
-
-    @property
-    def key(self):
-        return f"square-{self.number}"
-
-    @property
-    def settings(self):
-        return {"number": self.number, "version": self.version, "shape": (1, 2)}
-
-
-class Counting:
-    def __init__(self, stop_at=None):
-        self.done, self.stop_at = [], stop_at
-
-    def __call__(self, task):
-        if task.number == self.stop_at:
-            raise KeyboardInterrupt
-        self.done.append(task.number)
-        return {"square": task.number**2}
+sys.path.insert(0, str(Path(__file__).parent))
+from squares import Counting, Meeting, Square
 
 
 def test_results_come_in_order_and_are_kept(tmp_path):
@@ -68,3 +48,83 @@ def test_results_of_other_settings_or_damaged_ones_are_worked_out_again(tmp_path
 def test_tasks_that_share_a_key_are_refused(tmp_path):
     with pytest.raises(ExperimentError, match="square-1"):
         run_tasks([Square(1), Square(1, version=2)], Counting(), tmp_path)
+
+
+@pytest.fixture
+def importable(monkeypatch):
+    """Processes of an engine find the tasks' module."""
+    here = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])]))
+
+
+def check_two_at_a_time(engine, folder):
+    (folder / "met").mkdir()
+    tasks = [Square(k) for k in range(5)]
+    results = run_tasks(tasks, Meeting(folder / "met"), folder / "kept", engine=engine)
+    assert [r["square"] for r in results] == [0, 1, 4, 9, 16]
+    assert len({r["process"] for r in results}) == 2
+    assert os.getpid() not in {r["process"] for r in results}
+    assert len(list((folder / "kept").iterdir())) == 5
+    return results
+
+
+def check_errors_keep_what_was_done(engine, folder):
+    run_tasks([Square(1)], Counting(), folder / "kept")
+    with pytest.raises(ExperimentError, match="must not be negative"):
+        run_tasks([Square(1), Square(-1), Square(-2)], Meeting(folder, 0), folder / "kept", engine=engine)
+    assert [p.name for p in (folder / "kept").iterdir()] == ["square-1.json"]
+
+
+def test_processes_share_the_cores_and_the_work(tmp_path, importable):
+    results = check_two_at_a_time(LocalEngine(workers=2), tmp_path)
+    assert {r["threads"] for r in results} == {max(1, os.cpu_count() // 2)}
+
+
+def test_an_error_in_a_process_is_raised_here(tmp_path, importable):
+    check_errors_keep_what_was_done(LocalEngine(workers=2), tmp_path)
+
+
+def test_there_is_at_least_one_worker():
+    with pytest.raises(ExperimentError, match="at least 1, got 0"):
+        LocalEngine(workers=0)
+
+
+@pytest.fixture(scope="module")
+def two_machines():
+    """A Ray cluster of a head without CPUs and two workers with one each."""
+    ray = pytest.importorskip("ray")
+    utils = pytest.importorskip("ray.cluster_utils")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(__file__).parent))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+        for _ in range(2):
+            cluster.add_node(num_cpus=1)
+        yield cluster.address
+        ray.shutdown()
+        cluster.shutdown()
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_of_two_workers_shares_the_work_and_raises_errors_here(tmp_path, two_machines):
+    results = check_two_at_a_time(RayEngine(two_machines), tmp_path)
+    assert {r["threads"] for r in results} == {1}
+    (tmp_path / "other").mkdir()
+    check_errors_keep_what_was_done(RayEngine(two_machines), tmp_path / "other")
+
+
+def test_a_cluster_that_is_not_there_is_named(tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray")
+
+    def refuse(**_):  # Ray itself tries for minutes
+        raise ConnectionError("nobody answers")
+
+    monkeypatch.setattr(ray, "init", refuse)
+    with pytest.raises(ExperimentError, match=r"no Ray cluster at '127\.0\.0\.1:1': nobody answers"):
+        run_tasks([Square(1)], Counting(), tmp_path, engine=RayEngine("127.0.0.1:1"))
+
+
+def test_ray_that_is_not_installed_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ExperimentError, match=r"pip install 'conformodal\[ray\]'"):
+        run_tasks([Square(1)], Counting(), tmp_path, engine=RayEngine())

@@ -1,4 +1,7 @@
 import json
+import re
+import sys
+from html import escape
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,7 +12,16 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import SplitKind
 from conformodal.experiments import ExperimentError
-from conformodal.experiments.table1 import main_table, method_table, rows_of, tasks_of, tidy
+from conformodal.experiments.table1 import (
+    cost_table,
+    main_table,
+    method_table,
+    rows_of,
+    tasks_of,
+    tidy,
+    write_json,
+    write_parquet,
+)
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
 from conformodal.experiments.table1.summary import METHODS
 from conformodal.odometry import ResultsError
@@ -65,7 +77,7 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
     assert {r["train_s"] for r in classical} == {5.0}
     assert all(r["ratio"] == pytest.approx(1) for r in classical)
     for split in ("interleaved", "blocks"):
-        lines = main_table(ROWS, records, split).splitlines()
+        lines = main_table(ROWS, records, split).markdown().splitlines()
         assert len(lines) == 2 + len(ROWS)
         assert len({line.count("|") for line in lines}) == 1
         first = [cell.strip() for cell in lines[2].split("|")]
@@ -80,8 +92,29 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
         assert first[8] == "1.50 ± 0.00 deep ensemble of 5"
         assert first[12] == ""  # no correlation known
         assert first[13] == "2.5 (0.136 / 0.0534)"
-        table = method_table(ROWS, records, split).splitlines()
+        table = method_table(ROWS, records, split).markdown().splitlines()
         assert len(table) == 2 + len(METHODS)
+        costs = cost_table(ROWS[1], records, split)
+        assert costs.lines == [["classical", "0.0330 ± 0.0030", "5.0 ± 0.0", "0.10 ± 0.00", "0.0"]]
+
+
+def test_parquet_and_json_hold_the_same_records(tmp_path):
+    pq = pytest.importorskip("pyarrow.parquet")
+    tasks = tasks_of(ROWS, BOTH, [0], 100, "digest")
+    records = tidy(ROWS, tasks, [made_up(t) for t in tasks])
+    write_json(records, tmp_path / "a.json")
+    write_parquet(records, tmp_path / "a.parquet")
+    back = pq.read_table(tmp_path / "a.parquet").to_pylist()
+    assert json.loads((tmp_path / "a.json").read_text()) == records
+    assert [{k: v for k, v in r.items() if v is not None} for r in back] == [
+        {k: v for k, v in r.items() if v is not None} for r in records
+    ]
+
+
+def test_parquet_without_pyarrow_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ExperimentError, match=r"pip install 'conformodal\[arrow\]'"):
+        write_parquet([{"a": 1}], tmp_path / "a.parquet")
 
 
 @pytest.mark.slow
@@ -94,6 +127,11 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(small_world, tmp_path):
     records = json.loads((tmp_path / "table1.json").read_text())
     assert {r["row"] for r in records} == {row.label for row in ROWS}
     assert {*METHODS, "online"} == {r["method"] for r in records}
+    page = (tmp_path / "table1.html").read_text()
+    assert page.count("<svg") == 1
+    assert all(f"<td>{escape(name)}</td>" in page for name in METHODS.values())
+    assert not re.search(r'(src|href)="http', page)  # readable without a network
+    assert (tmp_path / "table1.parquet").is_file()
     by_row = {r["row"]: r for r in records if r["method"] == "smoothed"}
     n = sum(by_row["80 % of the data"][f"frames_{part}"] for part in ("train", "calibration", "test"))
     small = by_row["40 % of the data"]

@@ -33,7 +33,7 @@ def model(small_world):
 def test_a_saved_model_gives_the_same_answers(model, tmp_path):
     save_model(model, tmp_path / "copy")
     back = load_model(tmp_path / "copy")
-    x = np.random.default_rng(0).random((4, len(model.head.feature_mean))).astype(np.float32)
+    x = np.random.default_rng(0).random((4, len(model.head.offset))).astype(np.float32)
     for a, b in zip(model.proba(x), back.proba(x), strict=True):
         np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)

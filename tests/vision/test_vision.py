@@ -10,10 +10,12 @@ from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
     Head,
+    Projection,
     TrainingConfig,
     VisionError,
     extract_features,
     fit_head,
+    fit_projection,
     mean_squared_error,
     predict_proba,
     predict_values,
@@ -206,7 +208,7 @@ def test_state_of_other_data_is_not_taken_up(tmp_path):
 
 
 def test_head_splits_its_outputs_by_target():
-    head = Head(4, [2, 3])
+    head = Head(Projection(np.zeros(4, np.float32), np.ones(4, np.float32)), [2, 3])
     blocks = head.split(head(torch.zeros(5, 4)))
     assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
 
@@ -217,3 +219,33 @@ def test_too_little_data_is_refused():
     for loss in (soft_cross_entropy, mean_squared_error):
         with pytest.raises(VisionError, match="shape of the outputs"):
             fit_head(np.zeros((8, 3), np.float32), np.zeros((8, 1)), [2], loss, CONFIG)
+
+
+def test_projected_features_are_centred_uncorrelated_and_of_one_scale():
+    rng = np.random.default_rng(0)
+    x = (rng.normal(size=(200, 5)) @ rng.normal(size=(5, 40)) + 3).astype(np.float32)
+    x[:, 7] = 2.0  # a dead feature
+    through = fit_projection(x, 4)
+    z = (x - through.offset) @ through.components
+    assert through.size == 4
+    np.testing.assert_allclose(z.mean(axis=0), 0, atol=1e-4)
+    covariance = np.cov(z.T)
+    np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-3)
+    assert np.trace(covariance) / 4 == pytest.approx(1, rel=1e-3)
+    assert (np.diff(np.diag(covariance)) < 0).all()  # not whitened: the first matter most
+    standard = (x - x.mean(axis=0)) / (x.std(axis=0) + 1e-3)
+    values = np.sort(np.linalg.eigvalsh(np.cov(standard.T)))[::-1][:4]
+    np.testing.assert_allclose(np.diag(covariance) / np.trace(covariance), values / values.sum(), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("n", "components", "size"), [(3, 256, 2), (50, 256, 6), (50, None, 6)])
+def test_a_projection_has_no_more_directions_than_samples_or_features_allow(n, components, size):
+    x = toy(n)[0]
+    through = fit_projection(x, components)
+    assert through.size == size
+    head = Head(through, [2])
+    z = head.project(torch.from_numpy(x)).numpy()
+    assert np.isfinite(z).all()
+    if components is None:
+        np.testing.assert_allclose(z.std(axis=0), 1, rtol=2e-3)
+    np.testing.assert_array_equal(head.projection.components, through.components)

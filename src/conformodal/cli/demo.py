@@ -25,6 +25,7 @@ from .train import train_on
 N_MODULES, N_LAPS = 5, 2
 # Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6)
+COMPONENTS = (512,)  # rooms differ in small things
 ALPHA = 0.04
 
 
@@ -35,7 +36,7 @@ def demo(
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
-    config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
+    config = ModelConfig(alpha=ALPHA, seed=seed, components=COMPONENTS, training=replace(TRAINING, seed=seed))
     with progress_bars() as report:
         write_corridor(
             out / "corridor",

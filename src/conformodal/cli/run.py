@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,7 +126,7 @@ def run_on(
         "seconds": round(seconds, 2),
     }
     if classical is not None:
-        metrics["classical_learning_rate"] = classical.learning_rate
+        metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     metrics["radius"] = radius_table(model.radius if part is Part.ALL else None, result, truth)
     if truth is not None:

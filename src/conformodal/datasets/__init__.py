@@ -8,7 +8,7 @@ from .noise import PixelNoise
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence, read_image
 from .sevenscenes import read_sevenscenes
-from .splits import Split, SplitKind, make_split
+from .splits import Split, SplitKind, hold_out, make_split
 from .tum import read_tum_rgbd
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Split",
     "SplitError",
     "SplitKind",
+    "hold_out",
     "make_split",
     "read_euroc_mav",
     "read_image",

@@ -2,14 +2,17 @@
 
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import ClassicalRegressor, load_classical, save_classical, train_classical
-from .engine import run_tasks
+from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, motion_table, radius_table
 
 __all__ = [
     "AmbiguityCheck",
     "ClassicalRegressor",
+    "Engine",
     "ExperimentError",
+    "LocalEngine",
+    "RayEngine",
     "check_ambiguity",
     "coverage_table",
     "error_table",

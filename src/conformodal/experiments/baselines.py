@@ -1,7 +1,7 @@
 """Other ways to regress a pose from the same features, with the same trunk, optimiser and epochs.
 
-All are trained on the training and calibration parts together, at the learning rate that was searched for the
-classical regressor; only conformalised quantile regression holds the calibration part out.
+All are trained on the training and calibration parts together, with the settings that were searched for the classical
+regressor; only conformalised quantile regression holds the calibration part out.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import torch
 
 from conformodal.conformal import conformal_quantile
 from conformodal.odometry import TrainingData
-from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
+from conformodal.vision import Head, Projection, TrainingConfig, fit_head, mean_squared_error, predict_values
 
-from .classical import ClassicalRegressor
+from .classical import START_DROPOUT, ClassicalRegressor
 
 FloatArray = npt.NDArray[np.float64]
 Features: TypeAlias = npt.NDArray[np.float32]
@@ -51,18 +51,18 @@ class Baseline:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What baselines learn from: the classical regressor's data, scaling and learning rate."""
+    """What baselines learn from: the classical regressor's data, settings, scaling and projection of features."""
 
     data: TrainingData
     config: TrainingConfig
     mean: FloatArray
     scale: FloatArray
+    projection: Projection
 
     @classmethod
-    def of(cls, data: TrainingData, classical: ClassicalRegressor, config: TrainingConfig) -> Problem:
-        """With the classical regressor's scaling and learning rate."""
-        settings = replace(config, learning_rate=classical.learning_rate)
-        return cls(data, settings, classical.mean, classical.scale)
+    def of(cls, data: TrainingData, classical: ClassicalRegressor) -> Problem:
+        """The classical regressor's problem."""
+        return cls(data, classical.training, classical.mean, classical.scale, classical.head.projection)
 
     @property
     def known(self) -> npt.NDArray[np.int64]:
@@ -143,7 +143,9 @@ def mixture_density(problem: Problem) -> Baseline:
 
 def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
     """The classical regressor, asked 30 times with dropout and averaged (Gal and Ghahramani 2016)."""
-    head = classical.head
+    started = time.perf_counter()
+    # where the search found that dropout does not pay, this method needs some nevertheless
+    head = classical.head if classical.training.dropout else _fit(problem, mean_squared_error, dropout=START_DROPOUT)
 
     def answer(features: Features) -> FloatArray:
         with torch.random.fork_rng(devices=[]):
@@ -154,7 +156,7 @@ def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
             finally:
                 head.eval()
 
-    return _trained(problem, [head], time.perf_counter(), answer)
+    return _trained(problem, [head], started, answer)
 
 
 def deep_ensemble(problem: Problem, classical: ClassicalRegressor) -> Baseline:
@@ -211,13 +213,16 @@ def _fit(
     *,
     outputs: list[int] | None = None,
     rows: npt.NDArray[np.int64] | None = None,
-    seed: int | None = None,
     head_type: type[Head] = Head,
+    **changes: Any,
 ) -> Head:
     at = problem.known if rows is None else rows
-    config = problem.config if seed is None else replace(problem.config, seed=seed)
+    config = replace(problem.config, **changes)
     out = [1] * problem.mean.size if outputs is None else outputs
-    return fit_head(problem.data.features[at], problem.standard(at), out, loss, config, head_type=head_type)
+    # a projection may know the rows that a head is trained on, and no others
+    projection = problem.projection if rows is None else None
+    features, targets = problem.data.features[at], problem.standard(at)
+    return fit_head(features, targets, out, loss, config, head_type=head_type, projection=projection)
 
 
 def _trained(problem: Problem, heads: list[Head], started: float, standard: Answer) -> Baseline:

@@ -1,16 +1,16 @@
 """The opponent: a plain regressor that shares everything with the conformal network but its answer.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
-no calibration, so it is trained on the calibration frames too, and its learning rate is searched: trained on the
-training part, judged on the calibration part, then trained once more on both.
+no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are
+searched: trained on the training part, judged on the calibration part, then trained once more on both.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,23 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.odometry import OdometryRun, TrainingData
+from conformodal.odometry import ModelConfig, OdometryRun, TrainingData
 from conformodal.poses import Trajectory, angle_between_quats, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
-from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
+from conformodal.vision import (
+    Head,
+    Projection,
+    TrainingConfig,
+    fit_head,
+    fit_projection,
+    mean_squared_error,
+    predict_values,
+)
 
 from .errors import ExperimentError
 
 START_RATES = (1e-3, 3e-3)
+START_DROPOUT = 0.1
 _RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 _FILES = ("classical.json", "classical.safetensors")
 
@@ -43,7 +52,7 @@ class ClassicalRegressor:
         Trained regressor, one output a target.
     mean, scale
         (7,) of the standardised targets.
-    learning_rate
+    training
         What the search chose.
     spread_m, spread_rad
         Root mean square error per axis (3,) and of the angle on the calibration part, before the last training:
@@ -53,7 +62,7 @@ class ClassicalRegressor:
     head: Head
     mean: npt.NDArray[np.float64]
     scale: npt.NDArray[np.float64]
-    learning_rate: float
+    training: TrainingConfig
     spread_m: npt.NDArray[np.float64]
     spread_rad: float
 
@@ -85,19 +94,23 @@ class ClassicalRegressor:
 def train_classical(
     data: TrainingData,
     config: TrainingConfig,
+    components: Sequence[int] = ModelConfig().components,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> ClassicalRegressor:
-    """Search the learning rate, then train on training and calibration parts together.
+    """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
-    The search walks down and up from :data:`START_RATES` in factors of about three until the best rate has a worse one
-    on either side.
+    The search starts with little dropout, and none of inputs, which squared errors bear badly. It walks down and up
+    from :data:`START_RATES` in factors of about three until the best rate has a worse one on either side; then other
+    dropout and the other numbers of components are tried at that rate.
 
     Parameters
     ----------
     data
         What the conformal model was trained on.
     config
-        What it was trained with; only the learning rate changes.
+        What it was trained with; only learning rate, dropout and components change.
+    components
+        Numbers to choose from, the conformal model's.
     progress
         Called with stage, trainings done and trainings in all (as far as known).
     """
@@ -107,36 +120,56 @@ def train_classical(
     scale = np.maximum(data.targets[everything].std(axis=0), 1e-6)
     standard = (data.targets - mean) / scale
 
-    def fit(rows: npt.NDArray[np.int64], rate: float) -> Head:
-        settings = replace(config, learning_rate=rate)
+    through: dict[tuple[int, int | None], Projection] = {}
+
+    def fit(rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
         outputs = [1] * standard.shape[1]
-        return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, settings)
+        at = len(rows), settings.components
+        if at not in through:
+            through[at] = fit_projection(data.features[rows], settings.components)
+        return fit_head(
+            data.features[rows], standard[rows], outputs, mean_squared_error, settings, projection=through[at]
+        )
 
     def report(done: int, total: int) -> None:
         if progress is not None:
             progress("classical", done, total)
 
-    errors: dict[float, npt.NDArray[np.float64]] = {}
-    waiting = list(START_RATES)
+    errors: dict[TrainingConfig, npt.NDArray[np.float64]] = {}
+
+    def try_out(settings: TrainingConfig, left: int) -> None:
+        report(len(errors), len(errors) + left + 1)
+        head = fit(train, settings)
+        errors[settings] = predict_values(head, data.features[check]) * scale + mean - data.targets[check]
+
+    def best() -> TrainingConfig:
+        return min(errors, key=lambda tried: float(np.mean(np.sum(errors[tried][:, :3] ** 2, axis=1))))
+
+    waiting = [replace(config, learning_rate=rate, dropout=START_DROPOUT, input_dropout=0.0) for rate in START_RATES]
     while waiting:
-        report(len(errors), len(errors) + len(waiting) + 1)
-        rate = waiting.pop(0)
-        errors[rate] = predict_values(fit(train, rate), data.features[check]) * scale + mean - data.targets[check]
+        try_out(waiting.pop(0), len(waiting) + 1)
         if not waiting:
-            best = min(errors, key=lambda r: float(np.mean(np.sum(errors[r][:, :3] ** 2, axis=1))))
-            beside = _RATES[max(_RATES.index(best) - 1, 0) : _RATES.index(best) + 2]
-            waiting = [r for r in beside if r not in errors]
+            at = _RATES.index(best().learning_rate)
+            beside = (replace(best(), learning_rate=rate) for rate in _RATES[max(at - 1, 0) : at + 2])
+            waiting = [settings for settings in beside if settings not in errors]
+    at_best = best()
+    others = [replace(at_best, dropout=d) for d in {0.0, config.dropout} - {START_DROPOUT}]
+    others += [replace(at_best, components=k) for k in components if k != at_best.components]
+    others.append(replace(at_best, dropout=config.dropout, input_dropout=config.input_dropout))
+    for left, settings in enumerate(reversed(others)):
+        try_out(settings, len(others) - left)
+    chosen = best()
     report(len(errors), len(errors) + 1)
-    head = fit(everything, best)
+    head = fit(everything, chosen)
     report(len(errors) + 1, len(errors) + 1)
     truth = data.targets[check]
-    angle = angle_between_quats(truth[:, 3:] + errors[best][:, 3:], truth[:, 3:])
+    angle = angle_between_quats(truth[:, 3:] + errors[chosen][:, 3:], truth[:, 3:])
     return ClassicalRegressor(
         head=head,
         mean=mean,
         scale=scale,
-        learning_rate=best,
-        spread_m=np.sqrt(np.mean(errors[best][:, :3] ** 2, axis=0)),
+        training=chosen,
+        spread_m=np.sqrt(np.mean(errors[chosen][:, :3] ** 2, axis=0)),
         spread_rad=float(np.sqrt(np.mean(angle**2))),
     )
 
@@ -148,7 +181,7 @@ def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
     content = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record = {
         "hidden": regressor.head.output.in_features,
-        "learning_rate": regressor.learning_rate,
+        "training": asdict(regressor.training),
         "spread_rad": regressor.spread_rad,
         "sha256": hashlib.sha256(content).hexdigest(),
     }
@@ -173,10 +206,11 @@ def load_classical(folder: Path) -> ClassicalRegressor | None:
             raise ExperimentError(f"{folder / _FILES[1]}: is not the file that was saved: its digest differs")
         arrays = load_tensors(content)
         state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
-        head = Head(len(state["feature_mean"]), [1] * len(arrays["mean"]), record["hidden"])
+        through = Projection(state["offset"].numpy(), state["components"].numpy())
+        head = Head(through, [1] * len(arrays["mean"]), record["hidden"])
         head.load_state_dict(state)
-        rate, angle = float(record["learning_rate"]), float(record["spread_rad"])
-        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], rate, arrays["spread_m"], angle)
+        training, angle = TrainingConfig(**record["training"]), float(record["spread_rad"])
+        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], training, arrays["spread_m"], angle)
     except ExperimentError:
         raise
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as exc:

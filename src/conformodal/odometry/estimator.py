@@ -169,7 +169,7 @@ class VisualOdometry:
             features = self.model.backbone(prepared).numpy().astype(np.float16).astype(np.float32)
         proba = self.model.proba(features)
         region = self.model.calibration.predict(proba)
-        search = self.model.search_proba(features, proba)
+        search = self.model.search_proba(features)
         here = mode_candidates(search, self.model.bins, scale=self.model.scale)[0]
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
@@ -228,7 +228,7 @@ class VisualOdometry:
             sequence.noise,
         )
         proba = self.model.proba(features)
-        search = self.model.search_proba(features, proba)
+        search = self.model.search_proba(features)
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],

@@ -26,8 +26,9 @@ class PoseModel:
     ----------
     backbone, head
         Image to softmax of every target; calibrated, so never trained on the calibration frames.
-    finder
-        The same, trained on the calibration frames as well. Nothing is promised of it: it helps to choose the pose.
+    finders
+        The same with other starts, trained on the calibration frames as well. Nothing is promised of them: the search
+        for the pose starts from their mean.
     bins
         Bins of the seven targets.
     calibration
@@ -50,7 +51,7 @@ class PoseModel:
 
     backbone: Backbone
     head: Head
-    finder: Head
+    finders: tuple[Head, ...]
     bins: QuantileBins
     calibration: SplitConformal
     sign_reference: npt.NDArray[np.float64]
@@ -76,11 +77,10 @@ class PoseModel:
         """Softmax of the seven targets for features (n, F)."""
         return predict_proba(self.head, features)
 
-    def search_proba(
-        self, features: npt.NDArray[np.float32], proba: list[npt.NDArray[np.floating[Any]]]
-    ) -> list[npt.NDArray[np.floating[Any]]]:
-        """What reasoning starts from: the mean of :meth:`proba` and the finder's softmax. Not calibrated."""
-        return [(a + b) / 2 for a, b in zip(proba, predict_proba(self.finder, features), strict=True)]
+    def search_proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
+        """What reasoning starts from: the mean of the finders' softmaxes. Not calibrated."""
+        found = [predict_proba(finder, features) for finder in self.finders]
+        return [np.mean(blocks, axis=0) for blocks in zip(*found, strict=True)]
 
     def recalibrate(self, alpha: float) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.

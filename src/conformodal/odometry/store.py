@@ -24,13 +24,13 @@ from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior, SpreadScale
-from conformodal.vision import Backbone, BackboneConfig, Head
+from conformodal.vision import Backbone, BackboneConfig, Head, Projection
 
 from .errors import ModelFileError
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-2"
+FORMAT = "conformodal-model-3"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
@@ -38,7 +38,7 @@ _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 
 def save_model(model: PoseModel, folder: Path) -> None:
     """Write a model into a folder, created if missing."""
-    heads = {"head": model.head, "finder": model.finder}
+    heads = {"head": model.head, **{f"finder{k}": finder for k, finder in enumerate(model.finders)}}
     arrays: dict[str, npt.NDArray[Any]] = {
         f"{name}.{k}": v.numpy() for name, head in heads.items() for k, v in head.state_dict().items()
     }
@@ -56,7 +56,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
         "backbone_fingerprint": model.backbone.fingerprint,
-        "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs},
+        "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs, "finders": len(model.finders)},
         "calibration": {
             "alpha": str(model.calibration.alpha),
             "score": model.calibration.score.name,
@@ -111,7 +111,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
             f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "
             "made it, or train again"
         )
-    head, finder = (_head(name, record["head"], arrays) for name in ("head", "finder"))
+    names = ["head", *(f"finder{k}" for k in range(record["head"]["finders"]))]
+    head, *finders = (_head(name, record["head"], arrays) for name in names)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
     calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
@@ -124,7 +125,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     return PoseModel(
         backbone=backbone,
         head=head,
-        finder=finder,
+        finders=tuple(finders),
         bins=bins,
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
@@ -141,7 +142,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
 def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Head:
     start = f"{name}."
     state = {k.removeprefix(start): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(start)}
-    head = Head(len(state["feature_mean"]), shape["outputs"], shape["hidden"])
+    head = Head(Projection(state["offset"].numpy(), state["components"].numpy()), shape["outputs"], shape["hidden"])
     head.load_state_dict(state)
     return head.eval()
 

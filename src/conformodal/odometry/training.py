@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +23,23 @@ from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
     Head,
+    Projection,
     TrainingConfig,
     extract_features,
     find_network,
     fit_head,
+    fit_projection,
     predict_proba,
     soft_cross_entropy,
 )
 
+from .components import choose_components
+from .errors import OdometryError
 from .model import PoseModel
 from .motions import Progress
 from .targets import pose_targets
+
+_SEED_STEP = 1000  # between heads that are averaged
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,11 @@ class ModelConfig:
         Of :class:`~conformodal.conformal.SplitConformal`.
     test, calibration, used
         Shares of all frames, see :func:`~conformodal.datasets.make_split`.
+    components
+        Numbers of principal components of the features to choose from, see
+        :func:`~conformodal.odometry.components.choose_components`; one alone is taken as it is.
+    finders
+        Heads that the search for the pose starts from.
     network
         Of :data:`~conformodal.vision.NETWORKS`.
     seed
@@ -63,7 +74,7 @@ class ModelConfig:
 
     Raises
     ------
-    ConformalError, VisionError
+    ConformalError, OdometryError, VisionError
         If a setting cannot be used; before any frame is read.
     """
 
@@ -77,6 +88,8 @@ class ModelConfig:
     test: float = 0.2
     calibration: float = 0.16
     used: float | None = None
+    components: tuple[int, ...] = (64, 256)
+    finders: int = 3
     network: str = "efficientnet_lite0"
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -89,6 +102,10 @@ class ModelConfig:
         find_network(self.network)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
+        if not self.components or min(self.components) < 1:
+            raise OdometryError(f"components must be one number or more, at least 1 each, got {self.components}")
+        if self.finders < 1:
+            raise OdometryError(f"finders must be at least 1, got {self.finders}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,27 +163,45 @@ def train_model(
 ) -> PoseModel:
     """Train on the training part, calibrate on the calibration part; the test part is not touched.
 
-    A second head, the finder, is trained on both parts: the region must not know the calibration frames, but the
-    search for the pose, of which nothing is promised, may, as a plain regressor would.
+    The finders are trained on both parts: the region must not know the calibration frames, but the search for the pose,
+    of which nothing is promised, may, as a plain regressor would.
     """
     train, held_out = data.split.train, data.split.calibration
+    everything = np.sort(np.concatenate((train, held_out)))
     bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
     calibration = SplitConformal(bins, config.alpha, config.score, as_joint(config.joint))
+    components = choose_components(
+        data.features,
+        data.targets,
+        data.sequence.recording,
+        train,
+        config.components,
+        kind=config.split,
+        bins=bins,
+        sigma_bins=config.sigma_bins,
+        training=config.training,
+        progress=_stage(progress, "components"),
+    )
+    training = replace(config.training, components=components)
 
-    def fit(rows: npt.NDArray[np.int64], stage: str) -> Head:
+    def fit(rows: npt.NDArray[np.int64], stage: str, seed: int, projection: Projection) -> Head:
         labels = np.concatenate(bins.soft_targets(data.targets[rows], config.sigma_bins), axis=1)
         return fit_head(
             data.features[rows],
             labels,
             bins.sizes,
             soft_cross_entropy,
-            config.training,
+            replace(training, seed=seed),
+            projection=projection,
             checkpoint_dir=checkpoint_dir,
             progress=_stage(progress, stage),
         )
 
-    head = fit(train, "training")
-    finder = fit(np.sort(np.concatenate((train, held_out))), "finder")
+    head = fit(train, "training", training.seed, fit_projection(data.features[train], components))
+    through = fit_projection(data.features[everything], components)
+    finders = tuple(
+        fit(everything, f"finder {k + 1}", training.seed + _SEED_STEP * k, through) for k in range(config.finders)
+    )
     if config.joint == "max":
         calibration.fit_scale(predict_proba(head, data.features[train]), data.targets[train])
     proba = predict_proba(head, data.features[held_out])
@@ -175,7 +210,7 @@ def train_model(
     return PoseModel(
         backbone=data.backbone,
         head=head,
-        finder=finder,
+        finders=finders,
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,
@@ -184,7 +219,7 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         data_digest=data_digest(data.sequence),
-        configuration=_record(config, data.sequence),
+        configuration=_record(replace(config, components=(components,)), data.sequence),
     )
 
 

@@ -53,7 +53,7 @@ def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Tra
         axis.margins(x=0.005)
     axes[-1].set_xlabel("time (s)")
     _legend(figure, truth is not None, classical is not None, alike=False)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def plan_figure(
@@ -103,7 +103,7 @@ def plan_figure(
     axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
     axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
     _legend(figure, truth is not None, classical is not None, alike=alike is not None and len(alike) > 0, points=True)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
@@ -125,7 +125,7 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     axis.set_ylabel("share of frames")
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right", frameon=False)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def _time_cells(
@@ -159,9 +159,10 @@ def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, points
     figure.legend(entries, labels, loc="outside upper center", ncols=len(labels), frameon=False)
 
 
-def _svg(figure: Figure) -> str:
+def as_svg(figure: Figure) -> str:
+    """The figure as SVG text, the same from run to run."""
     buffer = io.StringIO()
-    # text as text keeps files small and searchable; a fixed salt keeps them the same from run to run
+    # text as text keeps files small and searchable
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "conformodal", "font.size": 10}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()

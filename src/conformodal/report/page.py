@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from jinja2 import Environment, PackageLoader
 from PIL import Image
+
+from .templating import render_page
 
 _LABELS = {
     "smoothed": "conformal: global search and smoothing (the answer)",
@@ -63,15 +64,20 @@ def write_page(path: Path, content: ReportContent) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for figure in content.figures:
         (folder / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-    environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
     errors = content.metrics.get("errors") or {}
     ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")
     image = None if content.image is None else (content.image[0], _data_url(content.image[1]))
-    html = environment.get_template("page.html.j2").render(
-        content=content, errors=ordered, baseline=baseline, image=image, coverage=content.metrics.get("coverage")
+    render_page(
+        path,
+        "page",
+        title=content.title,
+        content=content,
+        errors=ordered,
+        baseline=baseline,
+        image=image,
+        coverage=content.metrics.get("coverage"),
     )
-    path.write_text(html, encoding="utf-8")
 
 
 def _data_url(image: npt.NDArray[np.uint8]) -> str:

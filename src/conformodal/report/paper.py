@@ -15,7 +15,7 @@ from scipy.stats import spearmanr
 
 from conformodal.conformal import coverage_band
 
-from .figures import COLOURS, _svg
+from .figures import COLOURS, as_svg
 from .stored import StoredRun
 
 _PNG_DPI = 150
@@ -25,7 +25,7 @@ _REACH = 1.15  # how far beyond the truth's own range a panel shows
 def save_figure(figure: Figure, folder: Path, name: str) -> None:
     """Write ``NAME.svg`` and ``NAME.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.svg").write_text(_svg(figure), encoding="utf-8")
+    (folder / f"{name}.svg").write_text(as_svg(figure), encoding="utf-8")
     figure.savefig(folder / f"{name}.png", dpi=_PNG_DPI, metadata={"Software": "conformodal"})
 
 

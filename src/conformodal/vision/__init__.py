@@ -5,6 +5,7 @@ from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .heads import Head, predict_proba, predict_values
 from .networks import NETWORKS, find_network
+from .projection import Projection, fit_projection
 from .training import TrainingConfig, fit_head, mean_squared_error, soft_cross_entropy
 
 __all__ = [
@@ -13,12 +14,14 @@ __all__ = [
     "BackboneConfig",
     "FeatureCache",
     "Head",
+    "Projection",
     "TrainingConfig",
     "VisionError",
     "default_cache_dir",
     "extract_features",
     "find_network",
     "fit_head",
+    "fit_projection",
     "mean_squared_error",
     "predict_proba",
     "predict_values",

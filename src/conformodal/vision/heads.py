@@ -9,49 +9,69 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
+from .projection import Projection
+
 
 class Head(nn.Module):
-    """Standardised features, dropout, one hidden layer, and a linear output for every target.
+    """Projected features, dropout, one hidden layer, and a linear output for every target.
 
     The conformal network has one softmax of K bins a target; the classical regressor has one number a target and
     shares all else.
 
     Parameters
     ----------
-    n_features
-        Length of the feature vector.
+    projection
+        From features to what is learnt from; it stays as it is in training.
     outputs
         Outputs of each target: ``[K_1, ..., K_d]``, or ones.
     hidden
         Units of the hidden layer.
-    dropout
-        Share of features, and of hidden units, dropped in training.
+    dropout, input_dropout
+        Share of hidden units, and of projected features, dropped in training.
     """
 
-    feature_mean: torch.Tensor
-    feature_scale: torch.Tensor
+    offset: torch.Tensor
+    components: torch.Tensor
 
-    def __init__(self, n_features: int, outputs: list[int], hidden: int = 256, dropout: float = 0.3) -> None:
+    def __init__(
+        self,
+        projection: Projection,
+        outputs: list[int],
+        hidden: int = 256,
+        dropout: float = 0.3,
+        input_dropout: float = 0.3,
+    ) -> None:
         super().__init__()
         self.outputs = list(outputs)
-        self.register_buffer("feature_mean", torch.zeros(n_features))
-        self.register_buffer("feature_scale", torch.ones(n_features))
+        self.register_buffer("offset", torch.from_numpy(projection.offset))
+        self.register_buffer("components", torch.from_numpy(projection.components))
         self.trunk = nn.Sequential(
-            nn.Dropout(dropout), nn.Linear(n_features, hidden), nn.LayerNorm(hidden), nn.GELU(), nn.Dropout(dropout)
+            nn.Dropout(input_dropout),
+            nn.Linear(projection.size, hidden),
+            nn.LayerNorm(hidden),
+            nn.GELU(),
+            nn.Dropout(dropout),
         )
         self.output = nn.Linear(hidden, sum(outputs))
 
-    def standardise_by(self, features: torch.Tensor) -> None:
-        """Take mean and scale of the inputs from training features (n, F)."""
-        self.feature_mean.copy_(features.mean(dim=0))
-        # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
-        self.feature_scale.copy_(features.std(dim=0, correction=0) + 1e-3)
+    @property
+    def projection(self) -> Projection:
+        """The projection that this head was made with."""
+        return Projection(self.offset.numpy(), self.components.numpy())
+
+    def project(self, features: torch.Tensor) -> torch.Tensor:
+        """Projected features (n, k) of features (n, F)."""
+        centred = features - self.offset
+        return centred @ self.components if self.components.ndim == 2 else centred * self.components
+
+    def answer(self, projected: torch.Tensor) -> torch.Tensor:
+        """Raw outputs (n, sum of outputs) of projected features (n, k)."""
+        result: torch.Tensor = self.output(self.trunk(projected))
+        return result
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """Raw outputs (n, sum of outputs) of features (n, F)."""
-        x = (features - self.feature_mean) / self.feature_scale
-        result: torch.Tensor = self.output(self.trunk(x))
-        return result
+        return self.answer(self.project(features))
 
     def split(self, raw: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """One (n, K_j) block a target."""

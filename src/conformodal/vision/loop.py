@@ -32,7 +32,7 @@ class _Module(lightning.LightningModule):
 
     def training_step(self, batch: list[torch.Tensor], _: int) -> torch.Tensor:
         x, y = batch
-        return self.loss(self.head, self.head(x), y)
+        return self.loss(self.head, self.head.answer(x), y)
 
     def configure_optimizers(self) -> Any:
         cfg = self.config
@@ -62,7 +62,7 @@ def run_loop(
     checkpoint_dir: Path | None,
     progress: Progress | None,
 ) -> None:
-    """Fit `head` in place to samples (n, F) and targets (n, sum of outputs); see :func:`~.training.fit_head`."""
+    """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.training.fit_head`."""
     dataset = TensorDataset(x, y)
     order = RandomSampler(dataset, generator=torch.Generator().manual_seed(config.seed))
     # whole batches by one index operation, not sample by sample

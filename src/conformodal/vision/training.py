@@ -13,6 +13,7 @@ import torch
 
 from .errors import VisionError
 from .heads import Head
+from .projection import Projection, fit_projection
 
 Progress = Callable[[int, int], None]
 Loss = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
@@ -26,8 +27,10 @@ class TrainingConfig:
     ----------
     epochs, batch_size, learning_rate, weight_decay
         Of AdamW with a one-cycle schedule.
-    hidden, dropout
-        Of the :class:`~conformodal.vision.Head`.
+    hidden, dropout, input_dropout
+        Of the :class:`~conformodal.vision.Head`; `input_dropout` is `dropout` where it is None.
+    components
+        Of the projection, see :func:`~conformodal.vision.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
     """
@@ -38,6 +41,8 @@ class TrainingConfig:
     weight_decay: float = 1e-2
     hidden: int = 256
     dropout: float = 0.3
+    input_dropout: float | None = None
+    components: int | None = 256
     seed: int = 0
 
 
@@ -68,6 +73,7 @@ def fit_head(
     config: TrainingConfig,
     *,
     head_type: type[Head] = Head,
+    projection: Projection | None = None,
     checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Head:
@@ -85,6 +91,8 @@ def fit_head(
         See :class:`TrainingConfig`.
     head_type
         A subclass, for losses with parameters of their own.
+    projection
+        Of these features; fitted by default. Several heads for the same samples can share one.
     checkpoint_dir
         Where to keep the state while training. A run that was stopped goes on from there if data and settings are
         the same; when training ends, its state is removed.
@@ -102,9 +110,10 @@ def fit_head(
         raise VisionError(f"training needs two samples or more, as many as targets; got {x.shape}, {y.shape}")
     from .loop import run_loop  # noqa: PLC0415 - Lightning takes seconds to import; running a model needs none of it
 
+    through = projection or fit_projection(x.numpy(), config.components)
+    input_dropout = config.dropout if config.input_dropout is None else config.input_dropout
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        head = head_type(x.shape[1], outputs, config.hidden, config.dropout)
-        head.standardise_by(x)
-        run_loop(head, x, y, loss, config, checkpoint_dir, progress)
+        head = head_type(through, outputs, config.hidden, config.dropout, input_dropout)
+        run_loop(head, head.project(x), y, loss, config, checkpoint_dir, progress)
     return head.eval()

@@ -2,15 +2,20 @@
 
 from .bins import bin_runs
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, task_key, tasks_of
-from .summary import main_table, method_table, tidy
+from .summary import METHODS, Record, tidy, write_json, write_parquet
+from .tables import Table, cost_table, main_table, method_table
 from .work import Table1Worker, run_name
 
 __all__ = [
+    "METHODS",
     "NETWORKS",
+    "Record",
     "Row",
+    "Table",
     "Table1Worker",
     "TrainingTask",
     "bin_runs",
+    "cost_table",
     "main_table",
     "method_table",
     "rows_of",
@@ -18,4 +23,6 @@ __all__ = [
     "task_key",
     "tasks_of",
     "tidy",
+    "write_json",
+    "write_parquet",
 ]

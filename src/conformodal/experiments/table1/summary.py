@@ -1,12 +1,13 @@
-"""From results of tasks to a tidy table, and to the table that is read."""
+"""From results of tasks to one tidy record a row, split, seed and method; as JSON and as Parquet."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from ..errors import ExperimentError
 from .conditions import Row, TrainingTask
 
 METHODS = {
@@ -54,69 +55,23 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
     return records
 
 
-def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> str:
-    """Markdown: the paper's table, with its numbers beside ours."""
-    lines = [
-        "| condition | conformal, m | degrees | classical, m | degrees | ratio | same smoother: ratio "
-        "| best other: ratio | whole pose covered | set length | intervals | size against error "
-        "| paper: ratio (m / m) |",
-        "| --- " * 13 + "|",
-    ]
-    for row in rows:
-        cells = [row.label]
-        for method in ("smoothed", "classical"):
-            cells += [_of(records, row, split, method, "rmse_m", 4), _of(records, row, split, method, "rmse_deg", 2)]
-        ratios = _ratios(records, row, split)
-        cells += [_spread(ratios["classical"], 2), _spread(ratios["classical_smoothed"], 2)]
-        others = {m: v for m, v in ratios.items() if m in METHODS and m not in _OURS and not m.startswith("classical")}
-        best = min(others, key=lambda m: float(np.median(others[m])))
-        cells.append(f"{_spread(others[best], 2)} {METHODS[best]}")
-        cells.append(_of(records, row, split, "smoothed", "region_joint_coverage", 2))
-        cells.append(_spread([float(np.mean(v)) for v in _values(records, row, split, "smoothed", "region_length")], 2))
-        cells.append(_of(records, row, split, "smoothed", "region_intervals", 2))
-        cells.append(_of(records, row, split, "smoothed", "region_size_error_rank_correlation", 2))
-        paper = row.paper_classical / row.paper_conformal
-        cells.append(f"{paper:.1f} ({row.paper_classical:g} / {row.paper_conformal:g})")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+def write_json(records: Sequence[Record], path: Path) -> None:
+    """All records, as a list of objects."""
+    path.write_text(json.dumps(list(records), indent=1) + "\n", encoding="utf-8")
 
 
-def method_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> str:
-    """Markdown: every method's position RMSE in every row."""
-    labels = [row.label for row in rows]
-    lines = [f"| method | {' | '.join(labels)} |", "| --- " * (len(labels) + 1) + "|"]
-    for method, name in METHODS.items():
-        cells = [_of(records, row, split, method, "rmse_m", 4) for row in rows]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+def write_parquet(records: Sequence[Record], path: Path) -> None:
+    """All records, one row each; what a record does not have is null.
 
-
-_OURS = ("smoothed", "viterbi", "greedy", "softmax_mean", "online")
-
-
-def _values(records: Sequence[Record], row: Row, split: str, method: str, key: str) -> list[Any]:
-    wanted = (row.label, split, method)
-    found = [r.get(key) for r in records if (r["row"], r["split"], r["method"]) == wanted]
-    return [v for v in found if v is not None]
-
-
-def _of(records: Sequence[Record], row: Row, split: str, method: str, key: str, digits: int) -> str:
-    return _spread(_values(records, row, split, method, key), digits)
-
-
-def _ratios(records: Sequence[Record], row: Row, split: str) -> dict[str, list[float]]:
-    """Error of every other method over ours, seed by seed."""
-    ours = _values(records, row, split, "smoothed", "rmse_m")
-    methods = dict.fromkeys(r["method"] for r in records)
-    return {
-        m: [theirs / mine for theirs, mine in zip(_values(records, row, split, m, "rmse_m"), ours, strict=True)]
-        for m in methods
-    }
-
-
-def _spread(values: Sequence[float], digits: int) -> str:
-    """Mean and standard deviation over seeds."""
-    if not values:
-        return ""
-    mean = f"{np.mean(values):.{digits}f}"
-    return mean if len(values) == 1 else f"{mean} ± {np.std(values, ddof=1):.{digits}f}"
+    Raises
+    ------
+    ExperimentError
+        If pyarrow is not installed (extra ``arrow``).
+    """
+    try:
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ModuleNotFoundError as exc:
+        raise ExperimentError("Parquet needs pyarrow: pip install 'conformodal[arrow]'") from exc
+    names = dict.fromkeys(name for record in records for name in record)
+    pq.write_table(pa.table({name: [record.get(name) for record in records] for name in names}), path)

@@ -1,38 +1,23 @@
-"""Independent tasks whose results are kept one file each: a run that was stopped goes on where it was."""
+"""Tasks whose results are kept one file each: a run that was stopped goes on where it was."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
 
-from .errors import ExperimentError
-
-Result = dict[str, Any]
-Progress = Callable[[str, int, int], None]
-
-
-class Task(Protocol):
-    """Something to be done once."""
-
-    @property
-    def key(self) -> str:
-        """A file name without its ending, unique among the tasks."""
-        ...
-
-    @property
-    def settings(self) -> Result:
-        """All that decides the result; JSON."""
-        ...
-
-
-T = TypeVar("T", bound=Task)
+from ..errors import ExperimentError
+from .engines import Engine, Progress, Result, Task, Work
+from .local import LocalEngine
 
 
 def run_tasks(
-    tasks: Sequence[T], work: Callable[[T], Result], folder: Path, progress: Progress | None = None
+    tasks: Sequence[Task],
+    work: Work,
+    folder: Path,
+    progress: Progress | None = None,
+    engine: Engine | None = None,
 ) -> list[Result]:
     """Results of all tasks, in their order; those on disk with the same settings are not worked out again.
 
@@ -43,9 +28,11 @@ def run_tasks(
     work
         Turns a task into a result that JSON can hold.
     folder
-        Where results are kept, created if missing.
+        Where results are kept, each as soon as it is there; created if missing.
     progress
         Called with ``"tasks"``, tasks done and tasks in all.
+    engine
+        Where to work; in this process by default.
 
     Raises
     ------
@@ -57,19 +44,20 @@ def run_tasks(
     if twice:
         raise ExperimentError(f"tasks need keys of their own, found twice: {twice}")
     folder.mkdir(parents=True, exist_ok=True)
-    results = []
-    for done, task in enumerate(tasks):
+    paths = [folder / f"{key}.json" for key in keys]
+    results = [_kept(path, task.settings) for path, task in zip(paths, tasks, strict=True)]
+    missing = [i for i, result in enumerate(results) if result is None]
+
+    def report() -> None:
         if progress is not None:
-            progress("tasks", done, len(tasks))
-        path = folder / f"{task.key}.json"
-        result = _kept(path, task.settings)
-        if result is None:
-            result = work(task)
-            _keep(path, task.settings, result)
-        results.append(result)
-    if progress is not None:
-        progress("tasks", len(tasks), len(tasks))
-    return results
+            progress("tasks", sum(result is not None for result in results), len(tasks))
+
+    report()
+    for k, result in (engine or LocalEngine()).results(work, [tasks[i] for i in missing]):
+        results[missing[k]] = result
+        _keep(paths[missing[k]], tasks[missing[k]].settings, result)
+        report()
+    return [result for result in results if result is not None]
 
 
 def _kept(path: Path, settings: Result) -> Result | None:

@@ -1,0 +1,91 @@
+"""Many methods under many conditions, side by side: a figure, and a page for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .figures import COLOURS, as_svg
+from .templating import render_page
+
+# The colours of Okabe and Ito, with a shape each: a reader needs one of the two only.
+_MARKS = (
+    (COLOURS["smoothed"], "o"),
+    (COLOURS["region"], "v"),
+    (COLOURS["alike"], "^"),
+    ("#E69F00", "<"),
+    (COLOURS["classical"], "s"),
+    ("#CC79A7", "D"),
+    ("#000000", "x"),
+    ("#666666", "+"),
+    ("#999999", "*"),
+    ("#8C6D31", "P"),
+    ("#5254A3", "X"),
+)
+
+
+class TableLike(Protocol):
+    """Cells as they are shown."""
+
+    @property
+    def header(self) -> Sequence[str]:
+        """Names of the columns."""
+        ...
+
+    @property
+    def lines(self) -> Sequence[Sequence[str]]:
+        """Cells, line by line."""
+        ...
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, a figure and the tables below it, each with a name."""
+
+    heading: str
+    caption: str
+    svg: str
+    tables: Sequence[tuple[str, TableLike]]
+
+
+def error_chart(conditions: Sequence[str], errors: Mapping[str, Sequence[Sequence[float]]], unit: str) -> str:
+    """SVG of errors on a log scale, one line a condition and one mark a method.
+
+    Parameters
+    ----------
+    conditions
+        Names, top to bottom.
+    errors
+        By method: for every condition the errors of all repeats. Marks are at their means, whiskers reach from the
+        smallest to the largest.
+    unit
+        Of the errors.
+    """
+    figure = Figure(figsize=(10, 1.4 + 0.62 * len(conditions)), layout="constrained")
+    axis = figure.subplots()
+    place = np.arange(len(conditions))[::-1]
+    offsets = np.linspace(0.32, -0.32, max(len(errors), 2))
+    for (name, found), offset, (colour, mark) in zip(errors.items(), offsets, _MARKS, strict=False):
+        mean = np.array([np.mean(v) for v in found])
+        reach = np.abs(np.array([[np.min(v), np.max(v)] for v in found]).T - mean)
+        axis.errorbar(mean, place + offset, xerr=reach, fmt=mark, ms=5, color=colour, lw=0.8, label=name)
+    axis.set_xscale("log")
+    axis.set_yticks(place, conditions)
+    axis.set_xlabel(f"position RMSE ({unit})")
+    axis.grid(axis="x", which="both", lw=0.3)
+    for line in place[:-1]:
+        axis.axhline(line - 0.5, color="#bbbbbb", lw=0.5)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    return as_svg(figure)
+
+
+def write_comparison(
+    path: Path, title: str, summary: Sequence[str], sections: Sequence[Section], record: Mapping[str, Any]
+) -> None:
+    """Write the page; `record` says what made it."""
+    render_page(path, "comparison", title=title, summary=summary, sections=sections, record=record)

@@ -1,0 +1,15 @@
+"""Pages from templates: one HTML file each, readable without a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+
+
+def render_page(path: Path, template: str, **content: Any) -> None:
+    """Write a page; what is put into it is escaped unless the template says that it is safe."""
+    environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(environment.get_template(f"{template}.html.j2").render(**content), encoding="utf-8")

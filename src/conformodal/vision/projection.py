@@ -1,0 +1,58 @@
+"""From thousands of features to the few hundred directions that they vary along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.decomposition import PCA
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A linear map of features, learnt without targets.
+
+    Attributes
+    ----------
+    offset
+        (F,) mean of the training features.
+    components
+        (F, k) directions with their scale in them; or (F,), which scales every feature and keeps them all.
+    """
+
+    offset: FloatArray
+    components: FloatArray
+
+    @property
+    def size(self) -> int:
+        """Numbers that come out, k."""
+        return int(self.components.shape[-1])
+
+
+def fit_projection(features: FloatArray, n_components: int | None) -> Projection:
+    """Principal components of standardised features, all on one scale: their mean variance is one.
+
+    They are not whitened, so that a network and dropout see how much each matters. Training is several times as fast
+    as on all features, and more accurate (benchmarks/ablation.py).
+
+    Parameters
+    ----------
+    features
+        (n, F) of the training part only.
+    n_components
+        Number of directions, at most n - 1 and F are there; None standardises and keeps all features.
+    """
+    offset = features.mean(axis=0)
+    # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
+    scale = features.std(axis=0) + 1e-3
+    n, n_features = features.shape
+    standard = (features - offset) / scale
+    if n_components is None or not standard.any():  # features that are all the same have no directions
+        return Projection(offset, 1 / scale)
+    pca = PCA(min(n_components, n - 1, n_features), random_state=0).fit(standard)
+    gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
+    components = np.ascontiguousarray((pca.components_ / gain).T / scale[:, None], dtype=np.float32)
+    return Projection(offset, components)
