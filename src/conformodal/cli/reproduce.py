@@ -32,11 +32,12 @@ from conformodal.experiments.table1 import (
 )
 from conformodal.odometry import data_digest, provenance, write_metrics
 from conformodal.report import Section, error_chart, write_comparison
-from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
 from .figures import draw_figures
 from .sources import open_sequence
+from .train import tuning_of
 
 app = typer.Typer(help="The paper's results on a data set of your own.", no_args_is_help=True)
 
@@ -63,6 +64,7 @@ Format = Annotated[Layout, typer.Option("--format", help="Layout of the data set
 Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
 Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
+FineTune = Annotated[str, typer.Option(help="Also train the networks: last blocks (a number), 'all', or 'none'.")]
 EngineOption = Annotated[EngineKind, typer.Option("--engine", help="This machine, or a Ray cluster (extra 'ray').")]
 Workers = Annotated[int, typer.Option(min=1, help="Trainings at a time on this machine; they share its cores.")]
 Address = Annotated[str | None, typer.Option(help="Of the Ray cluster; one on this machine alone by default.")]
@@ -78,6 +80,7 @@ def table1(
     split: Annotated[SplitKind | None, typer.Option(help="One split only; both by default.")] = None,
     networks: Networks = _NETWORKS,
     epochs: Epochs = _EPOCHS,
+    fine_tune: FineTune = "none",
     cache: Cache = None,
     engine: EngineOption = EngineKind.LOCAL,
     workers: Workers = 1,
@@ -89,12 +92,12 @@ def table1(
     rows = rows_of(networks.split(","))
     started = time.perf_counter()
     where = _engine(engine, workers, address)
-    tasks, results = _work(sequence, out, rows, splits, seeds, epochs, cache, where)
+    tasks, results = _work(sequence, out, rows, splits, seeds, epochs, fine_tune, cache, where)
     records = tidy(rows, tasks, results)
     write_json(records, out / "table1.json")
     if find_spec("pyarrow"):  # an extra
         write_parquet(records, out / "table1.parquet")
-    title, note = f"The paper's table 1 on {sequence.name}", _note(seeds, epochs, networks, workers)
+    title, note = f"The paper's table 1 on {sequence.name}", _note(seeds, epochs, networks, workers, fine_tune)
     tables = {str(kind): _tables(rows, records, str(kind)) for kind in splits}
     text = [f"# {title}", "", note]
     for kind, found in tables.items():
@@ -103,7 +106,7 @@ def table1(
             text += ["", f"{name}:", "", table.markdown()]
     (out / "table1.md").write_text("\n".join(text) + "\n", encoding="utf-8")
     settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
-    settings |= {"networks": networks, "engine": engine, "workers": workers}
+    settings |= {"networks": networks, "fine_tune": fine_tune, "engine": engine, "workers": workers}
     record: dict[str, Any] = {"command": "reproduce table1", "provenance": provenance(), "configuration": settings}
     record["seconds"] = round(time.perf_counter() - started, 1)
     write_metrics(out, record)
@@ -127,6 +130,7 @@ def figures(
     split: Annotated[SplitKind, typer.Option(help="Which split's runs to draw.")] = SplitKind.INTERLEAVED,
     networks: Networks = _NETWORKS,
     epochs: Epochs = _EPOCHS,
+    fine_tune: FineTune = "none",
     cache: Cache = None,
     engine: EngineOption = EngineKind.LOCAL,
     workers: Workers = 1,
@@ -135,7 +139,7 @@ def figures(
     """The paper's figures from the runs of seed 0 under OUT, as SVG and PNG; what is not there yet is run first."""
     sequence = open_sequence(data, layout, require_poses=True)
     rows = rows_of(networks.split(","))
-    _, results = _work(sequence, out, rows, [split], 1, epochs, cache, _engine(engine, workers, address))
+    _, results = _work(sequence, out, rows, [split], 1, epochs, fine_tune, cache, _engine(engine, workers, address))
     with progress_bars() as report:
         bins = bin_runs(sequence, out / "runs", split, epochs, FeatureCache(cache or default_cache_dir()), report)
     written = draw_figures(sequence, out, split, rows, bins, results)
@@ -159,10 +163,12 @@ def _work(
     splits: list[SplitKind],
     seeds: int,
     epochs: int,
+    fine_tune: str,
     cache: Path | None,
     engine: Engine,
 ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
-    tasks = tasks_of(rows, splits, list(range(seeds)), epochs, data_digest(sequence))
+    tuning = tuning_of(fine_tune, FineTuning().epochs, 0)
+    tasks = tasks_of(rows, splits, list(range(seeds)), epochs, data_digest(sequence), tuning)
     worker = Table1Worker(sequence, FeatureCache(cache or default_cache_dir()), out / "runs")
     with progress_bars() as report:
         return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)
@@ -190,12 +196,13 @@ def _errors(rows: tuple[Row, ...], records: list[Record], split: str) -> dict[st
 _CAPTION = "Marks are means over seeds, whiskers reach from the best to the worst seed. Less is better."
 
 
-def _note(seeds: int, epochs: int, networks: str, workers: int) -> str:
+def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) -> str:
     over = f"{seeds} {'seed' if seeds == 1 else 'seeds'}"
+    features = "Frozen" if fine_tune == "none" else f"Fine-tuned (--fine-tune {fine_tune}, on the training part)"
     return (
         f"Mean ± standard deviation over {over} of split and training, {epochs} epochs. Ratio: the other's RMSE over "
-        f"ours, seed by seed. Frozen features of {networks.replace(',', ', ')}; the test frames are the same fifth for "
-        "every row, a fifth of the used frames calibrate, and the classical regressors are trained on these as well, "
+        f"ours, seed by seed. {features} features of {networks.replace(',', ', ')}. The test frames are the same fifth "
+        "for every row; a fifth of the used frames calibrates. The classical regressors are trained on these as well, "
         "with learning rate, dropout and number of components searched for each. Noise is on the camera's pixels, in "
         "[0, 1], at test time only, for network and tracker alike. Whole pose covered: at alpha = 0.1 (bonferroni); "
         "promised for `interleaved` without noise, otherwise an observation. Set length and intervals: a target at "

@@ -20,7 +20,7 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
-from conformodal.vision import NETWORKS, FeatureCache, TrainingConfig, default_cache_dir
+from conformodal.vision import NETWORKS, FeatureCache, FineTuning, TrainingConfig, VisionError, default_cache_dir
 
 from .console import Report, console, kind_errors, print_where, progress_bars
 from .sources import open_sequence
@@ -61,6 +61,13 @@ def train(
         float | None, typer.Option(help="Share of all frames for training and calibration together; all the rest.")
     ] = None,
     network: Annotated[str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.")] = _DEFAULT.network,
+    fine_tune: Annotated[
+        str, typer.Option(help="Also train the network: its last blocks (a number), 'all', or 'none'.")
+    ] = "none",
+    fine_tune_epochs: Annotated[int, typer.Option(min=1, help="Passes over the training images.")] = (
+        FineTuning().epochs
+    ),
+    device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
@@ -77,6 +84,8 @@ def train(
         calibration=calibration,
         used=used,
         network=network,
+        fine_tuning=tuning_of(fine_tune, fine_tune_epochs, seed),
+        device=device,
         seed=seed,
         training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     )
@@ -84,6 +93,21 @@ def train(
     with progress_bars() as report:
         train_on(sequence, config, out, classical=classical, cache_dir=cache or default_cache_dir(), report=report)
     print_where(out)
+
+
+def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
+    """What ``--fine-tune`` asks for.
+
+    Raises
+    ------
+    VisionError
+        If it is neither a number of blocks, nor ``all`` or ``none``.
+    """
+    if choice == "none":
+        return None
+    if choice == "all" or choice.isdecimal():
+        return FineTuning(None if choice == "all" else int(choice), epochs, seed=seed)
+    raise VisionError(f"--fine-tune must be a number of blocks, 'all' or 'none', got {choice!r}")
 
 
 def train_on(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
@@ -163,10 +162,9 @@ class VisualOdometry:
         if image is None or image.shape != expected or image.dtype != np.uint8:
             found = "no image" if image is None else f"image is {image.dtype} {image.shape}, expected uint8 {expected}"
             return Estimate(timestamp_s, None, None, None, None, None, False, found)
-        with torch.inference_mode():
-            prepared = torch.from_numpy(np.stack([self.model.backbone.prepare(image)]))
-            # rounded as the cache rounds, so that a stream and a data set give the same numbers
-            features = self.model.backbone(prepared).numpy().astype(np.float16).astype(np.float32)
+        prepared = self.model.backbone.prepare(image)[None]
+        # rounded as the cache rounds, so that a stream and a data set give the same numbers
+        features = self.model.backbone.describe(prepared).astype(np.float32)
         proba = self.model.proba(features)
         region = self.model.calibration.predict(proba)
         search = self.model.search_proba(features)

@@ -42,6 +42,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {
         f"{name}.{k}": v.numpy() for name, head in heads.items() for k, v in head.state_dict().items()
     }
+    if model.backbone.tuned is not None:  # otherwise its package has them
+        arrays |= {f"backbone.{k}": v for k, v in model.backbone.weights().items()}
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays["calibration.scores"] = model.calibration.scores_
@@ -106,6 +108,9 @@ def load_model(folder: Path | str) -> PoseModel:
 def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path: Path) -> PoseModel:
     settings = {**record["backbone"], "grid": tuple(record["backbone"]["grid"])}
     backbone = Backbone(BackboneConfig(**settings))
+    tuned = {k.removeprefix("backbone."): v for k, v in arrays.items() if k.startswith("backbone.")}
+    if tuned:
+        backbone.take_weights(tuned)
     if backbone.fingerprint != record["backbone_fingerprint"]:
         raise ModelFileError(
             f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "

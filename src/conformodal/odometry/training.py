@@ -22,13 +22,16 @@ from conformodal.vision import (
     Backbone,
     BackboneConfig,
     FeatureCache,
+    FineTuning,
     Head,
     Projection,
     TrainingConfig,
     extract_features,
     find_network,
+    fine_tune,
     fit_head,
     fit_projection,
+    pick_device,
     predict_proba,
     soft_cross_entropy,
 )
@@ -66,7 +69,11 @@ class ModelConfig:
     finders
         Heads that the search for the pose starts from.
     network
-        Of :data:`~conformodal.vision.NETWORKS`.
+        Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
+    fine_tuning
+        Trains the network too, on the training part; None leaves it frozen.
+    device
+        Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     seed
         Of the split and of training.
     training
@@ -91,6 +98,8 @@ class ModelConfig:
     components: tuple[int, ...] = (64, 256)
     finders: int = 3
     network: str = "efficientnet_lite0"
+    fine_tuning: FineTuning | None = None
+    device: str = "auto"
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
@@ -100,6 +109,7 @@ class ModelConfig:
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
         find_network(self.network)
+        pick_device(self.device)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
         if not self.components or min(self.components) < 1:
@@ -152,10 +162,23 @@ def prepare_training_data(
         used=config.used,
     )
     backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height, config.network))
+    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
+    targets = pose_targets(truth, reference)
+    backbone.to(pick_device(config.device))
+    if config.fine_tuning is not None:
+        bins = QuantileBins(config.n_bins, config.margin).fit(targets[split.train])
+        backbone = fine_tune(
+            backbone,
+            [sequence.image_paths[i] for i in split.train],
+            np.concatenate(bins.soft_targets(targets[split.train], config.sigma_bins), axis=1),
+            bins.sizes,
+            config.fine_tuning,
+            cache,
+            _stage(progress, "fine-tuning"),
+        )
     stage = _stage(progress, "features")
     features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
-    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
-    return TrainingData(sequence, split, backbone, features, pose_targets(truth, reference), reference)
+    return TrainingData(sequence, split, backbone, features, targets, reference)
 
 
 def train_model(

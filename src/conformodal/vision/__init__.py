@@ -1,8 +1,9 @@
 """Images to probabilities: frozen features, trained heads (torch)."""
 
-from .backbone import Backbone, BackboneConfig
+from .backbone import Backbone, BackboneConfig, pick_device
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
+from .finetuning import FineTuning, fine_tune
 from .heads import Head, predict_proba, predict_values
 from .networks import NETWORKS, find_network
 from .projection import Projection, fit_projection
@@ -13,6 +14,7 @@ __all__ = [
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
+    "FineTuning",
     "Head",
     "Projection",
     "TrainingConfig",
@@ -20,9 +22,11 @@ __all__ = [
     "default_cache_dir",
     "extract_features",
     "find_network",
+    "fine_tune",
     "fit_head",
     "fit_projection",
     "mean_squared_error",
+    "pick_device",
     "predict_proba",
     "predict_values",
     "soft_cross_entropy",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
+from .errors import VisionError
 from .networks import find_network
 
 # Images are not enlarged, and reduced to at most this width.
@@ -54,8 +55,24 @@ class BackboneConfig:
         return cls(name=name, block=find_network(name).block, width=w, height=max(1, round(height * w / width)))
 
 
+def pick_device(name: str) -> torch.device:
+    """The device of a name: ``cpu``, ``cuda``, or ``auto`` for a graphics card where there is one.
+
+    Raises
+    ------
+    VisionError
+        If the name is another, or there is no such device.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
+    there = torch.cuda.is_available()
+    if name == "cuda" and not there:
+        raise VisionError("device is cuda, but torch finds no graphics card it can use")
+    return torch.device("cuda" if there and name != "cpu" else "cpu")
+
+
 class Backbone(nn.Module):
-    """A frozen feature extractor.
+    """A feature extractor, frozen but for fine-tuning.
 
     Raises
     ------
@@ -70,18 +87,56 @@ class Backbone(nn.Module):
         super().__init__()
         self.config = config
         layers, mean, scale, self._identity = find_network(config.name).load(config.block)
+        self.tuned: str | None = None  # digest of weights other than the package's
         self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
         self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
         self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
         self.eval().requires_grad_(False)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    @cached_property
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return self.pixel_mean.device
+
+    @property
+    def blocks(self) -> list[nn.Module]:
+        """Its parts that hold weights, first to last."""
+        found: list[nn.Module] = []
+        for layer in self.layers:
+            if next(layer.parameters(), None) is not None:
+                found += getattr(layer, "blocks", [layer])
+        return found
+
+    @property
     def fingerprint(self) -> str:
         """Digest of the weights, the configuration and the versions that decide the features."""
         digest = hashlib.sha256(self._identity)
         digest.update(repr(sorted(asdict(self.config).items())).encode())
+        if self.tuned is not None:
+            digest.update(self.tuned.encode())
         return digest.hexdigest()
+
+    def weights(self) -> dict[str, npt.NDArray[np.generic]]:
+        """All weights, by name."""
+        return {k: np.ascontiguousarray(v.cpu().numpy()) for k, v in self.layers.state_dict().items()}
+
+    def take_weights(self, weights: Mapping[str, npt.NDArray[np.generic]]) -> None:
+        """Replace the packaged weights, as after fine-tuning.
+
+        Raises
+        ------
+        VisionError
+            If they are not this network's.
+        """
+        try:
+            self.layers.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in weights.items()})
+        except (RuntimeError, TypeError) as exc:
+            raise VisionError(f"weights do not fit {self.config.name}: {exc}") from exc
+        digest = hashlib.sha256()
+        for name, value in sorted(weights.items()):
+            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
+        self.tuned = digest.hexdigest()
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
@@ -90,8 +145,13 @@ class Backbone(nn.Module):
             return image
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
+    def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
+        """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them."""
+        with torch.inference_mode():
+            return np.asarray(self(torch.from_numpy(images).to(self.device)).cpu().numpy().astype(np.float16))
+
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), uint8 RGB."""
+        """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""
         x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)
         x = (x - self.pixel_mean) / self.pixel_scale
         features: torch.Tensor = self.layers(x).flatten(1)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
@@ -108,8 +107,7 @@ def extract_features(
             if number + 3 < len(batches):
                 ahead.append(pool.submit(_load_batch, image_files, batches[number + 3], backbone, cache, noise))
             if images:
-                with torch.inference_mode():
-                    fresh = backbone(torch.from_numpy(np.stack(list(images.values())))).numpy().astype(np.float16)
+                fresh = backbone.describe(np.stack(list(images.values())))
                 for i, vector in zip(images, fresh, strict=True):
                     vectors[i] = vector
                     cache.store(keys[i], vector)

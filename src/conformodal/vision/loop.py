@@ -68,23 +68,52 @@ def run_loop(
     # whole batches by one index operation, not sample by sample
     sampler = BatchSampler(order, min(config.batch_size, len(x)), drop_last=False)
     loader: DataLoader[Any] = DataLoader(dataset, sampler=sampler, batch_size=None)
+    module = _Module(head, loss, config, config.epochs * len(sampler))
+    folder = None if checkpoint_dir is None else checkpoint_dir / _digest(x, y, loss, config)
+    fit_module(module, loader, config.epochs, folder, progress)
+
+
+def fit_module(
+    module: lightning.LightningModule,
+    loader: DataLoader[Any],
+    epochs: int,
+    folder: Path | None,
+    progress: Progress | None,
+    *,
+    keep_every: int = _CHECKPOINT_EVERY_EPOCHS,
+    accelerator: str = "cpu",
+) -> None:
+    """Fit a module in place.
+
+    Parameters
+    ----------
+    module, loader, epochs
+        What to fit, to what and how often.
+    folder
+        Where its state is kept while it trains and taken up again; removed at the end. None keeps nothing.
+    progress
+        Called with epochs done and epochs in all.
+    keep_every
+        Epochs between states.
+    accelerator
+        Lightning's name of the device.
+    """
     callbacks: list[Callback] = [] if progress is None else [_Report(progress)]
-    folder = resume = None
-    if checkpoint_dir is not None:
-        folder = checkpoint_dir / _digest(x, y, loss, config)
-        callbacks.append(ModelCheckpoint(folder, filename="last", every_n_epochs=_CHECKPOINT_EVERY_EPOCHS))
+    resume = None
+    if folder is not None:
+        callbacks.append(ModelCheckpoint(folder, filename="last", every_n_epochs=keep_every))
         resume = folder / "last.ckpt" if (folder / "last.ckpt").is_file() else None
     with _quiet():
         trainer = lightning.Trainer(
-            max_epochs=config.epochs,
-            accelerator="cpu",
+            max_epochs=epochs,
+            accelerator=accelerator,
+            devices=1,
             callbacks=callbacks,
             logger=False,
             enable_checkpointing=folder is not None,
             enable_progress_bar=False,
             enable_model_summary=False,
         )
-        module = _Module(head, loss, config, config.epochs * len(sampler))
         handler = signal.getsignal(signal.SIGINT)
         try:
             trainer.fit(module, loader, ckpt_path=resume, weights_only=True)

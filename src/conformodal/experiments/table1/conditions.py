@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 from conformodal.datasets import SplitKind
+from conformodal.vision import FineTuning
 
 from ..errors import ExperimentError
 
@@ -90,6 +91,8 @@ class TrainingTask:
         Of every training.
     data
         Digest of the data set.
+    fine_tuning
+        Settings of fine-tuning, or None for frozen features.
     """
 
     split: SplitKind
@@ -99,6 +102,7 @@ class TrainingTask:
     sigmas: tuple[float, ...]
     epochs: int
     data: str
+    fine_tuning: FineTuning | None = None
 
     @property
     def key(self) -> str:
@@ -108,11 +112,17 @@ class TrainingTask:
     @property
     def settings(self) -> dict[str, object]:
         """All that decides the result."""
-        return {**vars(self), "split": str(self.split), "sigmas": list(self.sigmas)}
+        tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
+        return {**vars(self), "split": str(self.split), "sigmas": list(self.sigmas), "fine_tuning": tuning}
 
 
 def tasks_of(
-    rows: Sequence[Row], splits: Sequence[SplitKind], seeds: Sequence[int], epochs: int, data: str
+    rows: Sequence[Row],
+    splits: Sequence[SplitKind],
+    seeds: Sequence[int],
+    epochs: int,
+    data: str,
+    fine_tuning: FineTuning | None = None,
 ) -> list[TrainingTask]:
     """The trainings behind all rows, those with the same motions next to each other."""
     trainings = dict.fromkeys((row.used, row.network) for row in rows)
@@ -125,6 +135,7 @@ def tasks_of(
             tuple(dict.fromkeys(r.sigma for r in rows if (r.used, r.network) == (used, network))),
             epochs,
             data,
+            None if fine_tuning is None else replace(fine_tuning, seed=seed),
         )
         for split in splits
         for seed in seeds

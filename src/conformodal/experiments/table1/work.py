@@ -81,6 +81,7 @@ class Table1Worker:
             calibration=CALIBRATION_SHARE * task.used,
             used=task.used,
             network=task.network,
+            fine_tuning=task.fine_tuning,
             seed=task.seed,
             training=training,
         )

@@ -1,0 +1,44 @@
+"""What may happen to a picture without the camera moving: light, colour, noise, something in the way."""
+
+from __future__ import annotations
+
+import torch
+
+_GAIN, _CONTRAST, _TINT = 0.3, 0.3, 0.1
+_NOISE = 12.0  # of 255
+_COVER_SHARE, _COVER_SIZE = 0.5, 0.35
+
+
+def augment(images: torch.Tensor) -> torch.Tensor:
+    """Change every image of a batch in its own way.
+
+    Nothing is moved, turned or mirrored: that would need another pose.
+
+    Parameters
+    ----------
+    images
+        (n, h, w, 3) in 0 to 255, any real type.
+
+    Returns
+    -------
+    torch.Tensor
+        float32, same shape and range, by torch's random numbers.
+    """
+    x = images.to(dtype=torch.float32)
+    n, h, w, _ = x.shape
+
+    def uniform(reach: float, *shape: int) -> torch.Tensor:
+        return (2 * torch.rand(shape, device=x.device) - 1) * reach
+
+    mean = x.mean(dim=(1, 2, 3), keepdim=True)
+    x = (x - mean) * (1 + uniform(_CONTRAST, n, 1, 1, 1)) + mean
+    x = x * (1 + uniform(_GAIN, n, 1, 1, 1)) * (1 + uniform(_TINT, n, 1, 1, 3))
+    x = x + torch.randn_like(x) * torch.rand((n, 1, 1, 1), device=x.device) * _NOISE
+    # one rectangle a picture, of one colour, over some of the pictures
+    rows, columns = (torch.arange(size, device=x.device)[None] for size in (h, w))
+    top, left = (torch.rand((n, 1), device=x.device) * size for size in (h, w))
+    high, wide = (torch.rand((n, 1), device=x.device) * size * _COVER_SIZE for size in (h, w))
+    covered = ((rows >= top) & (rows < top + high))[:, :, None] & ((columns >= left) & (columns < left + wide))[:, None]
+    covered &= torch.rand((n, 1, 1), device=x.device) < _COVER_SHARE
+    colour = 255 * torch.rand((n, 1, 1, 3), device=x.device)
+    return torch.where(covered[..., None], colour, x).clamp(0, 255)

@@ -1,0 +1,146 @@
+"""Fine-tuning: the last blocks of a network, or all of them, learn from the training images."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+from torch.utils.data import Dataset
+
+from conformodal.datasets import read_image
+
+from .backbone import Backbone
+from .errors import VisionError
+from .features import FeatureCache
+from .training import Progress
+
+
+@dataclass(frozen=True)
+class FineTuning:
+    """How a network is fine-tuned.
+
+    Attributes
+    ----------
+    blocks
+        Last blocks to train; None for the whole network.
+    epochs, batch_size
+        Passes over the training images, and images a step.
+    learning_rate
+        Of the network; its temporary head learns ten times as fast.
+    seed
+        Of the head, the order of images and their augmentation.
+
+    Raises
+    ------
+    VisionError
+        If a number is out of range.
+    """
+
+    blocks: int | None = 3
+    epochs: int = 10
+    batch_size: int = 16
+    learning_rate: float = 3e-4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if (self.blocks is not None and self.blocks < 1) or min(self.epochs, self.batch_size) < 1:
+            raise VisionError(f"fine-tuning needs at least one block, epoch and image a step, got {self}")
+        if not self.learning_rate > 0:
+            raise VisionError(f"learning_rate must be positive, got {self.learning_rate}")
+
+
+class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):
+    """Prepared images, decoded when asked for, with their labels."""
+
+    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], backbone: Backbone) -> None:
+        self.files, self.labels, self.backbone = files, torch.from_numpy(labels), backbone
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
+        image = self.backbone.prepare(read_image(self.files[i]))
+        return torch.from_numpy(np.array(image)), self.labels[i]
+
+
+def fine_tune(
+    backbone: Backbone,
+    image_files: Sequence[Path],
+    labels: npt.NDArray[np.floating[Any]],
+    outputs: list[int],
+    config: FineTuning,
+    cache: FeatureCache,
+    progress: Progress | None = None,
+) -> Backbone:
+    """A copy of a network whose last blocks have learnt these images, augmented, with a temporary softmax head.
+
+    Statistics of batch normalisation stay those of ImageNet: batches are too small for others.
+
+    Parameters
+    ----------
+    backbone
+        Stays as it is.
+    image_files, labels
+        Of the training part: n files and (n, sum of outputs) order-aware labels.
+    outputs
+        Bins of each target.
+    config
+        See :class:`FineTuning`.
+    cache
+        Keeps the tuned weights, and the state of a training that was stopped.
+    progress
+        Called with epochs done and epochs in all.
+
+    Raises
+    ------
+    VisionError
+        If there are fewer images than two, or as many labels as images are not given.
+    ImageError
+        If an image cannot be read; names the file.
+    """
+    y = np.ascontiguousarray(labels, dtype=np.float32)
+    if len(image_files) < 2 or y.shape != (len(image_files), sum(outputs)):
+        raise VisionError(
+            f"fine-tuning needs two images or more and labels ({len(image_files)}, {sum(outputs)}), got {y.shape}"
+        )
+    key = _digest(backbone, image_files, y, config)
+    kept = None if cache.folder is None else cache.folder.parent / "backbones" / f"{key}.safetensors"
+    tuned = Backbone(backbone.config)
+    if kept is not None and kept.is_file():
+        try:
+            tuned.take_weights(load_tensors(kept.read_bytes()))
+            return tuned.to(backbone.device)
+        except (OSError, SafetensorError, VisionError):
+            tuned = Backbone(backbone.config)  # damaged: tune again
+    from .tuning_loop import run_tuning  # noqa: PLC0415 - Lightning takes seconds to import
+
+    tuned.to(backbone.device)
+    folder = None if cache.folder is None else cache.folder.parent / "training" / key
+    run_tuning(tuned, _Images(image_files, y, backbone), outputs, config, folder, progress)
+    weights = tuned.weights()
+    tuned.take_weights(weights)
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(f".{os.getpid()}.part")
+        part.write_bytes(save_tensors(weights))
+        part.replace(kept)
+    return tuned
+
+
+def _digest(backbone: Backbone, files: Sequence[Path], labels: npt.NDArray[np.float32], config: FineTuning) -> str:
+    digest = hashlib.sha256(backbone.fingerprint.encode())
+    digest.update(repr(sorted(asdict(config).items())).encode())
+    for path in files:
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    digest.update(labels.tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,71 @@
+"""The loop behind :func:`~conformodal.vision.fine_tune`, run by Lightning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import lightning
+import torch
+from torch import nn
+from torch.utils.data import DataLoader, Dataset
+
+from .augmentation import augment
+from .backbone import Backbone
+from .finetuning import FineTuning
+from .loop import fit_module
+from .training import Progress
+
+_HEAD_RATE = 10.0
+_WEIGHT_DECAY = 1e-2
+_DROPOUT = 0.3
+
+
+class _Tuning(lightning.LightningModule):
+    def __init__(self, backbone: Backbone, outputs: list[int], config: FineTuning, n_steps: int) -> None:
+        super().__init__()
+        self.backbone, self.outputs, self.config, self.n_steps = backbone, outputs, config, n_steps
+        self.head = nn.Sequential(nn.Dropout(_DROPOUT), nn.LazyLinear(sum(outputs)))
+
+    def training_step(self, batch: list[torch.Tensor], _: int) -> torch.Tensor:
+        images, labels = batch
+        self.backbone.eval()  # statistics of batch normalisation stay
+        raw = self.head(self.backbone(augment(images)))
+        blocks = zip(torch.split(raw, self.outputs, dim=1), torch.split(labels, self.outputs, dim=1), strict=True)
+        return torch.stack([-(t * torch.log_softmax(r, dim=1)).sum(dim=1).mean() for r, t in blocks]).mean()
+
+    def configure_optimizers(self) -> Any:
+        rate = self.config.learning_rate
+        groups = [
+            {"params": [p for p in self.backbone.parameters() if p.requires_grad], "lr": rate},
+            {"params": list(self.head.parameters()), "lr": _HEAD_RATE * rate},
+        ]
+        optimizer = torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer, max_lr=[rate, _HEAD_RATE * rate], total_steps=self.n_steps, pct_start=0.2
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def run_tuning(
+    backbone: Backbone,
+    images: Dataset[Any],
+    outputs: list[int],
+    config: FineTuning,
+    folder: Path | None,
+    progress: Progress | None,
+) -> None:
+    """Train the last blocks of `backbone` in place; it ends frozen again."""
+    size = len(images)  # type: ignore[arg-type]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        order = torch.Generator().manual_seed(config.seed)
+        loader: DataLoader[Any] = DataLoader(images, min(config.batch_size, size), shuffle=True, generator=order)
+        module = _Tuning(backbone, outputs, config, config.epochs * len(loader))
+        with torch.no_grad():  # gives the lazy layer its size
+            module.head(backbone(images[0][0][None].to(backbone.device)))
+        for block in backbone.blocks[-config.blocks :] if config.blocks else backbone.blocks:
+            block.requires_grad_(True)
+        accelerator = "gpu" if backbone.device.type == "cuda" else "cpu"
+        fit_module(module, loader, config.epochs, folder, progress, keep_every=1, accelerator=accelerator)
+    backbone.eval().requires_grad_(False)
