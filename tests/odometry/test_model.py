@@ -17,7 +17,7 @@ from conformodal.odometry import (
     train_model,
 )
 from conformodal.poses import PinholeCamera
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-2'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-3'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -82,7 +82,7 @@ def test_altered_models_are_refused(model, tmp_path, spoil, match):
 
 
 def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
-    monkeypatch.setitem(vars(model.backbone), "fingerprint", "other")  # where cached_property keeps it
+    monkeypatch.setattr(model.backbone, "_identity", b"other")
     save_model(model, tmp_path)
     monkeypatch.undo()
     with pytest.raises(ModelFileError, match="another version"):
@@ -199,3 +199,18 @@ def test_data_sets_are_recognised_by_content(sequence, small_world, tmp_path):
     assert data_digest(read_sevenscenes(tmp_path / "moved")) == data_digest(sequence)
     (tmp_path / "moved" / "seq-01" / "frame-000003.color.png").unlink()
     assert data_digest(read_sevenscenes(tmp_path / "moved")) != data_digest(sequence)
+
+
+def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
+    tuning = FineTuning(blocks=1, epochs=1)
+    config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2), components=(64,), finders=1, used=0.3)
+    data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
+    trained = train_model(data, config)
+    save_model(trained, tmp_path / "model")
+    back = load_model(tmp_path / "model")
+    assert back.backbone.fingerprint == trained.backbone.fingerprint
+    image = back.backbone.prepare(sequence.image(3))[None]
+    np.testing.assert_array_equal(back.backbone.describe(image), trained.backbone.describe(image))
+    frozen = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache)).backbone
+    assert np.abs(frozen.describe(image).astype(float) - back.backbone.describe(image)).max() > 0
+    assert back.configuration["fine_tuning"]["blocks"] == 1

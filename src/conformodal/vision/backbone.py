@@ -86,7 +86,8 @@ class Backbone(nn.Module):
     def __init__(self, config: BackboneConfig) -> None:
         super().__init__()
         self.config = config
-        layers, mean, scale, self._identity = find_network(config.name).load(config.block)
+        layers, mean, scale, identity = find_network(config.name).load(config.block)
+        self._identity = hashlib.sha256(identity).digest()
         self.tuned: str | None = None  # digest of weights other than the package's
         self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
         self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
