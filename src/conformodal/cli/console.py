@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import functools
 import sys
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import ParamSpec
+from typing import ParamSpec, Self
 
 import typer
 from rich.console import Console
@@ -15,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from conformodal.conformal import ConformodalError
+from conformodal.odometry import Estimate
 
 P = ParamSpec("P")
 Report = Callable[[str, int, int], None]
@@ -73,3 +76,43 @@ def print_where(folder: Path) -> None:
     """The last line: where the results are."""
     sys.stdout.flush()
     console.print(f"results: {folder.resolve()}", soft_wrap=True)
+
+
+class StatusLine:
+    """One line that changes while a stream runs: frames, frames a second, reliable or not, intervals.
+
+    Parameters
+    ----------
+    n_frames
+        To come, if known.
+    """
+
+    def __init__(self, n_frames: int | None) -> None:
+        columns = (
+            TextColumn("{task.fields[fps]:5.1f} fps"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[state]}"),
+        )
+        self._progress = Progress(*columns, TimeRemainingColumn(), console=_errors)
+        self._task = self._progress.add_task("frames", total=n_frames, fps=0.0, state="")
+        self._recent: deque[float] = deque(maxlen=30)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, done: int, estimate: Estimate) -> None:
+        """Say what became of the newest frame."""
+        self._recent.append(time.perf_counter())
+        passed = self._recent[-1] - self._recent[0]
+        fps = (len(self._recent) - 1) / passed if passed > 0 else 0.0
+        if estimate.region is None:
+            state = f"no answer: {estimate.problem}"
+        else:
+            counts = " ".join(f"{name}:{k}" for name, k in zip("xyz", estimate.region.n_intervals[0], strict=False))
+            state = f"{'reliable' if estimate.reliable else estimate.problem}, intervals {counts}"
+        self._progress.update(self._task, completed=done, fps=fps, state=state)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,14 +13,23 @@ import typer
 
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
-from conformodal.experiments import AmbiguityCheck, check_ambiguity
-from conformodal.odometry import ModelConfig, PoseModel, write_metrics
+from conformodal.experiments import AmbiguityCheck, check_ambiguity, load_classical
+from conformodal.odometry import ModelConfig, OdometryRun, PoseModel, VisualOdometry, write_metrics, write_run
 from conformodal.poses import Trajectory
-from conformodal.report import PageFigure, ReportContent, plan_figure, write_page
-from conformodal.vision import TrainingConfig
+from conformodal.report import (
+    PageFigure,
+    ReportContent,
+    Thumbnails,
+    error_figure,
+    make_viewer,
+    plan_figure,
+    trajectory_figure,
+    write_page,
+)
+from conformodal.vision import FeatureCache, TrainingConfig, extract_features
 
-from .console import console, kind_errors, print_where, progress_bars
-from .run import Outcome, Part, page_of, run_on, say
+from .console import Report, console, kind_errors, print_where, progress_bars
+from .outcome import Known, Part, part_frames, run_metrics, say
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
@@ -47,8 +57,7 @@ def demo(
         )
         sequence = read_sevenscenes(out / "corridor")
         model = train_on(sequence, config, out / "model", classical=True, cache_dir=out / "cache", report=report)
-        outcome = run_on(model, out / "model", sequence, Part.TEST, out, cache_dir=out / "cache", report=report)
-        assert outcome.truth is not None
+        outcome = _answer(model, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
         alike = check_ambiguity(
             outcome.run,
@@ -61,8 +70,8 @@ def demo(
     outcome.metrics["command"] = "demo"
     outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
     write_metrics(out, outcome.metrics)
-    write_page(out / "report.html", _page(outcome, sequence, model, world, alike))
-    say(outcome)
+    write_page(out / "report.html", _page(outcome, sequence, model, world, alike, out))
+    say(outcome.metrics, whole_space=bool(outcome.run.regions.unbounded.any()))
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
@@ -72,6 +81,41 @@ def demo(
     console.print(f"classical / conformal rmse_m: {ratio:.1f}   ({outcome.metrics['seconds']:.0f} s in all)")
     console.print(f"open {(out / 'report.html').resolve()}", soft_wrap=True)
     print_where(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    run: OdometryRun
+    truth: Trajectory
+    metrics: dict[str, Any]
+
+
+def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> _Outcome:
+    """The test part with all methods, written to disk."""
+    frames = part_frames(model, sequence, Part.TEST)
+    cache = FeatureCache(out / "cache")
+    started = time.perf_counter()
+    result = VisualOdometry(model).process(sequence, frames, cache=cache, progress=report)
+    seconds = round(time.perf_counter() - started, 2)
+    classical = load_classical(out / "model")
+    assert classical is not None
+    paths = [sequence.image_paths[i] for i in result.frames]
+    features = extract_features(paths, model.backbone, cache)
+    result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
+    truth = sequence.require_truth()[result.frames]
+    write_run(out, result, [path.name for path in paths], truth)
+    counts = {
+        "n_answered": len(result.frames),
+        "n_unreliable": int(np.sum(~result.reliable)),
+        "n_without_image": len(result.unreadable),
+        "problems": {str(k): v for k, v in result.unreadable.items()},
+        "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
+        "stopped": "",
+        "seconds": seconds,
+    }
+    known = Known(truth, result.regions)
+    metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
+    return _Outcome(result, truth, metrics)
 
 
 def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
@@ -84,12 +128,15 @@ def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
 
 
 def _page(
-    outcome: Outcome, sequence: Sequence, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck
+    outcome: _Outcome,
+    sequence: Sequence,
+    model: PoseModel,
+    world: CorridorWorld,
+    alike: AmbiguityCheck,
+    folder: Path,
 ) -> ReportContent:
-    """The standard page, with the plan replaced by a frame that has several look-alike places and all of them held."""
+    """The page, with the plan of a frame that has several look-alike places and all of them held."""
     run, truth = outcome.run, outcome.truth
-    content = page_of(outcome, sequence, "conformodal: a corridor of identical rooms")
-    assert truth is not None
     index = _telling_frame(outcome, truth, alike)
     name = sequence.image_paths[run.frames[index]].name
     svg = plan_figure(
@@ -104,8 +151,14 @@ def _page(
         f"{name}, from above. The image fits {len(alike.places[index]) + 1} places equally well; the region names all, "
         "and motion through the corridor chooses among them. A regressor answers in between, where nothing is."
     )
-    figures = list(content.figures)
-    figures[1] = PageFigure("plan", "Here or there, not in between", caption, svg)
+    bands = trajectory_figure(run, truth, run.trajectories["classical"])
+    bands_caption = "One band per interval. Where there are several at one time, the camera could be in any of them."
+    errors_caption = "Share of frames whose position error is below a value."
+    figures = [
+        PageFigure("plan", "Here or there, not in between", caption, svg),
+        PageFigure("trajectory", "Trajectory with its region", bands_caption, bands),
+        PageFigure("errors", "Errors of all frames", errors_caption, error_figure(run.trajectories, truth)),
+    ]
     errors, record = outcome.metrics["errors"], outcome.metrics["ambiguity"]
     ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
     summary = [
@@ -118,10 +171,15 @@ def _page(
         f"{100 * record['share_held']:.1f} % of these {record['n_places']} places.",
     ]
     image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))
-    return ReportContent(content.title, summary, outcome.metrics, figures, image)
+    pictures = Thumbnails()
+    for i in run.frames.tolist():
+        pictures.add(sequence.image_paths[i].name, sequence.image(i))
+    viewer = make_viewer(folder, pictures.kept)
+    title = "conformodal: a corridor of identical rooms"
+    return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
 
 
-def _telling_frame(outcome: Outcome, truth: Trajectory, alike: AmbiguityCheck) -> int:
+def _telling_frame(outcome: _Outcome, truth: Trajectory, alike: AmbiguityCheck) -> int:
     """Of the frames with most look-alike places, all held, the one whose regressor is furthest from any of them."""
     classical = outcome.run.trajectories["classical"].positions_xyz
     counts = [len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]

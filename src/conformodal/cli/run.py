@@ -2,206 +2,172 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from conformodal.datasets import Layout, Sequence
-from conformodal.experiments import (
-    coverage_table,
-    error_table,
-    is_exchangeable,
-    load_classical,
-    motion_table,
-    radius_table,
+from conformodal.datasets.streams import (
+    FrameStream,
+    Pace,
+    SequenceStream,
+    SourceError,
+    open_stream,
+    prefetch,
 )
+from conformodal.experiments import ClassicalRegressor, load_classical
 from conformodal.odometry import (
     OdometryError,
-    OdometryRun,
     PoseModel,
+    ResultsWriter,
+    StreamRunner,
     VisualOdometry,
-    data_digest,
     load_model,
-    provenance,
+    read_trajectories,
     write_metrics,
-    write_run,
 )
-from conformodal.poses import Trajectory
-from conformodal.report import PageFigure, ReportContent, error_figure, plan_figure, trajectory_figure, write_page
-from conformodal.vision import FeatureCache, default_cache_dir, extract_features
+from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
 
-from .console import Report, console, kind_errors, print_errors, print_where, progress_bars
-from .sources import open_sequence
+from .console import StatusLine, console, kind_errors, print_where
+from .outcome import Known, Part, part_frames, run_metrics, say, summary
 
-
-class Part(StrEnum):
-    """Which frames of a source to answer."""
-
-    ALL = "all"
-    TRAIN = "train"
-    CALIBRATION = "calibration"
-    TEST = "test"
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """A finished run: what was found, the truth if known, and the content of ``metrics.json``."""
-
-    run: OdometryRun
-    truth: Trajectory | None
-    metrics: dict[str, Any]
+INTERRUPTED, BROKE_OFF = 130, 3
 
 
 @kind_errors
 def run(
     model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
-    source: Annotated[Path, typer.Argument(help="Frames: a folder in the given layout, with or without poses.")],
+    source: Annotated[
+        str, typer.Argument(help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of the source.")] = Layout.AUTO,
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
     part: Annotated[Part, typer.Option(help="Frames to answer: all, or a part of the model's own data set.")] = (
         Part.ALL
     ),
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+    topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+    pace: Annotated[
+        Pace,
+        typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon."),
+    ] = Pace.FAST,
+    limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
+    save: Annotated[Path | None, typer.Option(help="Record for Rerun: a file .rrd (extra 'view').")] = None,
 ) -> None:
-    """Find regions and the trajectory of a source with a saved model."""
+    """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
     loaded = load_model(model)
     if alpha is not None:
         loaded.recalibrate(alpha)
-    sequence = open_sequence(source, layout, require_poses=False)
-    cache_dir = cache or default_cache_dir()
-    with progress_bars() as report:
-        outcome = run_on(loaded, model, sequence, part, out, cache_dir=cache_dir, report=report)
-    write_page(out / "report.html", page_of(outcome, sequence, f"conformodal: {sequence.name}"))
-    say(outcome)
+    stream = open_stream(source, layout, camera=loaded.camera, topic=topic)
+    if isinstance(stream, SequenceStream):
+        console.print(f"{source}: {len(stream.sequence)} frames", soft_wrap=True)
+        stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
+    elif part is not Part.ALL:
+        raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
+    if stream.camera is not None:
+        loaded.check_camera(stream.camera)
+    live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
+    metrics, whole_space = stream_through(loaded, load_classical(model), stream, part, out, pace, limit, live)
+    say(metrics, whole_space=whole_space)
+    if metrics["stopped"]:
+        console.print(f"[bold]stopped early[/]: {metrics['stopped']}", soft_wrap=True)
     print_where(out)
+    if metrics["stopped"]:
+        raise typer.Exit(INTERRUPTED if metrics["stopped"] == "interrupted" else BROKE_OFF)
 
 
-def run_on(
+def stream_through(
     model: PoseModel,
-    model_dir: Path,
-    sequence: Sequence,
+    classical: ClassicalRegressor | None,
+    stream: FrameStream,
     part: Part,
     out: Path,
-    *,
-    cache_dir: Path,
-    report: Report,
-) -> Outcome:
-    """Run a model, and the classical regressor if one is beside it; write everything but the page.
+    pace: Pace = Pace.FAST,
+    limit: int | None = None,
+    live: LiveView | None = None,
+) -> tuple[dict[str, Any], bool]:
+    """Run a model on a stream, write everything; returns the metrics, and whether a region was the whole space.
 
     Raises
     ------
     OdometryError
-        If a part is asked of another data set than the model's.
+        If no frame could be answered.
     """
-    frames = _frames(model, sequence, part)
-    cache = FeatureCache(cache_dir)
+    sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
+    truth = None if sequence is None else sequence.truth
+    pictures, whole_space, stopped = Thumbnails(), False, ""
     started = time.perf_counter()
-    result = VisualOdometry(model).process(sequence, frames, cache=cache, progress=report)
-    seconds = time.perf_counter() - started
-    classical = load_classical(model_dir)
-    if classical is not None:
-        paths = [sequence.image_paths[i] for i in result.frames]
-        features = extract_features(paths, model.backbone, cache, noise=sequence.noise)
-        result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
-    truth = None if sequence.truth is None else sequence.truth[result.frames]
-    write_run(out, result, [sequence.image_paths[i].name for i in result.frames], truth)
-    metrics: dict[str, Any] = {
-        "command": "run",
-        "provenance": provenance(),
-        "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
-        "seed": model.split.seed,
-        "split": str(model.split.kind),
-        "split_note": _split_note(model, part),
-        "sign_reference_quat_wxyz": model.sign_reference.tolist(),
-        "n_answered": len(result.frames),
-        "n_unreliable": int(np.sum(~result.reliable)),
-        "unreadable": {str(k): v for k, v in result.unreadable.items()},
-        "motion": motion_table(result),
+    with ResultsWriter(out) as writer:
+        others = None if classical is None else classical.answers
+        runner = StreamRunner(VisualOdometry(model), writer, others, keep_regions=truth is not None)
+        try:
+            with _stop_flag() as stop, StatusLine(stream.n_frames) as status:
+                for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
+                    estimate = runner.push(frame)
+                    if estimate is not None:
+                        if estimate.region is not None and frame.image is not None:
+                            pictures.add(frame.name, frame.image)
+                            whole_space = whole_space or bool(estimate.region.unbounded.any())
+                        if live is not None:
+                            live.log(frame, estimate, None if truth is None else truth[frame.index : frame.index + 1])
+                        status.update(number, estimate)
+                    if stop or number == limit:
+                        stopped = "interrupted" if stop else ""
+                        break
+        except SourceError as exc:
+            stopped = str(exc)
+        finally:
+            if live is not None:
+                live.close()
+        runner.finish()
+        seconds = time.perf_counter() - started
+        known = None
+        if runner.n_answered and truth is not None:
+            known = Known(truth[np.array(runner.answered)], runner.regions)
+            writer.truth(known.truth)
+    if not runner.n_answered:
+        first = next(iter(runner.problems.values()), "it holds no frame")
+        raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
+    counts = {
+        "n_answered": runner.n_answered,
+        "n_unreliable": runner.n_unreliable,
+        "n_without_image": runner.n_problems,
+        "problems": runner.problems,
+        "motion": dict(sorted(runner.motion.items())),
+        "stopped": stopped,
         "seconds": round(seconds, 2),
     }
-    if classical is not None:
-        metrics["classical_training"] = asdict(classical.training)
-    # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    metrics["radius"] = radius_table(model.radius if part is Part.ALL else None, result, truth)
-    if truth is not None:
-        metrics["errors"] = error_table(result.trajectories, truth)
-        metrics["coverage"] = coverage_table(result, truth, model, exchangeable=is_exchangeable(model, str(part)))
+    needed = known is not None or (model.radius is not None and part is Part.ALL)
+    trajectories = read_trajectories(out) if needed else {}
+    metrics = run_metrics(model, classical, part, trajectories, known, counts)
     write_metrics(out, metrics)
-    return Outcome(result, truth, metrics)
+    title = f"conformodal: {stream.name}"
+    lines = summary(stream.name, metrics)
+    viewer = make_viewer(out, pictures.kept)
+    write_page(out / "report.html", ReportContent(title, lines, metrics, viewer=viewer))
+    return metrics, whole_space
 
 
-def page_of(outcome: Outcome, sequence: Sequence, title: str) -> ReportContent:
-    """The page's standard content: bands, one frame's regions, errors."""
-    run, truth = outcome.run, outcome.truth
-    classical = run.trajectories.get("classical")
-    index = int(np.argmax(run.regions.n_intervals[:, :3].prod(axis=1)))
-    counts = " x ".join(str(k) for k in run.regions.n_intervals[index, :3])
-    name = sequence.image_paths[run.frames[index]].name
-    caption = "One band per interval. Where there are several at one time, the camera could be in any of them."
-    bands = trajectory_figure(run, truth, classical)
-    figures = [PageFigure("trajectory", "Trajectory with its region", caption, bands)]
-    first, second = sorted(np.argsort(-np.ptp(run.trajectory.positions_xyz, axis=0))[:2].tolist())
-    plan = plan_figure(run, index, truth, classical=classical, axes=(first, second))
-    text = f"{name}: {counts} intervals in x, y, z, the most of all frames. The axes are the two it moves most along."
-    figures.append(PageFigure("plan", "The region of one frame", text, plan))
-    if truth is not None:
-        text = "Share of frames whose position error is below a value."
-        svg = error_figure(run.trajectories, truth)
-        figures.append(PageFigure("errors", "Errors of all frames", text, svg))
-    summary = [
-        f"{sequence.name}: {len(run.frames)} frames answered, {outcome.metrics['split_note']}",
-        f"{outcome.metrics['n_unreliable']} frames without reliable motion, {len(run.unreadable)} unreadable.",
-    ]
-    radius = outcome.metrics["radius"]
-    if radius is not None:
-        summary.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
-    image = (name, sequence.image(int(run.frames[index])))
-    return ReportContent(title, summary, outcome.metrics, figures, image)
+@contextmanager
+def _stop_flag() -> Iterator[list[int]]:
+    """A list that is no longer empty after Ctrl-C; a second Ctrl-C interrupts at once."""
+    asked: list[int] = []
 
+    def ask(number: int, _: FrameType | None) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
 
-def say(outcome: Outcome) -> None:
-    """The result on the terminal."""
-    metrics, run = outcome.metrics, outcome.run
-    unreadable = f", {len(run.unreadable)} unreadable" if run.unreadable else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} without reliable motion{unreadable}")
-    if run.regions.unbounded.any():
-        console.print("[bold]The region is the whole space in some target[/]: too few calibration frames for alpha.")
-    if metrics["radius"] is not None:
-        console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
-    if "errors" in metrics:
-        print_errors(metrics["errors"], metrics["split_note"])
-        coverage = metrics["coverage"]
-        console.print(
-            f"whole pose covered {coverage['joint_coverage']:.3f}, alpha = {coverage['alpha']} ({coverage['joint']}). "
-            + coverage["assumption"],
-            soft_wrap=True,
-        )
-
-
-def _size(radius: dict[str, Any]) -> str:
-    if radius["radius_m"] is None or radius["radius_deg"] is None:
-        return "infinity, for want of recordings to calibrate it on"
-    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
-
-
-def _frames(model: PoseModel, sequence: Sequence, part: Part) -> np.ndarray | None:
-    if part is Part.ALL:
-        return None
-    if data_digest(sequence) != model.data_digest:
-        raise OdometryError(
-            f"{sequence.name}: is not the data set the model was trained on ({model.configuration['data']}), so it has "
-            f"no {part} part; run on all of it"
-        )
-    return model.split.part(str(part))
-
-
-def _split_note(model: PoseModel, part: Part) -> str:
-    if part is Part.ALL:
-        return "all frames of the source (parts of the training data among them, if it is the same)."
-    return f"the {part} part of split {model.split.kind}, seed {model.split.seed}."
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,9 +1,12 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
+from .colmap import read_colmap
 from .errors import DatasetError, ImageError, SplitError
 from .euroc import read_euroc_mav
+from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .layouts import Layout, read_sequence, recognise
+from .nerf import read_nerf
 from .noise import PixelNoise
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence, read_image
@@ -22,9 +25,12 @@ __all__ = [
     "SplitKind",
     "hold_out",
     "make_split",
+    "read_colmap",
     "read_euroc_mav",
     "read_image",
+    "read_image_folder",
     "read_kitti_odometry",
+    "read_nerf",
     "read_rgbd_scenes",
     "read_sequence",
     "read_sevenscenes",

@@ -15,6 +15,8 @@ from .sequence import read_image
 
 FloatArray = npt.NDArray[np.float64]
 
+FRAME_RATE_HZ = 30.0
+
 
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height, without decoding the image.
@@ -111,3 +113,18 @@ def poses_at(
         raise DatasetError(f"{source}: {exc}") from exc
     found = truth[poses]
     return frames, Trajectory(timestamps_s[frames], found.positions_xyz, found.orientations_quat_wxyz)
+
+
+def even_times(folder: Path, n_frames: int) -> FloatArray:
+    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz.
+
+    Raises
+    ------
+    DatasetError
+        If the file holds no positive number.
+    """
+    path = folder / "frame-rate.txt"
+    rate = read_numbers(path) if path.is_file() else np.array([FRAME_RATE_HZ])
+    if rate.size != 1 or not rate[0] > 0 or not np.isfinite(rate[0]):
+        raise DatasetError(f"{path}: holds {rate.tolist()}, expected a positive frame rate in Hz")
+    return np.asarray(np.arange(n_frames) / rate[0])

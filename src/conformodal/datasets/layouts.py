@@ -7,9 +7,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
+from .colmap import model_folder, read_colmap
 from .errors import DatasetError
 from .euroc import read_euroc_mav
+from .images import image_files, read_image_folder
 from .kitti import read_kitti_odometry
+from .nerf import FILE, read_nerf
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import read_sevenscenes
@@ -25,12 +28,21 @@ class Layout(StrEnum):
     KITTI = "kitti"
     TUM = "tum"
     EUROC = "euroc"
+    COLMAP = "colmap"
+    NERF = "nerf"
+    IMAGES = "images"
 
 
 class _Reader(NamedTuple):
     read: Callable[..., Sequence]
     sign: str  # what gives the layout away, for people
     fits: Callable[[Path], bool]
+
+
+def _is_image_folder(folder: Path) -> bool:
+    """Images that no other layout claims: some of those have images and intrinsics in one folder too."""
+    claimed = any(reader.fits(folder) for layout, reader in _READERS.items() if layout is not Layout.IMAGES)
+    return not claimed and (folder / "camera-intrinsics.txt").is_file() and bool(image_files(folder))
 
 
 _READERS = {
@@ -55,6 +67,9 @@ _READERS = {
         "mav0/cam0",
         lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0")),
     ),
+    Layout.COLMAP: _Reader(read_colmap, "cameras.txt and images.txt", lambda f: model_folder(f) is not None),
+    Layout.NERF: _Reader(read_nerf, FILE, lambda f: (f / FILE).is_file()),
+    Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt", _is_image_folder),
 }
 
 

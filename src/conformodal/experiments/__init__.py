@@ -4,7 +4,7 @@ from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import ClassicalRegressor, load_classical, save_classical, train_classical
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
-from .evaluation import coverage_table, error_table, is_exchangeable, motion_table, radius_table
+from .evaluation import coverage_table, error_table, is_exchangeable, radius_table
 
 __all__ = [
     "AmbiguityCheck",
@@ -18,7 +18,6 @@ __all__ = [
     "error_table",
     "is_exchangeable",
     "load_classical",
-    "motion_table",
     "radius_table",
     "run_tasks",
     "save_classical",

@@ -22,7 +22,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.odometry import ModelConfig, OdometryRun, TrainingData
-from conformodal.poses import Trajectory, angle_between_quats, normalise_quat
+from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import (
     Head,
@@ -70,25 +70,30 @@ class ClassicalRegressor:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
         return predict_values(self.head, features) * self.scale + self.mean
 
-    def trajectories(
-        self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
+    def answers(
+        self, features: npt.NDArray[np.float32], seen: Observations, prior: MotionPrior
     ) -> dict[str, Trajectory]:
-        """Its trajectory over the frames of a run, and the same after the conformal method's own smoother."""
+        """Its trajectory over the frames of a recording, and the same after the conformal method's own smoother."""
         values = self.predict(features)
         n = len(values)
         spread, angle = np.broadcast_to(self.spread_m, (n, 3)), np.full(n, self.spread_rad)
-        own = PosePath(run.timestamps_s, values[:, :3], spread, normalise_quat(values[:, 3:]), angle)
-        p, q = own.positions_xyz, own.orientations_quat_wxyz
-        smooth_p, smooth_q = np.empty_like(p), np.empty_like(q)
+        own = PosePath(seen.timestamps_s, values[:, :3], spread, normalise_quat(values[:, 3:]), angle)
+        paths = {"classical": own, "classical_smoothed": smooth(own, seen, prior)}
+        return {
+            name: Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
+            for name, path in paths.items()
+        }
+
+    def trajectories(
+        self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
+    ) -> dict[str, Trajectory]:
+        """The same over the frames of a run, recording by recording."""
+        parts = []
         for number in np.unique(recording):
             at = np.flatnonzero(recording == number)
             seen = Observations([run.candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
-            path = smooth(own[at], seen, prior)
-            smooth_p[at], smooth_q[at] = path.positions_xyz, path.orientations_quat_wxyz
-        return {
-            "classical": Trajectory(run.timestamps_s, p, q),
-            "classical_smoothed": Trajectory(run.timestamps_s, smooth_p, smooth_q),
-        }
+            parts.append(self.answers(features[at], seen, prior))
+        return {name: concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def train_classical(

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.conformal import check_coverage
+from conformodal.conformal import Regions, check_coverage
 from conformodal.datasets import SplitKind
-from conformodal.odometry import TARGET_NAMES, OdometryRun, PoseModel, PoseRadius, pose_targets
+from conformodal.odometry import TARGET_NAMES, PoseModel, PoseRadius, pose_targets
 from conformodal.poses import Trajectory, trajectory_errors
 
 ASSUMPTION_HELD = (
@@ -26,27 +26,27 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
     return {name: trajectory_errors(trajectory, truth) for name, trajectory in trajectories.items()}
 
 
-def coverage_table(run: OdometryRun, truth: Trajectory, model: PoseModel, *, exchangeable: bool) -> dict[str, Any]:
+def coverage_table(regions: Regions, truth: Trajectory, model: PoseModel, *, exchangeable: bool) -> dict[str, Any]:
     """Coverage and size of the regions.
 
     Parameters
     ----------
-    run, truth
-        The frames that were answered and their true poses.
+    regions, truth
+        Of the frames that were answered.
     model
         Gives alpha and the number of calibration frames.
     exchangeable
         Whether these frames are exchangeable with the calibration frames: the test part of an ``interleaved``
         split. Decides whether a band is stated.
     """
-    inside = run.regions.contains(pose_targets(truth, model.sign_reference))
+    inside = regions.contains(pose_targets(truth, model.sign_reference))
     calibration = model.calibration
     targets: dict[str, Any] = {}
     for j, name in enumerate(TARGET_NAMES):
         row: dict[str, Any] = {
             "coverage": float(inside[:, j].mean()),
-            "mean_length": _finite(run.regions.length[:, j].mean()),
-            "mean_intervals": float(run.regions.n_intervals[:, j].mean()),
+            "mean_length": _finite(regions.length[:, j].mean()),
+            "mean_intervals": float(regions.n_intervals[:, j].mean()),
         }
         if exchangeable and calibration.joint != "max":
             check = check_coverage(inside[:, j], model.n_calibration, calibration.alpha_per_target)
@@ -60,21 +60,23 @@ def coverage_table(run: OdometryRun, truth: Trajectory, model: PoseModel, *, exc
         "alpha_per_target": float(calibration.alpha_per_target),
         "score": calibration.score.name,
         "n_calibration": model.n_calibration,
-        "n_evaluated": len(run.frames),
-        "whole_space": bool(run.regions.unbounded.any()),
+        "n_evaluated": len(regions),
+        "whole_space": bool(regions.unbounded.any()),
         "targets": targets,
         "joint_coverage": float(held.mean()),
         "joint_band_99": [together.low, together.high] if together and exchangeable else None,
-        "median_position_volume_m3": _finite(np.median(run.regions.length[:, :3].prod(axis=1))),
+        "median_position_volume_m3": _finite(np.median(regions.length[:, :3].prod(axis=1))),
         "assumption": ASSUMPTION_HELD if exchangeable else ASSUMPTION_BROKEN,
     }
 
 
-def radius_table(radius: PoseRadius | None, run: OdometryRun, truth: Trajectory | None) -> dict[str, Any] | None:
+def radius_table(
+    radius: PoseRadius | None, trajectories: dict[str, Trajectory], truth: Trajectory | None
+) -> dict[str, Any] | None:
     """The chosen pose's radius, what it promises, and how many frames it held if the truth is known."""
     if radius is None:
         return None
-    held = None if truth is None else float(radius.holds(run.trajectories[radius.method], truth).mean())
+    held = None if truth is None else float(radius.holds(trajectories[radius.method], truth).mean())
     return {
         "radius_m": _finite(radius.radius_m),
         "radius_deg": _finite(np.degrees(radius.radius_rad)),
@@ -95,9 +97,3 @@ def is_exchangeable(model: PoseModel, part: str | None) -> bool:
 def _finite(value: np.floating[Any] | float) -> float | None:
     """JSON has no infinity; None says whole space."""
     return float(value) if np.isfinite(value) else None
-
-
-def motion_table(run: OdometryRun) -> dict[str, int]:
-    """How many steps ended with which motion status."""
-    names = [str(m.status) for m in run.motions if m is not None]
-    return {name: names.count(name) for name in sorted(set(names))}

@@ -29,6 +29,11 @@ class MotionFrontEnd:
         Of the corner tracker.
     solver
         Of two-view geometry: :func:`~conformodal.motion.solve_poselib`, or :func:`~conformodal.motion.solve_opencv`.
+
+    Attributes
+    ----------
+    tracks
+        Corners (m, 2) in the frame measured last but one and in the last, in pixels; None for the first frame.
     """
 
     def __init__(
@@ -37,6 +42,7 @@ class MotionFrontEnd:
         self.camera = camera
         self.solver = solver
         self.tracker = CornerTracker(config)
+        self.tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
         self._forget_bank()
 
     def reset(self) -> None:
@@ -64,6 +70,7 @@ class MotionFrontEnd:
         """
         first = not self.tracker.started
         self._advance(image)
+        self.tracks = None if first else self.tracker.pairs()
         motion = None if first else self._since_mark()
         if motion is not None and (self._n_banked or self._broken):
             motion = self._chain(motion)

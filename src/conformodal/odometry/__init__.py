@@ -1,24 +1,20 @@
 """The estimator: trained models, streams and sequences."""
 
+from .answers import METHODS, OtherMethods, answers
 from .errors import ModelFileError, OdometryError, ResultsError
-from .estimator import METHODS, Estimate, OdometryRun, VisualOdometry
+from .estimator import Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
-from .results import (
-    METRICS,
-    read_metrics,
-    read_region_records,
-    read_trajectories,
-    records_contain,
-    write_metrics,
-    write_run,
-)
+from .records import METRICS, iter_region_records, read_region_records, records_contain
+from .results import read_metrics, read_trajectories, write_metrics, write_run
 from .selection import calibrate_selection, recording_errors
 from .store import load_model, save_model
+from .streaming import StreamRunner
 from .targets import TARGET_NAMES, pose_targets
 from .training import ModelConfig, TrainingData, data_digest, prepare_training_data, train_model
+from .writer import ResultsWriter
 
 __all__ = [
     "METHODS",
@@ -30,15 +26,20 @@ __all__ = [
     "MotionRecord",
     "OdometryError",
     "OdometryRun",
+    "OtherMethods",
     "PoseModel",
     "PoseRadius",
     "Promise",
     "ResultsError",
+    "ResultsWriter",
+    "StreamRunner",
     "TrainingData",
     "VisualOdometry",
+    "answers",
     "calibrate_selection",
     "data_digest",
     "fit_pose_radius",
+    "iter_region_records",
     "load_model",
     "measure_motions",
     "pose_errors",

@@ -18,25 +18,20 @@ from conformodal.reasoning import (
     Candidates,
     Observations,
     OnlineReasoner,
-    greedy,
     interval_candidates,
     mode_candidates,
     online,
-    smooth,
     softmax_mean,
-    viterbi,
 )
 from conformodal.vision import FeatureCache, extract_features
 
+from .answers import METHODS, answers, as_trajectory
 from .errors import OdometryError
 from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
 from .store import load_model
 
 IntArray = npt.NDArray[np.int64]
-
-# Final answer first; the others are kept for comparison.
-METHODS = ("smoothed", "viterbi", "online", "greedy", "softmax_mean")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +54,10 @@ class Estimate:
         Candidate poses, or None without an image.
     relative_motion
         Motion since the last usable frame, or None.
+    tracks
+        Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
+    features
+        (F,) of the image, or None without one.
     reliable
         False where image or motion could not be used; `problem` says why.
     """
@@ -71,6 +70,8 @@ class Estimate:
     relative_motion: RelativeMotion | None
     reliable: bool
     problem: str = ""
+    features: npt.NDArray[np.float32] | None = None
+    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
 
 
 @dataclass(eq=False)
@@ -172,10 +173,25 @@ class VisualOdometry:
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
-        revised = Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
+        revised = as_trajectory(path)
         reliable = motion is None or motion.reliable
         problem = "" if reliable or motion is None else str(motion.status)
-        return Estimate(timestamp_s, revised[-1:], revised, region, here, motion, reliable, problem)
+        return Estimate(
+            timestamp_s,
+            revised[-1:],
+            revised,
+            region,
+            here,
+            motion,
+            reliable,
+            problem,
+            features[0],
+            self._front_end.tracks,
+        )
+
+    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+        """Show a frame of the stream that wants no answer: corners are followed through it."""
+        self._front_end.pass_by(image)
 
     def run(self, sequence: Sequence) -> Trajectory:
         """The smoothed trajectory of a whole sequence; :meth:`process` gives all the rest."""
@@ -249,19 +265,13 @@ class VisualOdometry:
         mean = softmax_mean(search, self.model.bins)
         paper = interval_candidates(proba, run.regions)
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
-        poses["softmax_mean"] = (mean[:, :3], mean[:, 3:])
         prior = self.model.prior
         for number in np.unique(recording):  # motion is never linked across recordings
             at = np.flatnonzero(recording == number)
             motions, times = [run.motions[t] for t in at], run.timestamps_s[at]
             seen = Observations([run.candidates[t] for t in at], motions, times)
-            best = viterbi(seen, prior)
-            paths = {
-                "greedy": greedy(Observations([paper[t] for t in at], motions, times)),
-                "online": online(seen, prior, self.lag),
-                "viterbi": best,
-                "smoothed": smooth(best, seen, prior),
-            }
-            for name, path in paths.items():
+            found = answers(seen, [paper[t] for t in at], mean[at], prior)
+            found["online"] = as_trajectory(online(seen, prior, self.lag))
+            for name, path in found.items():
                 poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz
         return {name: Trajectory(run.timestamps_s, p, q) for name, (p, q) in poses.items()}

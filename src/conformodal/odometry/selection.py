@@ -15,8 +15,9 @@ from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache
 
+from .answers import METHODS
 from .errors import OdometryError
-from .estimator import METHODS, OdometryRun, VisualOdometry
+from .estimator import OdometryRun, VisualOdometry
 from .model import PoseModel
 from .motions import Progress
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors

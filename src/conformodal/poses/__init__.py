@@ -17,8 +17,8 @@ from .rotations import (
     quat_wxyz_from_matrix,
     sign_reference,
 )
-from .trajectory import Trajectory
-from .tum import read_tum, write_tum
+from .trajectory import Trajectory, concatenate
+from .tum import read_tum, tum_lines, write_tum
 
 __all__ = [
     "Alignment",
@@ -33,6 +33,7 @@ __all__ = [
     "angle_between_quats",
     "associate",
     "check_rotation_matrices",
+    "concatenate",
     "fix_sign",
     "kitti_drift",
     "matrix_from_quat_wxyz",
@@ -47,6 +48,7 @@ __all__ = [
     "relative_errors",
     "sign_reference",
     "trajectory_errors",
+    "tum_lines",
     "umeyama",
     "write_euroc",
     "write_kitti",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,3 +77,12 @@ class Trajectory:
         poses[:, :3, :3] = matrix_from_quat_wxyz(self.orientations_quat_wxyz)
         poses[:, :3, 3] = self.positions_xyz
         return poses
+
+
+def concatenate(parts: Sequence[Trajectory]) -> Trajectory:
+    """One trajectory after the other."""
+    return Trajectory(
+        np.concatenate([part.timestamps_s for part in parts]),
+        np.concatenate([part.positions_xyz for part in parts]),
+        np.concatenate([part.orientations_quat_wxyz for part in parts]),
+    )

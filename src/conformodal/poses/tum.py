@@ -10,13 +10,20 @@ from .errors import PoseError, TrajectoryFileError
 from .text import read_rows
 from .trajectory import Trajectory
 
+_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
+
+
+def tum_lines(trajectory: Trajectory) -> list[str]:
+    """A line a pose; microseconds and micrometres survive the round trip."""
+    q = trajectory.orientations_quat_wxyz
+    rows = np.column_stack((trajectory.positions_xyz, q[:, 1:], q[:, :1]))
+    stamped = zip(trajectory.timestamps_s.tolist(), rows.tolist(), strict=True)
+    return [f"{time:.6f} {' '.join(f'{value:.9f}' for value in row)}" for time, row in stamped]
+
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; microseconds and micrometres survive the round trip."""
-    q = trajectory.orientations_quat_wxyz
-    rows = np.column_stack((trajectory.timestamps_s, trajectory.positions_xyz, q[:, 1:], q[:, :1]))
-    header = "timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
-    np.savetxt(path, rows, fmt=["%.6f"] + ["%.9f"] * 7, header=header)
+    """Write a trajectory, see :func:`tum_lines`."""
+    path.write_text("\n".join([_HEADER, *tum_lines(trajectory)]) + "\n", encoding="utf-8")
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -3,15 +3,23 @@
 from .comparison import Section, error_chart, write_comparison
 from .diagnosis import draw_diagnosis
 from .figures import error_figure, plan_figure, trajectory_figure
+from .live import LiveView, LiveViewError
 from .page import PageFigure, ReportContent, write_page
+from .thumbnails import Thumbnails
+from .viewer import Viewer, make_viewer
 
 __all__ = [
+    "LiveView",
+    "LiveViewError",
     "PageFigure",
     "ReportContent",
     "Section",
+    "Thumbnails",
+    "Viewer",
     "draw_diagnosis",
     "error_chart",
     "error_figure",
+    "make_viewer",
     "plan_figure",
     "trajectory_figure",
     "write_comparison",

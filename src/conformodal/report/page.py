@@ -13,6 +13,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from .templating import render_page
+from .viewer import Viewer
 
 _LABELS = {
     "smoothed": "conformal: global search and smoothing (the answer)",
@@ -47,6 +48,8 @@ class ReportContent:
         The content of ``metrics.json``.
     figures
         In order.
+    viewer
+        The results frame by frame, or None.
     image
         (caption, (h, w, 3) RGB) of the frame whose regions are shown, or None.
     """
@@ -55,13 +58,15 @@ class ReportContent:
     summary: list[str]
     metrics: dict[str, Any]
     figures: list[PageFigure] = field(default_factory=list)
+    viewer: Viewer | None = None
     image: tuple[str, npt.NDArray[np.uint8]] | None = None
 
 
 def write_page(path: Path, content: ReportContent) -> None:
     """Write the page, and its figures as files under ``figures`` beside it."""
     folder = path.parent / "figures"
-    folder.mkdir(parents=True, exist_ok=True)
+    if content.figures:
+        folder.mkdir(parents=True, exist_ok=True)
     for figure in content.figures:
         (folder / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
     errors = content.metrics.get("errors") or {}
@@ -73,6 +78,7 @@ def write_page(path: Path, content: ReportContent) -> None:
         "page",
         title=content.title,
         content=content,
+        viewer=content.viewer,
         errors=ordered,
         baseline=baseline,
         image=image,

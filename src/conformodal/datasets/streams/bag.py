@@ -1,0 +1,188 @@
+"""ROS 1 bags, ROS 2 bags and MCAP files, through rosbags (extra ``ros``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera, PoseError
+
+from .frames import Frame, SourceError
+
+_RAW, _COMPRESSED, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+# encoding: (channels, conversion to RGB or None)
+_ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
+}
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a ROS recording: a bag file, or a folder with ``metadata.yaml``."""
+    return path.suffix in SUFFIXES or (path.is_dir() and (path / "metadata.yaml").is_file())
+
+
+@dataclass(frozen=True)
+class BagStream:
+    """Images of one topic of a recording.
+
+    Attributes
+    ----------
+    path
+        A ROS 1 bag, a ROS 2 folder, or the file in it (``.mcap``, ``.db3``).
+    topic
+        Of the images; may be left out if there is only one. Times are those of the messages' headers.
+    camera
+        Intrinsics; by default those of the first ``CameraInfo`` beside the images.
+
+    Raises
+    ------
+    SourceError
+        If rosbags is not installed, or the recording is missing, damaged or without such images.
+    """
+
+    path: Path
+    topic: str | None = None
+    camera: PinholeCamera | None = None
+
+    def __post_init__(self) -> None:
+        if not self.path.exists():
+            raise SourceError(f"{self.path}: no such recording")
+        with _reader(self.path) as reader:
+            images = [c for c in reader.connections if c.msgtype in (_RAW, _COMPRESSED)]
+            topics = sorted({c.topic for c in images if c.msgcount})
+            if not topics:
+                others = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})
+                raise SourceError(f"{self.path}: holds no images; its topics are {', '.join(others) or 'none'}")
+            if self.topic is None and len(topics) > 1:
+                raise SourceError(f"{self.path}: holds several image topics, name one of {', '.join(topics)}")
+            chosen = topics[0] if self.topic is None else self.topic
+            if chosen not in topics:
+                raise SourceError(f"{self.path}: holds no images on {chosen}; there are {', '.join(topics)}")
+            object.__setattr__(self, "topic", chosen)
+            if self.camera is None:
+                object.__setattr__(self, "camera", self._info(reader))
+
+    @property
+    def name(self) -> str:
+        """The file's, and the topic."""
+        return f"{self.path.name} {self.topic}"
+
+    @property
+    def n_frames(self) -> int:
+        """Messages of the topic."""
+        with _reader(self.path) as reader:
+            return sum(c.msgcount for c in reader.connections if c.topic == self.topic)
+
+    @property
+    def live(self) -> bool:
+        """Files wait."""
+        return False
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode message after message; one that cannot be decoded comes without an image.
+
+        Raises
+        ------
+        SourceError
+            If the recording breaks off.
+        """
+        done = 0
+        with _reader(self.path) as reader:
+            wanted = [c for c in reader.connections if c.topic == self.topic]
+            try:
+                for connection, _, raw in reader.messages(connections=wanted):
+                    message = reader.deserialize(raw, connection.msgtype)
+                    stamp = message.header.stamp
+                    time_s = float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+                    name = f"{self.path.stem}-{done:06d}"
+                    try:
+                        yield Frame(name, time_s, _decode(message, connection.msgtype))
+                    except ValueError as exc:
+                        yield Frame(name, time_s, None, f"{self.path}, message {done} of {self.topic}: {exc}")
+                    done += 1
+            except _errors() as exc:
+                raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
+
+    def _info(self, reader: Any) -> PinholeCamera | None:
+        """The camera of the first CameraInfo in the images' name space."""
+        space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
+        infos = [c for c in reader.connections if c.msgtype == _INFO and c.topic.rpartition("/")[0] == space]
+        for connection, _, raw in reader.messages(connections=infos) if infos else ():
+            message = reader.deserialize(raw, connection.msgtype)
+            k = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
+            d = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
+            lens = tuple(d.tolist()) if np.any(d) else ()
+            size = int(message.width), int(message.height)
+            try:
+                return PinholeCamera(float(k[0]), float(k[4]), float(k[2]), float(k[5]), *size, lens)
+            except PoseError as exc:
+                raise SourceError(f"{self.path}: {connection.topic} holds a camera that cannot be used: {exc}") from exc
+        return None
+
+
+def _decode(message: Any, kind: str) -> npt.NDArray[np.uint8]:
+    if kind == _COMPRESSED:
+        found = cv2.imdecode(np.frombuffer(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if found is None:
+            raise ValueError(f"{message.format} data cannot be decoded")
+        return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    if message.encoding not in _ENCODINGS:
+        raise ValueError(f"encoding {message.encoding} is none of {', '.join(_ENCODINGS)}")
+    channels, conversion = _ENCODINGS[message.encoding]
+    data = np.asarray(message.data, dtype=np.uint8)
+    if data.size != message.height * message.step or message.step < message.width * channels:
+        raise ValueError(f"{data.size} bytes do not make {message.width}x{message.height} pixels {message.encoding}")
+    rows = data.reshape(message.height, message.step)[:, : message.width * channels]
+    image: npt.NDArray[np.uint8] = np.ascontiguousarray(rows.reshape(message.height, message.width, channels))
+    return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), dtype=np.uint8)
+
+
+def _reader(path: Path) -> Any:
+    """An open reader, to be used as a context."""
+    try:
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ModuleNotFoundError as exc:
+        raise SourceError(f"{path}: ROS recordings need rosbags: pip install 'conformodal[ros]'") from exc
+    folder = path.parent if path.suffix in (".mcap", ".db3") else path
+    try:
+        reader = AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except _errors() as exc:
+        raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}") from exc
+    return _Opened(reader)
+
+
+class _Opened:
+    """A reader that is open already, closed at the end of a ``with``."""
+
+    def __init__(self, reader: Any) -> None:
+        self.reader = reader
+
+    def __enter__(self) -> Any:
+        return self.reader
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.close()
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    """What a damaged recording may raise."""
+    from rosbags.highlevel import AnyReaderError  # noqa: PLC0415
+    from rosbags.rosbag1 import ReaderError as Error1  # noqa: PLC0415
+    from rosbags.rosbag2 import ReaderError as Error2  # noqa: PLC0415
+
+    return (AnyReaderError, Error1, Error2, OSError, ValueError, KeyError, EOFError, AssertionError)

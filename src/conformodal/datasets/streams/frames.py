@@ -1,0 +1,81 @@
+"""One frame of a stream, and what a stream is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+from ..errors import DatasetError
+
+
+class SourceError(DatasetError):
+    """A source that cannot be opened, or that ends where it should not; what came before it is sound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame as a camera delivers it.
+
+    Attributes
+    ----------
+    name
+        For people and for results.
+    timestamp_s
+        Seconds.
+    image
+        (height, width, 3) RGB, or None where it could not be had; `problem` says why.
+    recording
+        Number of its recording: motion is never linked across them.
+    answer
+        False for a frame that only leads from one to the next and wants no answer.
+    index
+        Its place in a data set, -1 elsewhere.
+    """
+
+    name: str
+    timestamp_s: float
+    image: npt.NDArray[np.uint8] | None
+    problem: str = ""
+    recording: int = 0
+    answer: bool = True
+    index: int = -1
+
+
+class FrameStream(Protocol):
+    """Frames in order of time."""
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        ...
+
+    @property
+    def camera(self) -> PinholeCamera | None:
+        """Intrinsics, where the source knows them."""
+        ...
+
+    @property
+    def n_frames(self) -> int | None:
+        """Frames to come, or None where nobody knows."""
+        ...
+
+    @property
+    def live(self) -> bool:
+        """Whether frames that are not taken in time are lost."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame; what it holds open is closed when the iteration ends.
+
+        Raises
+        ------
+        SourceError
+            If the source breaks off.
+        """
+        ...

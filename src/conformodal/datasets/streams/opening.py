@@ -1,0 +1,52 @@
+"""From what a user names to a stream."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from conformodal.poses import PinholeCamera
+
+from ..layouts import Layout, read_sequence
+from .bag import BagStream, is_bag
+from .frames import FrameStream
+from .stored import SequenceStream
+from .video import CameraStream, VideoStream
+
+_CAMERA = re.compile(r"camera:(\d+)$")
+
+
+def open_stream(
+    source: Path | str,
+    layout: Layout = Layout.AUTO,
+    *,
+    camera: PinholeCamera | None = None,
+    topic: str | None = None,
+) -> FrameStream:
+    """Open a source: a data set's folder, a video file, a ROS recording, or ``camera:0``.
+
+    Parameters
+    ----------
+    source
+        What to read.
+    layout
+        Of a folder.
+    camera
+        Intrinsics of videos and cameras, and of recordings that say none.
+    topic
+        Of the images of a ROS recording with several.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be opened.
+    """
+    match = _CAMERA.match(str(source))
+    if match:
+        return CameraStream(int(match[1]), camera)
+    path = Path(source)
+    if layout is Layout.AUTO and is_bag(path):
+        return BagStream(path, topic, camera)
+    if layout is Layout.AUTO and path.is_file():
+        return VideoStream(path, camera)
+    return SequenceStream(read_sequence(path, layout, require_poses=False))

@@ -1,0 +1,68 @@
+"""A data set as a stream."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+from ..errors import ImageError
+from ..sequence import Sequence
+from .frames import Frame
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceStream:
+    """Frames of a data set.
+
+    Attributes
+    ----------
+    sequence
+        The data set.
+    frames
+        Increasing indices of those that want an answer, all by default. The frames between them come too, for the
+        tracker.
+    """
+
+    sequence: Sequence
+    frames: npt.NDArray[np.int64] | None = None
+
+    @property
+    def name(self) -> str:
+        """The data set's."""
+        return self.sequence.name
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The data set's."""
+        return self.sequence.camera
+
+    @property
+    def n_frames(self) -> int:
+        """Frames to come, those between included."""
+        return len(self._span())
+
+    @property
+    def live(self) -> bool:
+        """Files wait."""
+        return False
+
+    def _span(self) -> range:
+        if self.frames is None:
+            return range(len(self.sequence))
+        return range(int(self.frames.min()), int(self.frames.max()) + 1) if self.frames.size else range(0)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame; one that cannot be decoded comes without an image."""
+        wanted = None if self.frames is None else set(self.frames.tolist())
+        for i in self._span():
+            name, time = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
+            recording, answer = int(self.sequence.recording[i]), wanted is None or i in wanted
+            try:
+                yield Frame(name, time, self.sequence.image(i), "", recording, answer, i)
+            except ImageError as exc:
+                yield Frame(name, time, None, str(exc), recording, answer, i)

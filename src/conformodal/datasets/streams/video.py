@@ -1,0 +1,158 @@
+"""Video files and cameras, through OpenCV."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+from .frames import Frame, SourceError
+
+# Containers count frames roughly; fewer than this share of them is a file that was cut off.
+_WHOLE = 0.98
+
+
+def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class VideoStream:
+    """A video file.
+
+    Attributes
+    ----------
+    path
+        The file. Times are those of its frames, from its start.
+    camera
+        Intrinsics; None where they are known elsewhere.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing or no video.
+    """
+
+    path: Path
+    camera: PinholeCamera | None = None
+
+    def __post_init__(self) -> None:
+        if not self.path.is_file():
+            raise SourceError(f"{self.path}: no such video")
+        self._open().release()
+
+    @property
+    def name(self) -> str:
+        """The file's."""
+        return self.path.name
+
+    @property
+    def n_frames(self) -> int | None:
+        """As the container says."""
+        capture = self._open()
+        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        capture.release()
+        return count if count > 0 else None
+
+    @property
+    def live(self) -> bool:
+        """Files wait."""
+        return False
+
+    def _open(self) -> cv2.VideoCapture:
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            raise SourceError(f"{self.path}: cannot be opened as a video")
+        return capture
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame.
+
+        Raises
+        ------
+        SourceError
+            If the file ends before the number of frames that it claims.
+        """
+        capture = self._open()
+        try:
+            rate = capture.get(cv2.CAP_PROP_FPS)
+            claimed, done = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
+            last = -np.inf
+            while True:
+                # only before a frame is read it is that frame's time
+                stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                there, image = capture.read()
+                if not there:
+                    break
+                time_s = stated if stated > last or not rate > 0 else done / rate
+                last = time_s
+                yield Frame(f"{self.path.stem}-{done:06d}", time_s, _rgb(image))
+                done += 1
+            if done == 0 or done < _WHOLE * claimed - 1:
+                raise SourceError(f"{self.path}: ends after {done} of {claimed:.0f} frames; the file was cut off")
+        finally:
+            capture.release()
+
+
+@dataclass(frozen=True)
+class CameraStream:
+    """A camera of this machine.
+
+    Attributes
+    ----------
+    index
+        Which one, from 0. Times are those of the clock when a frame arrives.
+    camera
+        Intrinsics; None where they are known elsewhere.
+    """
+
+    index: int
+    camera: PinholeCamera | None = None
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"camera {self.index}"
+
+    @property
+    def n_frames(self) -> None:
+        """Nobody knows."""
+        return
+
+    @property
+    def live(self) -> bool:
+        """Frames that are not taken are lost."""
+        return True
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Take frame after frame until the camera is gone.
+
+        Raises
+        ------
+        SourceError
+            If there is no such camera, or it gives no more frames.
+        """
+        capture = cv2.VideoCapture(self.index)
+        try:
+            if not capture.isOpened():
+                raise SourceError(f"{self.name}: cannot be opened; is it plugged in, and free?")
+            if self.camera is not None:
+                capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.camera.width)
+                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.camera.height)
+            done = 0
+            while True:
+                there, image = capture.read()
+                if not there:
+                    raise SourceError(f"{self.name}: gives no more frames after {done}; was it unplugged?")
+                yield Frame(f"camera{self.index}-{done:06d}", time.time(), _rgb(image))
+                done += 1
+        finally:
+            capture.release()

@@ -1,0 +1,82 @@
+"""Regions on disk: one JSON object a line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import RelativeMotion, Trajectory
+
+from .errors import ResultsError
+from .targets import TARGET_NAMES, pose_targets
+
+REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
+
+
+def region_record(
+    name: str, timestamp_s: float, motion: RelativeMotion | None, intervals: Sequence[npt.NDArray[np.float64]]
+) -> dict[str, Any]:
+    """The record of a frame: its name, time, motion since the frame before, and (m, 2) intervals a target."""
+    return {
+        "timestamp_s": round(float(timestamp_s), 6),
+        "frame": name,
+        "reliable": bool(motion is None or motion.reliable),
+        "motion": "first" if motion is None else str(motion.status),
+        # [null, null] is the whole line; [] an empty set
+        "intervals": {
+            target: [[_bound(a), _bound(b)] for a, b in parts]
+            for target, parts in zip(TARGET_NAMES, intervals, strict=True)
+        },
+    }
+
+
+def _bound(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def read_region_records(path: Path) -> list[dict[str, Any]]:
+    """Records of ``regions.jsonl``.
+
+    Raises
+    ------
+    ResultsError
+        If the file is missing or a line is no such record; names the line.
+    """
+    return list(iter_region_records(path))
+
+
+def iter_region_records(path: Path) -> Iterator[dict[str, Any]]:
+    """The same, one after the other."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                try:
+                    record = json.loads(line)
+                    if set(record["intervals"]) != set(TARGET_NAMES) or not math.isfinite(record["timestamp_s"]):
+                        raise KeyError("intervals")
+                except (ValueError, KeyError, TypeError) as exc:
+                    raise ResultsError(f"{path}, line {number}: is no region record: {exc}") from exc
+                yield record
+    except OSError as exc:
+        raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
+
+
+def records_contain(
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64]
+) -> npt.NDArray[np.bool_]:
+    """Whether stored intervals hold the true poses, (n, 7)."""
+    targets = pose_targets(truth, sign_reference)
+    inside = np.zeros(targets.shape, dtype=np.bool_)
+    for i, record in enumerate(records):
+        for j, name in enumerate(TARGET_NAMES):
+            inside[i, j] = any(
+                (a is None or a <= targets[i, j]) and (b is None or targets[i, j] <= b)
+                for a, b in record["intervals"][name]
+            )
+    return inside

@@ -1,0 +1,183 @@
+"""A model on a stream: answers at once, better ones a little later, all of them on disk, in constant memory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import Regions
+from conformodal.datasets.streams import Frame, SourceError
+from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.reasoning import Candidates, Observations, interval_candidates, softmax_mean
+
+from .answers import OtherMethods, answers
+from .estimator import Estimate, VisualOdometry
+from .writer import ResultsWriter
+
+# Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
+# sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
+WINDOW, OVERLAP = 2000, 300
+_PROBLEMS_KEPT = 100
+
+
+@dataclass(eq=False)
+class _Pending:
+    """A frame whose final answer is still to come."""
+
+    timestamp_s: float
+    candidates: Candidates
+    paper: Candidates
+    mean: npt.NDArray[np.float64]
+    motion: RelativeMotion | None
+    features: npt.NDArray[np.float32] | None
+
+
+class StreamRunner:
+    """Takes frames one by one and writes what a model makes of them.
+
+    Regions and the fixed-lag answers are written as frames come. The answers of whole paths (smoothed, Viterbi,
+    greedy) follow for a window of frames at a time; sources of no more than 2000 frames are one window.
+
+    Parameters
+    ----------
+    odometry
+        Of the model; reset here.
+    writer
+        Where results go.
+    others
+        Methods to compare with, which get the same features and motions; None for none.
+    keep_regions
+        Also keep the regions, to measure coverage at the end.
+    window, overlap
+        Frames of a window, and how many of them wait for the next one; less than half of it.
+
+    Attributes
+    ----------
+    n_answered, n_unreliable
+        Frames so far.
+    answered
+        Their places in the data set, if regions are kept.
+    motion
+        How often which motion status.
+    problems
+        The first hundred frames without an image, by name, and why; `n_problems` counts all.
+    """
+
+    def __init__(
+        self,
+        odometry: VisualOdometry,
+        writer: ResultsWriter,
+        others: OtherMethods | None = None,
+        *,
+        keep_regions: bool = False,
+        window: int = WINDOW,
+        overlap: int = OVERLAP,
+    ) -> None:
+        self.odometry, self.writer, self.others = odometry, writer, others
+        self.window, self.overlap = window, overlap
+        self.n_answered = self.n_unreliable = self.n_problems = 0
+        self.answered: list[int] = []
+        self.motion: Counter[str] = Counter()
+        self.problems: dict[str, str] = {}
+        self._regions: list[Regions] | None = [] if keep_regions else None
+        self._pending: list[_Pending] = []
+        self._n_written = 0  # of the pending, which stay to tell of those that follow
+        self._lagging: Trajectory | None = None
+        self._recording: int | None = None
+        self._last: Frame | None = None
+        odometry.reset()
+
+    @property
+    def regions(self) -> Regions:
+        """Of all frames, if they were kept and there are any."""
+        return Regions.concatenate(self._regions or [])
+
+    def push(self, frame: Frame) -> Estimate | None:
+        """Take the next frame; None where it wants no answer.
+
+        Raises
+        ------
+        SourceError
+            If its timestamp is not later than the one before.
+        """
+        if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
+            raise SourceError(
+                f"time goes back: {frame.name} at {frame.timestamp_s} s follows {self._last.name} at "
+                f"{self._last.timestamp_s} s"
+            )
+        if frame.recording != self._recording:
+            self._flush(everything=True)
+            self.odometry.reset()
+            self._recording = frame.recording
+        self._last = frame
+        if not frame.answer:
+            if frame.image is not None:
+                self.odometry.pass_by(frame.image)
+            return None
+        estimate = self.odometry.step(frame.image, frame.timestamp_s)
+        if estimate.region is None or estimate.candidates is None or estimate.features is None:
+            self.n_problems += 1
+            if len(self.problems) < _PROBLEMS_KEPT:
+                self.problems[frame.name] = frame.problem or estimate.problem
+            return estimate
+        self._take(frame, estimate, estimate.region, estimate.candidates, estimate.features)
+        return estimate
+
+    def finish(self) -> None:
+        """Write the answers that waited for more frames; also what a run that is stopped ends with."""
+        self._flush(everything=True)
+
+    def _take(
+        self,
+        frame: Frame,
+        estimate: Estimate,
+        region: Regions,
+        candidates: Candidates,
+        features: npt.NDArray[np.float32],
+    ) -> None:
+        model, motion = self.odometry.model, estimate.relative_motion
+        self.n_answered += 1
+        self.n_unreliable += not estimate.reliable
+        if motion is not None:
+            self.motion[str(motion.status)] += 1
+        self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0))
+        if self._regions is not None:
+            self._regions.append(region)
+            self.answered.append(frame.index)
+        revised = estimate.revised
+        assert revised is not None
+        if len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
+            self.writer.poses("online", revised[:1])
+        self._lagging = revised
+        row = features[None]
+        paper = interval_candidates(model.proba(row), region)[0]
+        mean = softmax_mean(model.search_proba(row), model.bins)[0]
+        kept = None if self.others is None else features
+        self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept))
+        if len(self._pending) >= self.window:
+            self._flush(everything=False)
+
+    def _flush(self, *, everything: bool) -> None:
+        """Answer the frames that wait, and write all answers but those of the last `overlap` frames, or all."""
+        if everything and self._lagging is not None:
+            rest = self._lagging
+            self.writer.poses("online", rest[1:] if len(rest) == self.odometry.lag + 1 else rest)
+            self._lagging = None
+        if len(self._pending) == self._n_written:
+            self._pending, self._n_written = [], 0
+            return
+        pending, prior = self._pending, self.odometry.model.prior
+        times = np.array([p.timestamp_s for p in pending])
+        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times)
+        found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
+        if self.others is not None:
+            features = np.array([p.features for p in pending], dtype=np.float32)
+            found |= self.others(features, seen, prior)
+        done = len(pending) if everything else len(pending) - self.overlap
+        for name, trajectory in found.items():
+            self.writer.poses(name, trajectory[self._n_written : done])
+        kept_from = done if everything else done - self.overlap
+        self._pending, self._n_written = pending[kept_from:], done - kept_from

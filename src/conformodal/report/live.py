@@ -1,0 +1,118 @@
+"""A live view in Rerun (extra ``view``), in a window or as a recording."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import ConformodalError
+from conformodal.datasets.streams import Frame
+from conformodal.odometry import Estimate
+from conformodal.poses import Trajectory
+
+_MOST_CUBOIDS = 256
+_RANGE_M = 100.0  # the whole line is drawn this far around the chosen position
+_REGION, _ANSWER, _TRUTH, _CANDIDATE = (86, 180, 233), (0, 114, 178), (120, 120, 120), (230, 159, 0)
+
+
+class LiveViewError(ConformodalError):
+    """Rerun is missing, or its file cannot be written."""
+
+
+class LiveView:
+    """Shows a run: image with tracks, all cuboids, candidates, the chosen trajectory, and the truth.
+
+    Parameters
+    ----------
+    name
+        Of the source.
+    alpha
+        Of the regions, for their label.
+    spawn
+        Open Rerun's window.
+    save
+        File for a recording, ``.rrd``; needs no screen.
+
+    Raises
+    ------
+    LiveViewError
+        If Rerun is not installed, or the file cannot be written.
+    """
+
+    def __init__(self, name: str, alpha: object, *, spawn: bool = False, save: Path | None = None) -> None:
+        try:
+            import rerun  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as exc:
+            raise LiveViewError("the live view needs Rerun: pip install 'conformodal[view]'") from exc
+        self._rr: Any = rerun
+        self._stream: Any = rerun.RecordingStream("conformodal", recording_id=None)
+        try:
+            if save is not None:
+                save.parent.mkdir(parents=True, exist_ok=True)
+                self._stream.save(str(save))
+            if spawn:
+                self._stream.spawn()
+        except (OSError, RuntimeError) as exc:
+            raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
+        self._path: list[npt.NDArray[np.float64]] = []
+        self._log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._log("about", rerun.TextDocument(f"{name}, alpha = {alpha}"), static=True)
+
+    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
+        """Show a frame and what was made of it; `truth` is a trajectory of one, or None."""
+        rr = self._rr
+        self._stream.set_time("time", duration=frame.timestamp_s)
+        if frame.image is not None:
+            self._log("camera/image", rr.Image(frame.image).compress(jpeg_quality=70))
+        if estimate.tracks is not None:
+            before, now = estimate.tracks
+            strips = np.stack((before, now), axis=1)
+            self._log("camera/image/tracks", rr.LineStrips2D(strips, colors=_REGION))
+        self._log("status", rr.TextLog(estimate.problem or "reliable"))
+        if estimate.region is None or estimate.pose is None or estimate.candidates is None:
+            return
+        here = estimate.pose.positions_xyz[0]
+        self._log("world/region", self._cuboids(estimate, here))
+        masses = np.exp(estimate.candidates.position_log_mass)
+        places = estimate.candidates.positions_xyz
+        labels = [f"{mass:.2f}" for mass in masses]
+        self._log("world/candidates", rr.Points3D(places, radii=0.02, colors=_CANDIDATE, labels=labels))
+        self._log("world/chosen", rr.Points3D([here], radii=0.04, colors=_ANSWER))
+        w, x, y, z = estimate.pose.orientations_quat_wxyz[0]
+        turned = rr.Quaternion(xyzw=[x, y, z, w])
+        self._log("world/camera", rr.Transform3D(translation=here, quaternion=turned))
+        if self._path:
+            self._log("world/trajectory", rr.LineStrips3D([[self._path[-1], here]], colors=_ANSWER))
+        self._path[:] = [here]
+        self._log("plots/intervals", rr.Scalars(float(estimate.region.n_intervals[0, :3].prod())))
+        if truth is not None:
+            true = truth.positions_xyz[0]
+            self._log("world/truth", rr.Points3D([true], radii=0.03, colors=_TRUTH))
+            self._log("plots/error_m", rr.Scalars(float(np.linalg.norm(true - here))))
+
+    def _cuboids(self, estimate: Estimate, here: npt.NDArray[np.float64]) -> Any:
+        assert estimate.region is not None
+        parts = estimate.region.intervals(0)[:3]
+        inside = [np.clip(p, h - _RANGE_M, h + _RANGE_M) for p, h in zip(parts, here, strict=True)]
+        boxes = np.array(list(product(*inside))[:_MOST_CUBOIDS]).reshape(-1, 3, 2)
+        found = estimate.candidates
+        labels = []
+        for box in boxes:
+            assert found is not None
+            held = ((found.positions_xyz >= box[:, 0]) & (found.positions_xyz <= box[:, 1])).all(axis=1)
+            labels.append(f"{np.exp(found.position_log_mass[held]).sum():.2f}")
+        return self._rr.Boxes3D(
+            centers=boxes.mean(axis=2), half_sizes=np.ptp(boxes, axis=2) / 2, colors=_REGION, labels=labels
+        )
+
+    def _log(self, entity: str, what: Any, *, static: bool = False) -> None:
+        self._stream.log(entity, what, static=static)
+
+    def close(self) -> None:
+        """Everything is written afterwards."""
+        self._stream.flush()
+        self._stream.disconnect()
