@@ -7,7 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.odometry import read_region_records
+from conformodal.odometry import read_region_parquet, read_region_records
 from conformodal.poses import read_tum
 
 
@@ -19,7 +19,7 @@ def invoke(*arguments):
 def results(small_world, tmp_path_factory):
     out = tmp_path_factory.mktemp("results")
     arguments = ["run", small_world.model, small_world.folder, "--out", out, "--part", "test"]
-    result = invoke(*arguments, "--cache", small_world.cache)
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     assert result.output.splitlines()[-1] == f"results: {out.resolve()}"
     return out
@@ -27,8 +27,9 @@ def results(small_world, tmp_path_factory):
 
 def test_help_of_every_verb_explains_every_option():
     verbs = typer.main.get_command(app).commands
-    assert set(verbs) == {"demo", "train", "calibrate", "run", "evaluate", "reproduce"}
-    verbs |= {f"reproduce {name}": verb for name, verb in verbs.pop("reproduce").commands.items()}
+    assert set(verbs) == {"demo", "train", "calibrate", "run", "evaluate", "data", "reproduce"}
+    for group in ("data", "reproduce"):
+        verbs |= {f"{group} {name}": verb for name, verb in verbs.pop(group).commands.items()}
     for name, verb in verbs.items():
         assert invoke(*name.split(), "--help").exit_code == 0
         for parameter in verb.params:
@@ -60,12 +61,16 @@ def test_run_writes_everything(results):
             assert (np.diff(flat) > 0).all()  # sorted and disjoint
 
 
+def test_regions_are_the_same_as_parquet(results):
+    pytest.importorskip("pyarrow")
+    assert read_region_parquet(results / "regions.parquet") == read_region_records(results / "regions.jsonl")
+
+
 def test_the_page_is_self_contained(results):
     page = (results / "report.html").read_text()
-    assert page.count("<svg") == 3
-    assert "data:image/png;base64," in page
-    for outside in ('src="http', 'href="http', "<script", "<link"):
-        assert outside not in page.replace('xlink:href="#', "")
+    assert '"img":"' in page
+    for outside in ('src="http', 'href="http', "<link", "@import"):
+        assert outside not in page
 
 
 def test_evaluate_agrees_with_run(results, small_world):
@@ -92,9 +97,7 @@ def test_run_without_poses(small_world, tmp_path):
         path.unlink()
     for path in sorted((tmp_path / "unposed").rglob("*.png"))[40:]:
         path.unlink()
-    result = invoke(
-        "run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out", "--cache", small_world.cache
-    )
+    result = invoke("run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "errors" not in json.loads((tmp_path / "out" / "metrics.json").read_text())
     other = invoke("run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out", "--part", "test")
@@ -115,7 +118,7 @@ def test_bad_input_is_one_kind_line(small_world, tmp_path, results):
         (["evaluate", results, "--truth", tmp_path / "absent.tum"], "absent.tum"),
     ]
     for arguments, message in cases:
-        result = invoke(*arguments, *(["--cache", small_world.cache] if arguments[0] in ("train", "run") else []))
+        result = invoke(*arguments, *(["--cache", small_world.cache] if arguments[0] == "train" else []))
         assert result.exit_code == 2, (arguments, result.output)
         assert message in result.output.replace("\n", " ")
         assert "Traceback" not in result.output
@@ -125,17 +128,7 @@ def test_bad_input_is_one_kind_line(small_world, tmp_path, results):
 def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
     arguments = ["train", small_world.folder, "--out", tmp_path / "m", "--split", "blocks", "--epochs", "2"]
     assert invoke(*arguments, "--cache", small_world.cache).exit_code == 0
-    result = invoke(
-        "run",
-        tmp_path / "m",
-        small_world.folder,
-        "--out",
-        tmp_path / "o",
-        "--part",
-        "test",
-        "--cache",
-        small_world.cache,
-    )
+    result = invoke("run", tmp_path / "m", small_world.folder, "--out", tmp_path / "o", "--part", "test")
     assert result.exit_code == 0, result.output
     coverage = json.loads((tmp_path / "o" / "metrics.json").read_text())["coverage"]
     assert "no guarantee" in coverage["assumption"]
@@ -162,7 +155,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     result = invoke("calibrate", model, flights, "--alpha", "0.5", "--promise", "recording", *cache)
     assert result.exit_code == 0, result.output
     assert "every frame of it is within the radius with probability at least 0.5" in " ".join(result.output.split())
-    result = invoke("run", model, flights, "--out", tmp_path / "out", *cache)
+    result = invoke("run", model, flights, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
     assert radius["n_recordings"] == 5
@@ -171,9 +164,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     assert radius["radius_m"] > 0
     assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
 
-    part = invoke(
-        "run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part", "--cache", small_world.cache
-    )
+    part = invoke("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
     assert part.exit_code == 0, part.output
     assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
 
@@ -181,7 +172,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     assert result.exit_code == 0, result.output
     text = " ".join(result.output.split())
     assert "The radius is infinite: 5 recordings are too few for alpha = 0.1; at least 19" in text
-    result = invoke("run", model, flights, "--out", tmp_path / "out", *cache)
+    result = invoke("run", model, flights, "--out", tmp_path / "out")
     radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
     assert radius["radius_m"] is None
     assert radius["share_held"] == 1

@@ -1,5 +1,7 @@
 """Every layout is written as published, with a scene whose answer is known: the camera walks along x and turns left."""
 
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -100,12 +102,53 @@ def write_euroc(root):
     return root
 
 
+def write_colmap(root):
+    """World to camera, as COLMAP stores it, with a line of points after every image."""
+    lines = ["# Image list", "# with two lines an image"]
+    backward = np.linalg.inv(matrices())
+    quats = Rotation.from_matrix(backward[:, :3, :3]).as_quat(scalar_first=True)
+    for i in reversed(range(N)):  # COLMAP keeps no order
+        picture(root / "images" / f"{i:04d}.png", i)
+        numbers = " ".join(f"{v:.12f}" for v in (*quats[i], *backward[i, :3, 3]))
+        lines += [f"{i + 7} {numbers} 3 {i:04d}.png", "10.5 11.5 -1 12.0 13.0 44"]
+    (root / "sparse" / "0").mkdir(parents=True)
+    (root / "sparse" / "0" / "images.txt").write_text("\n".join(lines) + "\n")
+    (root / "sparse" / "0" / "cameras.txt").write_text("# cameras\n3 OPENCV 64 48 40 40 32 24 -0.1 0.02 0.001 0.002\n")
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_nerf(root):
+    """Cameras that look along -z with y up."""
+    frames = []
+    for i, pose in enumerate(matrices()):
+        picture(root / "images" / f"{i:04d}.png", i)
+        opengl = np.column_stack((pose[:, 0], -pose[:, 1], -pose[:, 2], pose[:, 3]))
+        frames.append({"file_path": f"./images/{i:04d}", "transform_matrix": opengl.tolist()})
+    content = {"camera_angle_x": 2 * np.arctan(32 / 40), "cx": 32, "cy": 24, "frames": frames[::-1]}
+    (root / "transforms.json").write_text(json.dumps(content))
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_images(root):
+    for i in range(N):
+        picture(root / f"{100 + 0.1 * i:.6f}.png", i)
+    rows = np.column_stack((100.004 + 0.1 * np.arange(N), PLACES, QUATS[:, 1:], QUATS[:, :1]))
+    np.savetxt(root / "poses.tum", rows)
+    (root / "camera-intrinsics.txt").write_text(K)
+    return root
+
+
 WRITERS = {
     Layout.SEVENSCENES: write_sevenscenes,
     Layout.RGBD_SCENES: write_rgbd_scenes,
     Layout.KITTI: write_kitti,
     Layout.TUM: write_tum,
     Layout.EUROC: write_euroc,
+    Layout.COLMAP: write_colmap,
+    Layout.NERF: write_nerf,
+    Layout.IMAGES: write_images,
 }
 
 
@@ -123,8 +166,9 @@ def test_the_known_scene_is_read_from_every_layout(tmp_path, layout):
     np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices(), atol=1e-9)
     step = {Layout.RGBD_SCENES: 1 / 30, Layout.EUROC: 0.05}.get(layout, 0.1)
     np.testing.assert_allclose(np.diff(sequence.timestamps_s), step, atol=1e-6)
-    assert (sequence.camera.fx, sequence.camera.cx, sequence.camera.width, sequence.camera.height) == (40, 32, *SIZE)
-    assert len(sequence.camera.distortion) == (4 if layout is Layout.EUROC else 0)
+    camera = sequence.camera
+    assert (camera.fx, camera.cx, camera.width, camera.height) == pytest.approx((40, 32, *SIZE), rel=1e-12)
+    assert len(sequence.camera.distortion) == (4 if layout in (Layout.EUROC, Layout.COLMAP) else 0)
     for i in range(N):
         assert sequence.image(i)[0, 0].tolist() == [10 * i, 0, 0]
     # what the camera looks at: along x at first, to the left after nine frames
@@ -246,3 +290,56 @@ def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
     (tmp_path / "frame-000000.color.png").write_text("")
     with pytest.raises(DatasetError, match="could be 7scenes or tum"):
         recognise(tmp_path)
+
+
+def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
+    write_images(tmp_path)
+    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
+        path.rename(tmp_path / f"shot_{i}.png")
+    (tmp_path / "poses.tum").unlink()
+    assert read_sequence(tmp_path, require_poses=False).timestamps_s.tolist() == pytest.approx(
+        [0, 1 / 30, 2 / 30, 0.1, 4 / 30]
+    )
+    with pytest.raises(DatasetError, match=r"poses\.tum: poses are missing"):
+        read_sequence(tmp_path)
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    np.savetxt(tmp_path / "poses.txt", matrices()[:, :3].reshape(N, 12))
+    found = read_sequence(tmp_path)
+    assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
+    np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)
+    (tmp_path / "times.txt").write_text("1 2\n")
+    with pytest.raises(DatasetError, match="2 times for 5 images"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("layout", "file", "change", "match"),
+    [
+        (Layout.COLMAP, "sparse/0/cameras.txt", lambda t: t.replace("OPENCV", "FOV"), "FOV is none of"),
+        (Layout.COLMAP, "sparse/0/cameras.txt", lambda t: t.replace("48 40", "48 -40"), "is no camera"),
+        (Layout.COLMAP, "sparse/0/images.txt", lambda t: t.replace(" 3 0002", " 4 0002"), r"uses cameras \[3, 4\]"),
+        (Layout.COLMAP, "sparse/0/images.txt", lambda t: t.replace(" 3 0002.png", ""), "expected 'id qw"),
+        (Layout.COLMAP, "sparse/0/images.txt", lambda _: "# nothing\n", "holds no image"),
+        (Layout.NERF, "transforms.json", lambda t: t[:-20], "is no NeRF file"),
+        (Layout.NERF, "transforms.json", lambda t: t.replace("camera_angle_x", "angle"), "says no camera"),
+        (Layout.NERF, "transforms.json", lambda t: t.replace("0003", "0009"), "no such image"),
+        (
+            Layout.NERF,
+            "transforms.json",
+            lambda t: t.replace('"file_path": "./images/0001"', '"fl_x": 3, "file_path": "./images/0001"'),
+            "camera of its own",
+        ),
+        (Layout.NERF, "transforms.json", lambda t: t.replace("1.0]]", "]]", 1), "is no NeRF file"),
+        (Layout.IMAGES, "frame-rate.txt", lambda _: "-3", None),
+    ],
+)
+def test_damaged_files_are_named(tmp_path, layout, file, change, match):
+    folder = WRITERS[layout](tmp_path)
+    path = tmp_path / file
+    path.write_text(change(path.read_text() if path.is_file() else ""))
+    if match is None:  # the names of the files are times, so the rate is not asked for
+        assert len(read_sequence(folder)) == N
+        return
+    with pytest.raises(DatasetError, match=match) as caught:
+        read_sequence(folder, layout)
+    assert path.name in str(caught.value)

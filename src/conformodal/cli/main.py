@@ -9,6 +9,7 @@ import typer
 from conformodal import __version__
 
 from .calibrate import calibrate
+from .data import app as data_app
 from .demo import demo
 from .evaluate import evaluate
 from .reproduce import app as reproduce_app
@@ -39,4 +40,5 @@ def main(
 
 for command in (demo, train, calibrate, run, evaluate):
     app.command()(command)
+app.add_typer(data_app, name="data")
 app.add_typer(reproduce_app, name="reproduce")

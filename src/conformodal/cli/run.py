@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -32,6 +33,7 @@ from conformodal.odometry import (
     load_model,
     read_trajectories,
     write_metrics,
+    write_region_parquet,
 )
 from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
 
@@ -149,6 +151,8 @@ def stream_through(
     trajectories = read_trajectories(out) if needed else {}
     metrics = run_metrics(model, classical, part, trajectories, known, counts)
     write_metrics(out, metrics)
+    if find_spec("pyarrow"):  # an extra
+        write_region_parquet(out)
     title = f"conformodal: {stream.name}"
     lines = summary(stream.name, metrics)
     viewer = make_viewer(out, pictures.kept)

@@ -1,5 +1,6 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
+from .checking import DatasetCheck, Finding, check_sequence
 from .colmap import read_colmap
 from .errors import DatasetError, ImageError, SplitError
 from .euroc import read_euroc_mav
@@ -15,7 +16,9 @@ from .splits import Split, SplitKind, hold_out, make_split
 from .tum import read_tum_rgbd
 
 __all__ = [
+    "DatasetCheck",
     "DatasetError",
+    "Finding",
     "ImageError",
     "Layout",
     "PixelNoise",
@@ -23,6 +26,7 @@ __all__ = [
     "Split",
     "SplitError",
     "SplitKind",
+    "check_sequence",
     "hold_out",
     "make_split",
     "read_colmap",

@@ -18,7 +18,7 @@ from .files import even_times, image_size, read_lines
 from .sequence import Sequence
 
 FILE = "transforms.json"
-_OPENGL_TO_HERE = np.diag([1.0, -1.0, -1.0, 1.0])
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")
 _OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy")
 
@@ -55,7 +55,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     images = tuple(_image(folder, path, str(frame["file_path"])) for frame in frames)
     times = even_times(folder, len(frames))
     try:
-        truth = Trajectory.from_poses_se3(times, poses @ _OPENGL_TO_HERE)
+        truth = Trajectory.from_poses_se3(times, poses @ OPENGL_AXES)
     except PoseError as exc:
         raise DatasetError(f"{path}: {exc}") from exc
     recording = np.zeros(len(frames), dtype=np.int64)
@@ -75,7 +75,7 @@ def _camera(path: Path, content: dict[str, Any], size: tuple[int, int]) -> Pinho
         if "fl_x" in content:
             fx = float(content["fl_x"])
         else:
-            fx = 0.5 * width / np.tan(0.5 * float(content["camera_angle_x"]))
+            fx = float(0.5 * width / np.tan(0.5 * float(content["camera_angle_x"])))
         fy = float(content.get("fl_y", fx))
         cx, cy = float(content.get("cx", width / 2)), float(content.get("cy", height / 2))
         lens = tuple(float(content.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2"))

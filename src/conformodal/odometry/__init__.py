@@ -5,6 +5,7 @@ from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
+from .parquet import read_region_parquet, write_region_parquet
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .records import METRICS, iter_region_records, read_region_records, records_contain
@@ -47,6 +48,7 @@ __all__ = [
     "prepare_training_data",
     "provenance",
     "read_metrics",
+    "read_region_parquet",
     "read_region_records",
     "read_trajectories",
     "recording_errors",
@@ -54,5 +56,6 @@ __all__ = [
     "save_model",
     "train_model",
     "write_metrics",
+    "write_region_parquet",
     "write_run",
 ]

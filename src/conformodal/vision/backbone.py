@@ -149,7 +149,7 @@ class Backbone(nn.Module):
     def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
         """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them."""
         with torch.inference_mode():
-            return np.asarray(self(torch.from_numpy(images).to(self.device)).cpu().numpy().astype(np.float16))
+            return np.asarray(self(torch.tensor(images, device=self.device)).cpu().numpy().astype(np.float16))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""

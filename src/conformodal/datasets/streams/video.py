@@ -87,11 +87,10 @@ class VideoStream:
             claimed, done = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             last = -np.inf
             while True:
-                # only before a frame is read it is that frame's time
-                stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
                 there, image = capture.read()
                 if not there:
                     break
+                stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000  # of the frame just read, where the file says it
                 time_s = stated if stated > last or not rate > 0 else done / rate
                 last = time_s
                 yield Frame(f"{self.path.stem}-{done:06d}", time_s, _rgb(image))

@@ -128,7 +128,7 @@
     const most = (key) => Math.max(...frames.map((f) => f[key] || 0), 1e-9);
     const line = (key) => (g, x, y) => polyline(g, frames.map((f) => (f[key] === null || f[key] === undefined ? null : [x(f.t), y(f[key])])), css("--answer"), 1.5);
     chart("size", "size of the position's region (m)", 0, most("size"), line("size"));
-    chart("error", "position error (m)", 0, most("err"), (g, x, y) => {
+    chart("error", "position error (m)", 0, Math.max(most("err"), most("cerr")), (g, x, y) => {
       if (data.classical) polyline(g, frames.map((f) => (f.cerr === null ? null : [x(f.t), y(f.cerr)])), css("--classical"), 1, [2, 2]);
       line("err")(g, x, y);
     });

@@ -1,0 +1,105 @@
+"""``conformodal data``: what a data set is, and the same in another layout."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from conformodal.datasets import DatasetError, Layout, check_sequence
+from conformodal.datasets.files import camera_beside
+from conformodal.datasets.streams import SequenceStream, open_stream
+from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.odometry import provenance, write_metrics
+from conformodal.poses import PinholeCamera, Trajectory, read_tum
+
+from .console import console, kind_errors, print_where, progress_bars
+from .sources import open_sequence
+
+app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
+_FOUND = 1
+
+
+@app.callback()
+def data() -> None:
+    """Look at a data set, or convert it."""
+
+
+@app.command()
+@kind_errors
+def check(
+    folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
+    out: Annotated[Path | None, typer.Option(help="Folder for the same as metrics.json.")] = None,
+) -> None:
+    """Say what a folder holds, and its gaps, jumps, repeated and unreadable images (exit code 1 if there are any)."""
+    sequence = open_sequence(folder, layout, require_poses=False)
+    with progress_bars() as report:
+        found = check_sequence(sequence, lambda done, total: report("images", done, total))
+    table = Table(show_header=False)
+    recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
+    table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
+    table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
+    if found.extent_m is None:
+        table.add_row("poses", "none, or not for every frame")
+    else:
+        sides = " x ".join(f"{side:.2f}" for side in found.extent_m)
+        table.add_row("poses", f"{found.n_poses}, all rigid motions; within {sides} m, path {found.path_m:.2f} m")
+    console.print(table)
+    for finding in found.findings:
+        console.print(f"{finding.count} x {finding.what}: {finding.first}", soft_wrap=True, markup=False)
+    if not found.findings:
+        console.print("nothing is wrong with it")
+    if out is not None:
+        configuration = {"data": folder.name, "format": str(layout)}
+        record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
+        write_metrics(out, {**record, "check": asdict(found)})
+        print_where(out)
+    if found.findings:
+        raise typer.Exit(_FOUND)
+
+
+@app.command()
+@kind_errors
+def convert(
+    source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
+    out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
+    to: Annotated[Layout, typer.Option(help=f"Layout to write: {', '.join(WRITABLE)}.")] = Layout.IMAGES,
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
+    poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, paired by time within 0.02 s.")] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
+    ] = None,
+    topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+) -> None:
+    """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
+    stream = open_stream(source, layout, topic=topic)
+    truth = read_tum(poses) if poses is not None else _truth(stream)
+    lens = stream.camera or _camera(camera, next(iter(stream)).image)
+    with progress_bars() as report:
+        total = stream.n_frames or 0
+        done = write_layout(out, to, stream, lens, truth, lambda number: report("frames", number, max(total, number)))
+    console.print(
+        f"{done.n_frames} frames written as {to}, {'with' if truth is not None else 'without'} poses; left out: "
+        f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose",
+        soft_wrap=True,
+    )
+    for note in done.notes:
+        console.print(f"[bold]note[/]: {note}", soft_wrap=True)
+    print_where(out)
+
+
+def _truth(stream: object) -> Trajectory | None:
+    return stream.sequence.truth if isinstance(stream, SequenceStream) else None
+
+
+def _camera(folder: Path | None, image: object) -> PinholeCamera:
+    if folder is None:
+        raise DatasetError("the source says no camera; name a folder with camera-intrinsics.txt by --camera")
+    shape = getattr(image, "shape", None)
+    if shape is None:
+        raise DatasetError("the first frame cannot be read, so the size of the images is not known")
+    return camera_beside(folder, (shape[1], shape[0]), None)

@@ -1,0 +1,118 @@
+"""What a data set is, and what is wrong with it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import ImageError
+from .sequence import Sequence
+
+# A step in time longer than this many usual ones is a gap; one in space, a jump.
+_GAP, _JUMP = 3.0, 10.0
+_LEAST_JUMP_M = 0.05
+
+
+@dataclass
+class Finding:
+    """Something to look at: what it is, how often it occurs, and where first."""
+
+    what: str
+    count: int
+    first: str
+
+
+@dataclass
+class DatasetCheck:
+    """What a data set holds.
+
+    Attributes
+    ----------
+    n_frames, n_recordings, n_poses
+        Counts.
+    width, height
+        Of the camera's images, pixels.
+    duration_s, rate_hz
+        From the first frame to the last, recordings apart; and the usual rate.
+    extent_m, path_m
+        Size of the box around all positions, (3,), and length of the path; None without poses.
+    findings
+        Everything that is not as it should be.
+    """
+
+    n_frames: int
+    n_recordings: int
+    n_poses: int
+    width: int
+    height: int
+    duration_s: float
+    rate_hz: float
+    extent_m: list[float] | None
+    path_m: float | None
+    findings: list[Finding] = field(default_factory=list)
+
+
+def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | None = None) -> DatasetCheck:
+    """Look at every frame of a data set; decodes all images.
+
+    Readers have refused already what cannot be read at all: poses that are no rigid motion, times that go back.
+
+    Parameters
+    ----------
+    sequence
+        What to look at.
+    progress
+        Called with images done and images in all.
+    """
+    names = [path.name for path in sequence.image_paths]
+    linked = np.flatnonzero(np.diff(sequence.recording) == 0)
+    steps = np.diff(sequence.timestamps_s)[linked]
+    usual = float(np.median(steps)) if steps.size else float("nan")
+    found: list[Finding] = []
+
+    def add(what: str, at: list[int]) -> None:
+        if at:
+            found.append(Finding(what, len(at), names[at[0]]))
+
+    add(f"gap in time of more than {_GAP:g} usual steps before", (linked[steps > _GAP * usual] + 1).tolist())
+    extent = path = None
+    if sequence.truth is not None:
+        positions = sequence.truth.positions_xyz
+        moved = np.linalg.norm(np.diff(positions, axis=0), axis=1)[linked]
+        extent, path = np.ptp(positions, axis=0).round(4).tolist(), round(float(moved.sum()), 4)
+        speed = moved / np.maximum(steps, 1e-9)
+        jumps = (speed > _JUMP * np.median(speed)) & (moved > _LEAST_JUMP_M) if speed.size else np.empty(0, dtype=bool)
+        add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
+    problems: dict[int, str] = {}
+    digests: list[bytes] = [b""] * len(sequence)
+
+    def look(i: int) -> None:
+        try:
+            digests[i] = hashlib.sha256(sequence.image(i).tobytes()).digest()
+        except ImageError as exc:
+            problems[i] = str(exc)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for done, _ in enumerate(pool.map(look, range(len(sequence))), start=1):
+            if progress is not None:
+                progress(done, len(sequence))
+    if problems:
+        found.append(Finding("image cannot be read", len(problems), problems[min(problems)]))
+    same = [i for i in (linked + 1).tolist() if digests[i] and digests[i] == digests[i - 1]]
+    add("the same picture as the frame before", same)
+    return DatasetCheck(
+        n_frames=len(sequence),
+        n_recordings=len(np.unique(sequence.recording)),
+        n_poses=0 if sequence.truth is None else len(sequence.truth),
+        width=sequence.camera.width,
+        height=sequence.camera.height,
+        duration_s=round(float(steps.sum()), 4),
+        rate_hz=round(1 / usual, 4) if usual > 0 else 0.0,
+        extent_m=extent,
+        path_m=path,
+        findings=found,
+    )

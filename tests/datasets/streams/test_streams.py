@@ -1,0 +1,303 @@
+import threading
+import time
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+
+from conformodal.datasets import DatasetError, read_sequence
+from conformodal.datasets.streams import (
+    BagStream,
+    CameraStream,
+    Frame,
+    Pace,
+    SequenceStream,
+    SourceError,
+    VideoStream,
+    open_stream,
+    prefetch,
+)
+
+SIZE = (64, 48)
+
+
+def video(path, n=12, fps=10, size=SIZE):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), fps, size)
+    for i in range(n):
+        image = np.zeros((size[1], size[0], 3), np.uint8)
+        image[:, :, 2] = 20 * i % 256  # red, in OpenCV's order
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def test_a_video_gives_its_frames_in_rgb_with_their_times(tmp_path):
+    stream = open_stream(video(tmp_path / "v.avi"))
+    assert isinstance(stream, VideoStream)
+    assert stream.n_frames == 12
+    frames = list(stream)
+    np.testing.assert_allclose([f.timestamp_s for f in frames], 0.1 * np.arange(12), atol=1e-6)
+    assert [round(f.image[..., 0].mean() / 20) for f in frames] == list(range(12))
+    assert max(f.image[..., 2].mean() for f in frames) < 12
+    assert frames[3].name == "v-000003"
+
+
+def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
+    path = video(tmp_path / "v.avi", n=60, size=(320, 240))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    frames, stream = [], iter(VideoStream(path))
+    with pytest.raises(SourceError, match=r"v\.avi: ends after \d+ of"):
+        frames += stream
+    # the list is extended frame by frame before the error
+    assert 10 < len(frames) < 45
+
+
+def test_what_is_no_video_is_named(tmp_path):
+    (tmp_path / "v.avi").write_bytes(b"nothing")
+    with pytest.raises(SourceError, match=r"v\.avi: cannot be opened"):
+        open_stream(tmp_path / "v.avi")
+    with pytest.raises(SourceError, match="no such video"):
+        VideoStream(tmp_path / "absent.avi")
+
+
+class FakeCapture:
+    """A camera that is unplugged after three frames."""
+
+    def __init__(self, _):
+        self.left, self.released = 3, False
+
+    def isOpened(self):
+        return True
+
+    def set(self, *_):
+        return True
+
+    def read(self):
+        self.left -= 1
+        return (True, np.zeros((48, 64, 3), np.uint8)) if self.left >= 0 else (False, None)
+
+    def release(self):
+        self.released = True
+
+
+def test_a_camera_that_vanishes_is_named_and_what_it_gave_is_kept(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    stream = open_stream("camera:2")
+    assert isinstance(stream, CameraStream)
+    assert stream.live
+    assert stream.n_frames is None
+    frames = []
+    with pytest.raises(SourceError, match="camera 2: gives no more frames after 3"):
+        frames += stream
+    assert len(frames) == 3
+
+
+def test_a_camera_that_is_not_there_is_named():
+    with pytest.raises(SourceError, match="camera 97: cannot be opened"):
+        list(CameraStream(97))
+
+
+# ROS recordings, written by rosbags' own writers
+
+rosbags = pytest.importorskip("rosbags")
+
+
+def messages(store, *, encoding="bgr8", header_times=None, compressed=False):
+    """Six images with blue rising, half a second apart, and one CameraInfo."""
+    types = store.types
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    times = 100 + 0.5 * np.arange(6) if header_times is None else header_times
+    found = []
+    for i, t in enumerate(times):
+        extra = {"seq": i} if "seq" in header.__dataclass_fields__ else {}
+        head = header(stamp=stamp(sec=int(t), nanosec=round((t % 1) * 1e9)), frame_id="cam", **extra)
+        channels = {"mono8": 1}.get(encoding, 3)
+        image = np.zeros((48, 64, channels), np.uint8)
+        image[..., 0] = 40 * i
+        if compressed:
+            data = cv2.imencode(".png", image)[1].ravel()
+            found.append((head, types["sensor_msgs/msg/CompressedImage"](header=head, format="png", data=data)))
+        else:
+            padded = np.zeros((48, 64 * channels + 8), np.uint8)  # rows may be padded
+            padded[:, : 64 * channels] = image.reshape(48, -1)
+            kind = types["sensor_msgs/msg/Image"]
+            step = padded.shape[1]
+            data = padded.ravel()
+            found.append(
+                (head, kind(header=head, height=48, width=64, encoding=encoding, is_bigendian=0, step=step, data=data))
+            )
+    return found
+
+
+def camera_info(store, head):
+    kind = store.types["sensor_msgs/msg/CameraInfo"]
+    roi = store.types["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    values = {"d": np.array([-0.1, 0.02, 0.001, 0.002, 0.0]), "k": np.array([40.0, 0, 32, 0, 41, 24, 0, 0, 1])}
+    values |= {"r": np.eye(3).ravel(), "p": np.zeros(12)}
+    names = kind.__dataclass_fields__
+    values = {k if k in names else k.upper(): v for k, v in values.items()}
+    common = {"header": head, "height": 48, "width": 64, "distortion_model": "plumb_bob"}
+    return kind(**common, **values, binning_x=0, binning_y=0, roi=roi)
+
+
+def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=()):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    if kind == "ros1":
+        writer, serialize = Writer1(path), store.serialize_ros1
+    else:
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer, serialize = Writer2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    images = messages(store, **(image_options or {})) if topic else []
+    with writer:
+        for name, message_type in others:
+            writer.add_connection(name, message_type, typestore=store)
+        if not images:
+            return path
+        info = writer.add_connection("/cam/camera_info", "sensor_msgs/msg/CameraInfo", typestore=store)
+        message_type = images[0][1].__msgtype__
+        connection = writer.add_connection(topic, message_type, typestore=store)
+        if with_info:
+            writer.write(info, int(99e9), serialize(camera_info(store, images[0][0]), "sensor_msgs/msg/CameraInfo"))
+        for i, (_, message) in enumerate(images):
+            writer.write(connection, int((100 + i) * 1e9), serialize(message, message_type))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
+def test_ros_recordings_of_every_kind(tmp_path, kind):
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind)
+    stream = open_stream(path)
+    assert isinstance(stream, BagStream)
+    assert stream.n_frames == 6
+    assert (stream.camera.fx, stream.camera.fy, stream.camera.width) == (40, 41, 64)
+    assert stream.camera.distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
+    frames = list(stream)
+    np.testing.assert_allclose([f.timestamp_s for f in frames], 100 + 0.5 * np.arange(6), atol=1e-9)
+    assert [int(f.image[0, 0, 2]) for f in frames] == [40 * i for i in range(6)]  # blue comes last in RGB
+    if kind == "mcap":
+        (file,) = path.glob("*.mcap")
+        assert open_stream(file).n_frames == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "channel"),
+    [({"encoding": "rgb8"}, 0), ({"encoding": "mono8"}, 1), ({"compressed": True}, 2), ({"encoding": "bgr8"}, 2)],
+)
+def test_encodings(tmp_path, options, channel):
+    frames = list(BagStream(write_bag(tmp_path / "a", "sqlite", image_options=options)))
+    assert [int(f.image[5, 5, channel]) for f in frames] == [40 * i for i in range(6)]
+
+
+def test_an_encoding_that_is_not_known_costs_the_frames_and_says_so(tmp_path):
+    frames = list(BagStream(write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "yuv422"})))
+    assert all(f.image is None and "yuv422" in f.problem for f in frames)
+
+
+def test_a_recording_without_images_is_named_with_its_topics(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", topic=None, others=[("/imu", "sensor_msgs/msg/Imu")])
+    with pytest.raises(SourceError, match=r"holds no images; its topics are /imu"):
+        open_stream(path)
+
+
+def test_the_topic_must_be_there(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", with_info=False)
+    with pytest.raises(SourceError, match="no images on /other; there are /cam/image_raw"):
+        open_stream(path, topic="/other")
+    assert open_stream(path, topic="/cam/image_raw").camera is None
+
+
+def test_a_damaged_recording_is_named(tmp_path):
+    path = write_bag(tmp_path / "a.bag", "ros1")
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(SourceError, match=r"a\.bag"):
+        open_stream(path)
+    (tmp_path / "b.mcap").write_bytes(b"x")
+    with pytest.raises(SourceError, match=r"b\.mcap"):
+        open_stream(tmp_path / "b.mcap")
+
+
+# decoding ahead
+
+
+@dataclass
+class Slow:
+    """A stream whose frames take a while, and which may break off."""
+
+    n: int = 20
+    pause: float = 0.0
+    live: bool = False
+    fail: bool = False
+    name: str = "slow"
+    camera: None = None
+    n_frames: None = None
+
+    def __iter__(self):
+        for i in range(self.n):
+            time.sleep(self.pause)
+            yield Frame(str(i), 0.05 * i, np.zeros((2, 2, 3), np.uint8))
+        if self.fail:
+            raise SourceError("gone")
+
+
+def test_all_frames_come_in_order_and_the_error_after_them():
+    seen, frames = [], prefetch(Slow(fail=True))
+
+    def take():
+        for frame in frames:
+            seen.append(frame.name)
+            time.sleep(0.002)
+
+    with pytest.raises(SourceError, match="gone"):
+        take()
+    assert seen == [str(i) for i in range(20)]
+
+
+def test_decoding_goes_on_while_the_taker_works():
+    started = time.perf_counter()
+    for _ in prefetch(Slow(n=20, pause=0.02)):
+        time.sleep(0.02)
+    assert time.perf_counter() - started < 0.7  # one after the other it takes 0.8 s
+
+
+def test_a_live_source_loses_the_oldest_frames_of_a_slow_taker():
+    seen = []
+    for frame in prefetch(Slow(n=40, pause=0.005, live=True), depth=2):
+        seen.append(int(frame.name))
+        time.sleep(0.03)
+    assert seen == sorted(seen)
+    assert seen[-1] == 39
+    assert len(seen) < 25
+
+
+def test_the_cameras_pace_is_kept():
+    started = time.perf_counter()
+    assert len(list(prefetch(Slow(n=11), pace=Pace.CAMERA))) == 11
+    assert 0.45 < time.perf_counter() - started < 2.0
+
+
+def test_a_taker_that_stops_leaves_no_thread():
+    before = threading.active_count()
+    frames = prefetch(Slow(n=1000, pause=0.001))
+    next(frames)
+    frames.close()
+    time.sleep(0.1)
+    assert threading.active_count() <= before
+
+
+def test_a_data_set_streams_the_frames_between_too(redkitchen):
+    sequence = read_sequence(redkitchen)
+    stream = open_stream(redkitchen)
+    assert isinstance(stream, SequenceStream)
+    some = SequenceStream(sequence, np.array([3, 5, 8]))
+    frames = list(some)
+    assert [(f.index, f.answer) for f in frames] == [(i, i in (3, 5, 8)) for i in range(3, 9)]
+    assert some.n_frames == 6
+    np.testing.assert_array_equal(frames[2].image, sequence.image(5))
+    with pytest.raises(DatasetError, match="no such folder"):
+        open_stream(redkitchen / "absent")

@@ -1,0 +1,146 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.datasets import DatasetError, Layout, check_sequence, read_sequence
+from conformodal.datasets.streams import SequenceStream, VideoStream
+from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.poses import Trajectory, write_tum
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def scene(folder, n=6, lens=True):
+    rng = np.random.default_rng(0)
+    folder.mkdir()
+    for i in range(n):
+        Image.fromarray(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(folder / f"{5 + 0.1 * i:.6f}.png")
+    quats = rng.normal(size=(n, 4))
+    truth = Trajectory(5 + 0.1 * np.arange(n), rng.normal(size=(n, 3)), quats)
+    write_tum(folder / "poses.tum", truth)
+    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 41 24\n0 0 1\n")
+    if lens:
+        (folder / "camera-distortion.txt").write_text("-0.1 0.02 0.001 0.002\n")
+    return read_sequence(folder)
+
+
+@pytest.mark.parametrize("layout", WRITABLE)
+def test_what_is_written_is_read_back_the_same(tmp_path, layout):
+    before = scene(tmp_path / "a", lens=layout is not Layout.KITTI)
+    done = write_layout(tmp_path / "b", layout, SequenceStream(before), before.camera, before.truth)
+    assert (done.n_frames, done.n_unreadable, done.n_without_pose, done.notes) == (6, 0, 0, [])
+    after = read_sequence(tmp_path / "b", layout)
+    assert after.camera == before.camera
+    np.testing.assert_allclose(np.diff(after.timestamps_s), np.diff(before.timestamps_s), atol=1e-5)
+    np.testing.assert_allclose(after.truth.poses_se3, before.truth.poses_se3, atol=1e-7)
+    for i in range(6):
+        np.testing.assert_array_equal(after.image(i), before.image(i))
+
+
+def test_frames_without_a_pose_or_an_image_are_left_out_and_counted(tmp_path):
+    before = scene(tmp_path / "a")
+    before.image_paths[2].write_bytes(b"no image")
+    known = before.truth[np.array([0, 1, 2, 4])]
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
+    assert (done.n_frames, done.n_unreadable, done.n_without_pose) == (3, 1, 2)
+    assert "no timestamps" in done.notes[0]
+    after = read_sequence(tmp_path / "b")
+    np.testing.assert_allclose(after.truth.positions_xyz, known.positions_xyz[[0, 1, 3]], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"layout": Layout.EUROC}, "read only"),
+        ({"layout": Layout.KITTI}, "distortion"),
+        ({"layout": Layout.NERF, "poses": None}, "needs a pose"),
+        ({"folder": "a"}, "not empty"),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_anything_is(tmp_path, change, match):
+    before = scene(tmp_path / "a")
+    settings = {"folder": "b", "layout": Layout.TUM, "poses": before.truth} | change
+    with pytest.raises(DatasetError, match=match):
+        write_layout(
+            tmp_path / settings["folder"], settings["layout"], SequenceStream(before), before.camera, settings["poses"]
+        )
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_video_becomes_a_data_set(tmp_path):
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    for i in range(8):
+        writer.write(np.full((48, 64, 3), 25 * i, np.uint8))
+    writer.release()
+    (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 41 24\n0 0 1\n")
+    poses = Trajectory(0.1 * np.arange(8), np.arange(24.0).reshape(8, 3), np.tile([1.0, 0, 0, 0], (8, 1)))
+    write_tum(tmp_path / "poses.tum", poses)
+    arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set", "--to", "tum"]
+    refused = invoke(*arguments)
+    assert refused.exit_code == 2
+    assert "says no camera" in refused.output
+    result = invoke(*arguments, "--poses", tmp_path / "poses.tum", "--camera", tmp_path)
+    assert result.exit_code == 0, result.output
+    found = read_sequence(tmp_path / "set")
+    assert len(found) == 8
+    np.testing.assert_allclose(found.truth.positions_xyz, poses.positions_xyz)
+    assert [int(found.image(i).mean()) for i in range(8)] == pytest.approx([25 * i for i in range(8)], abs=2)
+    assert VideoStream(tmp_path / "v.avi").n_frames == 8
+
+
+def test_check_finds_what_is_wrong(tmp_path):
+    scene(tmp_path / "a", n=12)
+    paths = sorted((tmp_path / "a").glob("*.png"))
+    paths[3].write_bytes(paths[2].read_bytes())
+    paths[7].write_bytes(b"")
+    for path in paths[9:]:
+        path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
+    (tmp_path / "a" / "poses.tum").unlink()
+    found = check_sequence(read_sequence(tmp_path / "a", require_poses=False))
+    assert found.n_frames == 12
+    assert found.n_poses == 0
+    assert found.rate_hz == pytest.approx(10)
+    assert found.duration_s == pytest.approx(3.1)
+    assert {f.what.split(" ")[0]: (f.count, f.first) for f in found.findings}.items() >= {
+        "gap": (1, "7.900000.png"),
+        "the": (1, "5.300000.png"),
+    }.items()
+    assert "5.700000.png" in next(f.first for f in found.findings if "cannot be read" in f.what)
+    result = invoke("data", "check", tmp_path / "a", "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "image cannot be read" in result.output
+    record = json.loads((tmp_path / "out" / "metrics.json").read_text())["check"]
+    assert len(record["findings"]) == 3
+
+
+def test_check_of_a_sound_data_set_says_so(tmp_path):
+    scene(tmp_path / "a")
+    result = invoke("data", "check", tmp_path / "a")
+    assert result.exit_code == 0, result.output
+    assert "nothing is wrong" in result.output
+    assert "6, all rigid motions" in result.output
+
+
+def test_check_finds_a_jump(tmp_path):
+    n = 40
+    before = scene(tmp_path / "a", n=n)
+    places = np.column_stack((0.02 * np.arange(n), np.zeros(n), np.zeros(n)))
+    places[25:] += 3
+    write_tum(tmp_path / "a" / "poses.tum", Trajectory(before.timestamps_s, places, np.tile([1.0, 0, 0, 0], (n, 1))))
+    (finding,) = check_sequence(read_sequence(tmp_path / "a")).findings
+    assert finding.count == 1
+    assert finding.what.startswith("position jumps")
+    assert finding.first == f"{5 + 0.1 * 25:.6f}.png"
+
+
+def test_check_of_real_data(redkitchen, real_data):
+    found = check_sequence(read_sequence(real_data("kitti", "sequences", "06")))
+    assert (found.n_frames, found.n_poses, found.width) == (51, 51, 1226)
+    assert found.findings == []

@@ -1,0 +1,196 @@
+"""The page, in a real browser."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.odometry import ResultsWriter
+from conformodal.poses import Trajectory
+from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
+
+CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
+METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
+
+
+def made_up_run(folder, n=60, truth=True, whole_line=False):
+    """A camera on a circle whose region holds a second place on the other side."""
+    rng = np.random.default_rng(0)
+    angle = np.linspace(0, 5, n)
+    places = np.column_stack((2 * np.cos(angle), 2 * np.sin(angle), 0.1 * angle))
+    quats = np.column_stack((np.cos(angle / 2), np.zeros((n, 2)), np.sin(angle / 2)))
+    times = 0.1 * np.arange(n)
+    pictures = Thumbnails()
+    with ResultsWriter(folder) as writer:
+        writer.poses("smoothed", Trajectory(times, places + 0.01, quats))
+        writer.poses("classical", Trajectory(times, places + 0.3, quats))
+        if truth:
+            writer.truth(Trajectory(times, places, quats))
+        for i in range(n):
+            around = [np.array([[v - 0.1, v + 0.1]]) for v in (*places[i], *quats[i])]
+            if i >= 30:
+                around[0] = np.array([[-3, -2.7], [places[i, 0] - 0.1, places[i, 0] + 0.1]])
+            if whole_line and i == 5:
+                around[1] = np.array([[-np.inf, np.inf]])
+            writer.region(f"frame-{i:03d}", times[i], None, around)
+            pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    return pictures.kept
+
+
+def page_of(folder, pictures, title="a run"):
+    viewer = make_viewer(folder, pictures)
+    write_page(folder / "report.html", ReportContent(title, ["first line"], METRICS, viewer=viewer))
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as started:
+        quiet = ["--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", *quiet])
+        yield opened
+        opened.close()
+
+
+def ink(page, canvas):
+    """How many pixels of a canvas are not empty, and a sum that tells pictures apart."""
+    return page.evaluate(
+        """(id) => {
+            const c = document.getElementById(id), d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+            let used = 0, sum = 0;
+            for (let i = 0; i < d.length; i += 4) {
+                if (d[i + 3]) used++;
+                sum = (sum * 31 + d[i] + d[i + 3]) % 1000003;
+            }
+            return [used, sum];
+        }""",
+        canvas,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_clicking_through_the_page(browser, tmp_path, scheme):
+    path = page_of(tmp_path, made_up_run(tmp_path))
+    page = browser.new_page(color_scheme=scheme, viewport={"width": 1000, "height": 1400})
+    trouble, asked = [], []
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(path.as_uri())
+    canvases = ["plan", "space", "band-x", "band-y", "band-z", "size", "error", "angle"]
+    first = {name: ink(page, name) for name in canvases}
+    assert all(used > 200 for used, _ in first.values()), first
+    assert page.inner_text("#label").startswith("frame-000, 0.00 s (1 of 60 shown)")
+    words = page.inner_text("#words")
+    assert "x 1, y 1, z 1" in words
+    assert "0.0173 m" in words  # off by 0.01 along each axis
+    source = page.get_attribute("#frame", "src")
+    # the slider
+    page.fill("#scrub", "40")
+    assert page.inner_text("#label").startswith("frame-040, 4.00 s")
+    assert "x 2, y 1, z 1" in page.inner_text("#words")
+    assert page.get_attribute("#frame", "src") != source
+    then = {name: ink(page, name) for name in canvases}
+    assert all(then[name] != first[name] for name in canvases)
+    # buttons, keys, charts
+    page.click("#forth")
+    assert page.inner_text("#label").startswith("frame-041")
+    page.click("#back")
+    page.keyboard.press("ArrowLeft")
+    assert page.inner_text("#label").startswith("frame-040") or page.inner_text("#label").startswith("frame-039")
+    box = page.locator("#error").bounding_box()
+    page.locator("#error").click(position={"x": box["width"] - 8, "y": 40})
+    assert page.inner_text("#label").startswith("frame-059")
+    # the trajectory turns
+    before = ink(page, "space")
+    box = page.locator("#space").bounding_box()
+    page.mouse.move(box["x"] + 50, box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 150, box["y"] + 90, steps=4)
+    page.mouse.up()
+    assert ink(page, "space") != before
+    page.click("#play")
+    page.wait_for_function("document.getElementById('label').textContent.startsWith('frame-003')", timeout=10_000)
+    page.click("#play")
+    stopped = page.inner_text("#label")
+    page.wait_for_timeout(250)
+    assert page.inner_text("#label") == stopped
+    assert trouble == []
+    assert all(url.startswith(("file:", "data:")) for url in asked)  # no network
+    page.screenshot(path=tmp_path / "page.png", full_page=True)
+    shade = np.asarray(Image.open(tmp_path / "page.png").convert("L"))[:, :40].mean()
+    assert (shade < 80) == (scheme == "dark")
+    page.close()
+
+
+@pytest.mark.slow
+def test_a_run_without_truth_images_or_bounds_is_shown_too(browser, tmp_path):
+    made_up_run(tmp_path, n=12, truth=False, whole_line=True)
+    page = browser.new_page()
+    trouble = []
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.goto(page_of(tmp_path, {}).as_uri())
+    assert page.locator("canvas").count() == 6
+    assert page.locator("#frame").count() == 0
+    page.fill("#scrub", "5")
+    assert page.inner_text("#label").startswith("frame-005")
+    assert trouble == []
+    page.close()
+
+
+def test_long_runs_are_thinned_and_stay_small(tmp_path):
+    n = 2600
+    pictures = made_up_run(tmp_path, n=n)
+    assert len(pictures) <= 1000
+    path = page_of(tmp_path, pictures)
+    found = json.loads(re.search(r'id="viewer-data">(.*?)</script>', path.read_text(), re.DOTALL)[1])
+    assert 500 <= len(found["frames"]) <= 1000
+    steps = np.diff([frame["t"] for frame in found["frames"]])
+    np.testing.assert_allclose(steps, steps[0], atol=1e-6)  # evenly
+    assert all("img" in frame for frame in found["frames"])
+    assert f"{len(found['frames'])} of {n} frames are shown" in path.read_text()
+
+
+def test_a_page_of_a_thousand_real_frames_is_below_15_mb(redkitchen, tmp_path):
+    from conformodal.datasets import read_sequence
+
+    sequence = read_sequence(redkitchen)
+    pictures = Thumbnails()
+    for i in range(0, 1000, 20):
+        pictures.add(sequence.image_paths[i].name, sequence.image(i))
+    size = sum(map(len, pictures.kept.values())) / len(pictures.kept)
+    assert 1000 * (size * 4 / 3 + 700) < 15e6
+
+
+def test_names_cannot_leave_the_script(tmp_path):
+    with ResultsWriter(tmp_path) as writer:
+        one = Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
+        writer.poses("smoothed", one)
+        writer.region("</script><b>", 0.0, None, [np.array([[0.0, 1.0]])] * 7)
+    text = page_of(tmp_path, {}, title="<i>").read_text()
+    assert "</script><b>" not in text
+    assert "<i>" not in text
+
+
+def test_thumbnails_are_spread_evenly():
+    kept = Thumbnails(most=10, width=8)
+    for i in range(95):
+        kept.add(str(i), np.full((6, 16, 3), i, np.uint8))
+    numbers = [int(name) for name in kept.kept]
+    assert len(numbers) <= 10
+    assert len(set(np.diff(numbers))) == 1
+    assert numbers[-1] >= 80
+
+
+def test_the_pages_folder_holds_no_empty_figures(tmp_path):
+    made_up_run(tmp_path, n=3)
+    page_of(tmp_path, {})
+    assert not (Path(tmp_path) / "figures").exists()
