@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DEV := $(VENV)/.ready-dev
 # The CPU build of torch: the default one brings gigabytes of CUDA. Set TORCH_INDEX to another index for a GPU.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
@@ -11,10 +12,10 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
 
-test: $(READY)
+test: $(DEV)
 	$(BIN)/python -m pytest --cov --cov-report=term
 
-lint: $(READY)
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -22,7 +23,7 @@ lint: $(READY)
 
 check: test lint
 
-setup: $(READY)
+setup: $(DEV)
 
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "conformodal needs Python 3.11 or newer; found $$($(PYTHON) --version). Set PYTHON=..."; exit 1; }
@@ -30,8 +31,13 @@ $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "torch==2.13.*"
-	$(BIN)/python -m pip install --quiet --editable . --group dev
+	$(BIN)/python -m pip install --quiet --editable .
 	@touch $(READY)
+
+# what tests, linters and optional extras need on top
+$(DEV): $(READY) pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	@touch $(DEV)
 
 clean:
 	rm -rf $(VENV) demo-out

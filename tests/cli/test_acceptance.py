@@ -34,7 +34,7 @@ def test_demo(tmp_path):
 def test_redkitchen_interleaved(redkitchen, tmp_path):
     cache = tmp_path / "cache"
     invoke("train", redkitchen, "--out", tmp_path / "model", "--classical", "--cache", cache)
-    invoke("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test", "--cache", cache)
+    invoke("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test")
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == 200
     assert metrics["errors"]["classical"]["rmse_m"] <= 0.040

@@ -159,8 +159,9 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     assert result.exit_code == 0, result.output
     radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
     assert radius["n_recordings"] == 5
-    # of five maxima, each calibrated at a quarter, the largest: all frames that made it lie within
-    assert radius["share_held"] == 1
+    # of five maxima, each calibrated at a quarter, the largest: all frames lie within, but for rounding of the one or
+    # two that made it (position and angle)
+    assert radius["share_held"] >= 1 - 2.01 / 30
     assert radius["radius_m"] > 0
     assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
 
@@ -186,3 +187,14 @@ def test_calibrate_refuses_what_the_model_was_trained_on(small_world, tmp_path, 
     result = invoke("calibrate", small_world.model, flights, "--method", "luck", "--cache", tmp_path)
     assert result.exit_code == 2
     assert "method must be one of" in result.output
+
+
+def test_fine_tuning_by_name():
+    from conformodal.cli.train import tuning_of
+    from conformodal.vision import FineTuning, VisionError
+
+    assert tuning_of("none", 5, 0) is None
+    assert tuning_of("all", 5, 1) == FineTuning(None, 5, seed=1)
+    assert tuning_of("2", 5, 1) == FineTuning(2, 5, seed=1)
+    with pytest.raises(VisionError, match="'some'"):
+        tuning_of("some", 5, 0)

@@ -1,11 +1,11 @@
 import json
 import re
 import sys
-from html import escape
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from markupsafe import escape
 from PIL import Image
 from typer.testing import CliRunner
 
