@@ -52,7 +52,7 @@ def main() -> None:
                 model, out = root / f"{split}{seed}", root / f"{split}{seed}-out"
                 cache = ["--cache", root / "cache"]
                 seconds = run("train", video, "--out", model, "--split", split, "--seed", seed, "--classical", *cache)
-                run("run", model, video, "--out", out, "--part", "test", *cache)
+                run("run", model, video, "--out", out, "--part", "test")
                 found[f"redkitchen, {split}"].append({**metrics_of(out), "wall": seconds})
     rows = []
     for name, results in found.items():

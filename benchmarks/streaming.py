@@ -150,8 +150,8 @@ def main() -> None:
     lines += [
         "",
         f"Median and range of {REPEATS} runs over the {len(sequence)} frames of seq-01 (640x480, JPEG), "
-        "EfficientNet-Lite0 to block 7, three finders and the calibrated head, from files on disk; until the last frame is "
-        "answered. Images are decoded in a thread of its own.",
+        "EfficientNet-Lite0 to block 7, three finders and the calibrated head, from files on disk; until the last "
+        "frame is answered. Images are decoded in a thread of its own.",
         "",
         f"Memory above the loaded model: {after_first - loaded:.0f} MB at most in the first {len(sequence)} frames, "
         f"{max(peak) - loaded:.0f} MB in {ROUNDS * len(sequence)}.",

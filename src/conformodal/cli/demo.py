@@ -35,7 +35,7 @@ from .train import train_on
 N_MODULES, N_LAPS = 5, 2
 # Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6)
-COMPONENTS = (512,)  # rooms differ in small things
+COMPONENTS = (None,)  # all features: rooms differ in small things
 ALPHA = 0.04
 
 

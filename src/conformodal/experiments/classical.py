@@ -99,7 +99,7 @@ class ClassicalRegressor:
 def train_classical(
     data: TrainingData,
     config: TrainingConfig,
-    components: Sequence[int] = ModelConfig().components,
+    components: Sequence[int | None] = ModelConfig().components,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> ClassicalRegressor:
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.

@@ -19,14 +19,14 @@ def choose_components(
     targets: npt.NDArray[np.float64],
     recording: npt.NDArray[np.int64],
     frames: npt.NDArray[np.int64],
-    choices: Sequence[int],
+    choices: Sequence[int | None],
     *,
     kind: SplitKind,
     bins: QuantileBins,
     sigma_bins: float,
     training: TrainingConfig,
     progress: Callable[[int, int], None] | None = None,
-) -> int:
+) -> int | None:
     """The choice under which frames that were held out from training are most probable.
 
     Few components say less of chance details, which pays far from the training frames; many say more, which pays

@@ -65,7 +65,7 @@ class ModelConfig:
         Shares of all frames, see :func:`~conformodal.datasets.make_split`.
     components
         Numbers of principal components of the features to choose from, see
-        :func:`~conformodal.odometry.components.choose_components`; one alone is taken as it is.
+        :func:`~conformodal.odometry.components.choose_components`; one alone is taken as it is. None is all features.
     finders
         Heads that the search for the pose starts from.
     network
@@ -95,7 +95,7 @@ class ModelConfig:
     test: float = 0.2
     calibration: float = 0.16
     used: float | None = None
-    components: tuple[int, ...] = (64, 256)
+    components: tuple[int | None, ...] = (64, 256)
     finders: int = 3
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
@@ -112,7 +112,7 @@ class ModelConfig:
         pick_device(self.device)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
-        if not self.components or min(self.components) < 1:
+        if not self.components or any(k is not None and k < 1 for k in self.components):
             raise OdometryError(f"components must be one number or more, at least 1 each, got {self.components}")
         if self.finders < 1:
             raise OdometryError(f"finders must be at least 1, got {self.finders}")
