@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +89,8 @@ class StreamRunner:
         self._lagging: Trajectory | None = None
         self._recording: int | None = None
         self._last: Frame | None = None
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
+        self._job: Future[None] | None = None
         odometry.reset()
 
     @property
@@ -129,6 +132,7 @@ class StreamRunner:
     def finish(self) -> None:
         """Write the answers that waited for more frames; also what a run that is stopped ends with."""
         self._flush(everything=True)
+        self._pool.shutdown()
 
     def _take(
         self,
@@ -167,17 +171,32 @@ class StreamRunner:
             self.writer.poses("online", rest[1:] if len(rest) == self.odometry.lag + 1 else rest)
             self._lagging = None
         if len(self._pending) == self._n_written:
+            self._settle()
             self._pending, self._n_written = [], 0
             return
-        pending, prior = self._pending, self.odometry.model.prior
+        pending = self._pending
+        done = len(pending) if everything else len(pending) - self.overlap
+        kept_from = done if everything else done - self.overlap
+        self._settle()  # one window at a time, so that memory stays bounded
+        self._job = self._pool.submit(self._answer, pending, slice(self._n_written, done))
+        self._pending, self._n_written = pending[kept_from:], done - kept_from
+        if everything:
+            self._settle()
+
+    def _answer(self, pending: list[_Pending], wanted: slice) -> None:
+        """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
+        prior = self.odometry.model.prior
         times = np.array([p.timestamp_s for p in pending])
         seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times)
         found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
         if self.others is not None:
             features = np.array([p.features for p in pending], dtype=np.float32)
             found |= self.others(features, seen, prior)
-        done = len(pending) if everything else len(pending) - self.overlap
         for name, trajectory in found.items():
-            self.writer.poses(name, trajectory[self._n_written : done])
-        kept_from = done if everything else done - self.overlap
-        self._pending, self._n_written = pending[kept_from:], done - kept_from
+            self.writer.poses(name, trajectory[wanted])
+
+    def _settle(self) -> None:
+        """Wait for the window that is being answered."""
+        if self._job is not None:
+            self._job.result()
+            self._job = None

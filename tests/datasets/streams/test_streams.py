@@ -182,7 +182,9 @@ def test_ros_recordings_of_every_kind(tmp_path, kind):
     assert [int(f.image[0, 0, 2]) for f in frames] == [40 * i for i in range(6)]  # blue comes last in RGB
     if kind == "mcap":
         (file,) = path.glob("*.mcap")
-        assert open_stream(file).n_frames == 6
+        alone = file.rename(tmp_path / "alone.mcap")  # a file by itself, without ROS's metadata
+        assert open_stream(alone).n_frames == 6
+        assert len(list(open_stream(alone))) == 6
 
 
 @pytest.mark.parametrize(

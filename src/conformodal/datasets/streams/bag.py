@@ -157,9 +157,8 @@ def _reader(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
     except ModuleNotFoundError as exc:
         raise SourceError(f"{path}: ROS recordings need rosbags: pip install 'conformodal[ros]'") from exc
-    folder = path.parent if path.suffix in (".mcap", ".db3") else path
     try:
-        reader = AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except _errors() as exc:
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}") from exc
