@@ -39,6 +39,7 @@ def test_a_video_is_run_on(small_world, video, tmp_path):
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["n_answered"] == 25
+    assert "flight.avi: video, 40 frames" in result.output
     assert "errors" not in metrics
     assert len(read_trajectories(tmp_path)["smoothed"]) == 25
     assert (tmp_path / "report.html").is_file()

@@ -343,3 +343,11 @@ def test_damaged_files_are_named(tmp_path, layout, file, change, match):
     with pytest.raises(DatasetError, match=match) as caught:
         read_sequence(folder, layout)
     assert path.name in str(caught.value)
+
+
+def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
+    folder = write_tum(tmp_path)
+    path = folder / "groundtruth.txt"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *(rows[i] for i in (3, 0, 4, 2, 1))]) + "\n")
+    np.testing.assert_allclose(read_sequence(folder).require_truth().positions_xyz, PLACES)

@@ -169,3 +169,11 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(small_world, tmp_path):
     (tmp_path / "runs" / "interleaved-bins10" / "regions.jsonl").write_text("")
     with pytest.raises(ResultsError, match="differ in length"):
         StoredRun.read(tmp_path / "runs" / "interleaved-bins10")
+
+
+def test_engines_by_name():
+    from conformodal.cli.reproduce import EngineKind, _engine
+    from conformodal.experiments import LocalEngine, RayEngine
+
+    assert _engine(EngineKind.RAY, 1, "auto") == RayEngine("auto")
+    assert _engine(EngineKind.LOCAL, 3, None) == LocalEngine(3)

@@ -11,13 +11,13 @@ from rich.table import Table
 
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.files import camera_beside
-from conformodal.datasets.streams import SequenceStream, open_stream
+from conformodal.datasets.streams import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import provenance, write_metrics
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
 
 from .console import console, kind_errors, print_where, progress_bars
-from .sources import open_sequence
+from .sources import open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
 _FOUND = 1
@@ -76,7 +76,7 @@ def convert(
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
 ) -> None:
     """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
-    stream = open_stream(source, layout, topic=topic)
+    stream = open_source(source, layout, topic=topic)
     truth = read_tum(poses) if poses is not None else _truth(stream)
     lens = stream.camera or _camera(camera, next(iter(stream)).image)
     with progress_bars() as report:

@@ -20,7 +20,6 @@ from conformodal.datasets.streams import (
     Pace,
     SequenceStream,
     SourceError,
-    open_stream,
     prefetch,
 )
 from conformodal.experiments import ClassicalRegressor, load_classical
@@ -39,6 +38,7 @@ from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer,
 
 from .console import StatusLine, console, kind_errors, print_where
 from .outcome import Known, Part, part_frames, run_metrics, say, summary
+from .sources import open_source
 
 INTERRUPTED, BROKE_OFF = 130, 3
 
@@ -68,9 +68,8 @@ def run(
     loaded = load_model(model)
     if alpha is not None:
         loaded.recalibrate(alpha)
-    stream = open_stream(source, layout, camera=loaded.camera, topic=topic)
+    stream = open_source(source, layout, camera=loaded.camera, topic=topic)
     if isinstance(stream, SequenceStream):
-        console.print(f"{source}: {len(stream.sequence)} frames", soft_wrap=True)
         stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
     elif part is not Part.ALL:
         raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from conformodal.datasets import Layout, Sequence, read_sequence, recognise
+from conformodal.datasets.streams import FrameStream, SequenceStream, open_stream
+from conformodal.poses import PinholeCamera
 
 from .console import console
 
@@ -21,3 +23,24 @@ def open_sequence(path: Path, layout: Layout, *, require_poses: bool) -> Sequenc
         layout = recognise(path)
         console.print(f"{path}: {layout} layout", soft_wrap=True)
     return read_sequence(path, layout, require_poses=require_poses)
+
+
+def open_source(
+    source: str, layout: Layout, *, camera: PinholeCamera | None = None, topic: str | None = None
+) -> FrameStream:
+    """Open anything that gives frames, see :func:`~conformodal.datasets.streams.open_stream`; says what it is.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be opened.
+    """
+    stream = open_stream(source, layout, camera=camera, topic=topic)
+    if isinstance(stream, SequenceStream):
+        kind = recognise(Path(source)) if layout is Layout.AUTO else layout
+        poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
+        console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True)
+    else:
+        count = "" if stream.n_frames is None else f", {stream.n_frames} frames"
+        console.print(f"{stream.name}: {type(stream).__name__.removesuffix('Stream').lower()}{count}", soft_wrap=True)
+    return stream
