@@ -52,7 +52,9 @@ def fit_projection(features: FloatArray, n_components: int | None) -> Projection
     standard = (features - offset) / scale
     if n_components is None or not standard.any():  # features that are all the same have no directions
         return Projection(offset, 1 / scale)
-    pca = PCA(min(n_components, n - 1, n_features), random_state=0).fit(standard)
+    # exact: the randomised solver's last directions are poor, and it shows in errors far from the training frames
+    solver = "full" if n <= n_features else "covariance_eigh"
+    pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit(standard)
     gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
     components = np.ascontiguousarray((pca.components_ / gain).T / scale[:, None], dtype=np.float32)
     return Projection(offset, components)
