@@ -153,8 +153,8 @@ def main() -> None:
         "EfficientNet-Lite0 to block 7, three finders and the calibrated head, from files on disk; until the last "
         "frame is answered. Images are decoded in a thread of its own.",
         "",
-        f"Memory above what the runs before left, model included: {after_first - loaded:.0f} MB at most in the first {len(sequence)} frames, "
-        f"{max(peak) - loaded:.0f} MB in {ROUNDS * len(sequence)}.",
+        f"Memory above what the runs before left, model included: {after_first - loaded:.0f} MB at most in the first "
+        f"{len(sequence)} frames, {max(peak) - loaded:.0f} MB in {ROUNDS * len(sequence)}.",
         "",
         f"Decoding and resizing alone, two threads: {spread(rates, 0)} frames a second.",
     ]
