@@ -98,7 +98,7 @@ def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_wor
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
     run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
-    table = coverage_table(run, sequence.require_truth()[back.split.test[:15]], back, exchangeable=True)
+    table = coverage_table(run.regions, sequence.require_truth()[back.split.test[:15]], back, exchangeable=True)
     assert (table["joint_band_99"] is not None) == (joint == "max")
     assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
 
