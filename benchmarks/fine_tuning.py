@@ -14,7 +14,7 @@ from conformodal.experiments import error_table, train_classical
 from conformodal.odometry import ModelConfig, VisualOdometry, measure_motions, prepare_training_data, train_model
 from conformodal.vision import FeatureCache, FineTuning, default_cache_dir
 
-VARIANTS = {"frozen": None, "last 3 blocks": FineTuning(blocks=3), "whole network": FineTuning(blocks=None)}
+VARIANTS = {"frozen": None, "last 3 blocks": FineTuning(blocks=3)}
 
 
 def main() -> None:
