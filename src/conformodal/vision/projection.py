@@ -35,8 +35,8 @@ class Projection:
 def fit_projection(features: FloatArray, n_components: int | None) -> Projection:
     """Principal components of standardised features, all on one scale: their mean variance is one.
 
-    They are not whitened, so that a network and dropout see how much each matters. Training is several times as fast
-    as on all features, and more accurate (benchmarks/ablation.py).
+    They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
+    features: benchmarks/ablation.py.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def fit_projection(features: FloatArray, n_components: int | None) -> Projection
     standard = (features - offset) / scale
     if n_components is None or not standard.any():  # features that are all the same have no directions
         return Projection(offset, 1 / scale)
-    # exact: the randomised solver's last directions are poor, and it shows in errors far from the training frames
+    # exact solvers: the last of a few hundred directions are where a randomised one is poor
     solver = "full" if n <= n_features else "covariance_eigh"
     pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit(standard)
     gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
