@@ -168,6 +168,9 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     part = invoke("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
     assert part.exit_code == 0, part.output
     assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
+    some = invoke("run", model, flights, "--limit", 3, "--out", tmp_path / "part")
+    assert some.exit_code == 0, some.output
+    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
 
     result = invoke("calibrate", model, flights, *cache)
     assert result.exit_code == 0, result.output

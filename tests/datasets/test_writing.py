@@ -95,6 +95,12 @@ def test_a_video_becomes_a_data_set(tmp_path):
     assert VideoStream(tmp_path / "v.avi").n_frames == 8
 
 
+def test_a_camera_has_no_end_to_convert(tmp_path):
+    result = invoke("data", "convert", "camera:3", "--out", tmp_path / "set")
+    assert result.exit_code == 2
+    assert "has no end" in result.output
+
+
 def test_check_finds_what_is_wrong(tmp_path):
     scene(tmp_path / "a", n=12)
     paths = sorted((tmp_path / "a").glob("*.png"))

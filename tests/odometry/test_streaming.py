@@ -42,6 +42,7 @@ def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch
     frames, run = batch
     runner = stream(world, frames, tmp_path)
     assert runner.n_answered == len(frames)
+    assert not runner.windowed
     assert runner.answered == frames.tolist()
     found = read_trajectories(tmp_path)
     for name, trajectory in run.trajectories.items():
@@ -58,7 +59,7 @@ def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch
 
 def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
     frames, run = batch
-    stream(world, frames, tmp_path, window=25, overlap=8)
+    assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
     found = read_trajectories(tmp_path)
     for name in ("smoothed", "viterbi", "online", "greedy", "softmax_mean", "classical_smoothed"):
         np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)

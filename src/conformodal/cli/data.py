@@ -11,7 +11,7 @@ from rich.table import Table
 
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.files import camera_beside
-from conformodal.datasets.streams import SequenceStream
+from conformodal.datasets.streams import Frame, FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import provenance, write_metrics
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
@@ -77,8 +77,10 @@ def convert(
 ) -> None:
     """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
     stream = open_source(source, layout, topic=topic)
+    if stream.live:
+        raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     truth = read_tum(poses) if poses is not None else _truth(stream)
-    lens = stream.camera or _camera(camera, next(iter(stream)).image)
+    lens = stream.camera or _camera(camera, next(iter(stream)))
     with progress_bars() as report:
         total = stream.n_frames or 0
         done = write_layout(out, to, stream, lens, truth, lambda number: report("frames", number, max(total, number)))
@@ -92,14 +94,14 @@ def convert(
     print_where(out)
 
 
-def _truth(stream: object) -> Trajectory | None:
+def _truth(stream: FrameStream) -> Trajectory | None:
     return stream.sequence.truth if isinstance(stream, SequenceStream) else None
 
 
-def _camera(folder: Path | None, image: object) -> PinholeCamera:
+def _camera(folder: Path | None, first: Frame) -> PinholeCamera:
     if folder is None:
         raise DatasetError("the source says no camera; name a folder with camera-intrinsics.txt by --camera")
-    shape = getattr(image, "shape", None)
-    if shape is None:
-        raise DatasetError("the first frame cannot be read, so the size of the images is not known")
-    return camera_beside(folder, (shape[1], shape[0]), None)
+    if first.image is None:
+        raise DatasetError(f"{first.name}: cannot be read, so the size of the images is not known: {first.problem}")
+    height, width, _ = first.image.shape
+    return camera_beside(folder, (width, height), None)

@@ -66,6 +66,8 @@ def run_metrics(
     trajectories: dict[str, Trajectory],
     known: Known | None,
     counts: dict[str, Any],
+    *,
+    whole: bool = True,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -79,6 +81,8 @@ def run_metrics(
         What errors and coverage need.
     counts
         Numbers of frames and seconds.
+    whole
+        Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
     """
     metrics: dict[str, Any] = {
         "command": "run",
@@ -93,11 +97,11 @@ def run_metrics(
     if classical is not None:
         metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if part is Part.ALL else None
+    radius = model.radius if whole and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
-        exchangeable = is_exchangeable(model, str(part))
+        exchangeable = whole and is_exchangeable(model, str(part))
         metrics["coverage"] = coverage_table(known.regions, known.truth, model, exchangeable=exchangeable)
     return metrics
 

@@ -104,7 +104,7 @@ def stream_through(
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     truth = None if sequence is None else sequence.truth
-    pictures, whole_space, stopped = Thumbnails(), False, ""
+    pictures, whole_space, limited, stopped = Thumbnails(), False, False, ""
     started = time.perf_counter()
     with ResultsWriter(out) as writer:
         others = None if classical is None else classical.answers
@@ -120,7 +120,8 @@ def stream_through(
                         if live is not None:
                             live.log(frame, estimate, None if truth is None else truth[frame.index : frame.index + 1])
                         status.update(number, estimate)
-                    if stop or number == limit:
+                    limited = number == limit
+                    if stop or limited:
                         stopped = "interrupted" if stop else ""
                         break
         except SourceError as exc:
@@ -146,9 +147,11 @@ def stream_through(
         "stopped": stopped,
         "seconds": round(seconds, 2),
     }
+    lossy = stream.live or pace is Pace.CAMERA
+    whole = not (stopped or limited or lossy or runner.windowed)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     trajectories = read_trajectories(out) if needed else {}
-    metrics = run_metrics(model, classical, part, trajectories, known, counts)
+    metrics = run_metrics(model, classical, part, trajectories, known, counts, whole=whole)
     write_metrics(out, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(out)

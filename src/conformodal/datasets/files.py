@@ -16,6 +16,8 @@ from .sequence import read_image
 FloatArray = npt.NDArray[np.float64]
 
 FRAME_RATE_HZ = 30.0
+# Poses are paired with images as near as this, as the TUM data set's own tool does.
+MAX_TIME_DIFFERENCE_S = 0.02
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -124,7 +126,18 @@ def even_times(folder: Path, n_frames: int) -> FloatArray:
         If the file holds no positive number.
     """
     path = folder / "frame-rate.txt"
-    rate = read_numbers(path) if path.is_file() else np.array([FRAME_RATE_HZ])
+    return np.arange(n_frames) / (read_frame_rate(path) if path.is_file() else FRAME_RATE_HZ)
+
+
+def read_frame_rate(path: Path) -> float:
+    """The number of ``frame-rate.txt``, Hz.
+
+    Raises
+    ------
+    DatasetError
+        If the file holds anything but one positive number.
+    """
+    rate = read_numbers(path)
     if rate.size != 1 or not rate[0] > 0 or not np.isfinite(rate[0]):
         raise DatasetError(f"{path}: holds {rate.tolist()}, expected a positive frame rate in Hz")
-    return np.asarray(np.arange(n_frames) / rate[0])
+    return float(rate[0])

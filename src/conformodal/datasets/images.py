@@ -10,11 +10,10 @@ import numpy.typing as npt
 from conformodal.poses import Trajectory, TrajectoryFileError, read_kitti, read_tum
 
 from .errors import DatasetError
-from .files import camera_beside, even_times, image_size, poses_at, read_numbers
+from .files import MAX_TIME_DIFFERENCE_S, camera_beside, even_times, image_size, poses_at, read_numbers
 from .sequence import Sequence
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-MAX_TIME_DIFFERENCE_S = 0.02
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
 _NANOSECONDS = 1e14  # a time in seconds of this size would be the year three million
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .errors import DatasetError
-from .files import camera_beside, image_size, read_numbers
+from .files import camera_beside, image_size, read_frame_rate, read_numbers
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
@@ -108,14 +108,14 @@ def _truth(images: list[Path], stamps: npt.NDArray[np.float64], *, required: boo
         raise
 
 
-def _read_matrix(path: Path, size: int, *, last_row: bool = True) -> npt.NDArray[np.float64]:
+def _read_matrix(path: Path, size: int) -> npt.NDArray[np.float64]:
     matrix = read_numbers(path)
     if matrix.size != size * size:
         raise DatasetError(f"{path}: holds {matrix.size} numbers, expected {size * size} ({size}x{size})")
     matrix = matrix.reshape(size, size)
     if not np.isfinite(matrix).all():
         raise DatasetError(f"{path}: holds NaN or infinity")
-    if last_row and np.abs(matrix[-1] - np.eye(size)[-1]).max() > 1e-6:
+    if np.abs(matrix[-1] - np.eye(size)[-1]).max() > 1e-6:
         raise DatasetError(f"{path}: its last row is {matrix[-1].tolist()}, expected {np.eye(size)[-1].tolist()}")
     return matrix
 
@@ -132,10 +132,7 @@ def _frame_rate(folder: Path, recordings: list[Path]) -> float:
     path = _beside("frame-rate.txt", recordings[0] if recordings else folder, folder)
     if path is None:
         return FRAME_RATE_HZ
-    rate = float(_read_matrix(path, 1, last_row=False)[0, 0])
-    if not rate > 0:
-        raise DatasetError(f"{path}: holds {rate:g}, expected a positive frame rate in Hz")
-    return rate
+    return read_frame_rate(path)
 
 
 def _camera(folder: Path, first_image: Path) -> PinholeCamera:

@@ -10,11 +10,9 @@ import numpy as np
 from conformodal.poses import PinholeCamera, TrajectoryFileError, read_tum
 
 from .errors import DatasetError
-from .files import camera_beside, image_size, poses_at, read_lines
+from .files import MAX_TIME_DIFFERENCE_S, camera_beside, image_size, poses_at, read_lines
 from .sequence import Sequence
 
-# As the data set's own tool pairs them.
-MAX_TIME_DIFFERENCE_S = 0.02
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
 CAMERAS = {
     "1": PinholeCamera(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),

@@ -15,11 +15,11 @@ from PIL import Image
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, concatenate, tum_lines, write_kitti
 
 from .errors import DatasetError
+from .files import MAX_TIME_DIFFERENCE_S
 from .layouts import Layout
 from .nerf import FILE, OPENGL_AXES
 from .streams import Frame, FrameStream, SequenceStream
 
-MAX_TIME_DIFFERENCE_S = 0.02
 # Where images go, and how they are named: number, or time in seconds.
 _PLACES: dict[Layout, tuple[str, str]] = {
     Layout.SEVENSCENES: ("", "frame-{number:06d}.color"),

@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.odometry import ModelConfig, OdometryRun, TrainingData
+from conformodal.odometry import ModelConfig, OdometryRun, TrainingData, as_trajectory
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import (
@@ -79,10 +79,7 @@ class ClassicalRegressor:
         spread, angle = np.broadcast_to(self.spread_m, (n, 3)), np.full(n, self.spread_rad)
         own = PosePath(seen.timestamps_s, values[:, :3], spread, normalise_quat(values[:, 3:]), angle)
         paths = {"classical": own, "classical_smoothed": smooth(own, seen, prior)}
-        return {
-            name: Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
-            for name, path in paths.items()
-        }
+        return {name: as_trajectory(path) for name, path in paths.items()}
 
     def trajectories(
         self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior

@@ -16,8 +16,8 @@ ASSUMPTION_HELD = (
     "follows the Beta-binomial law whose central 99 % is the band."
 )
 ASSUMPTION_BROKEN = (
-    "Calibration and evaluated frames are different stretches of video, which are not exchangeable: coverage here "
-    "is an observation, and no guarantee applies."
+    "The evaluated frames were not held out at random together with the calibration frames, so the two are not "
+    "exchangeable: coverage here is an observation, and no guarantee applies."
 )
 
 

@@ -1,6 +1,6 @@
 """The estimator: trained models, streams and sequences."""
 
-from .answers import METHODS, OtherMethods, answers
+from .answers import METHODS, OtherMethods, answers, as_trajectory
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
@@ -37,6 +37,7 @@ __all__ = [
     "TrainingData",
     "VisualOdometry",
     "answers",
+    "as_trajectory",
     "calibrate_selection",
     "data_digest",
     "fit_pose_radius",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +59,7 @@ def choose_components(
     for done, k in enumerate(choices):
         if progress is not None:
             progress(done, len(choices))
-        settings = TrainingConfig(**{**vars(training), "components": k})
+        settings = replace(training, components=k)
         head = fit_head(features[kept], labels, bins.sizes, soft_cross_entropy, settings)
         proba = predict_proba(head, features[held])
         at = bins.encode(targets[held]).T

@@ -65,6 +65,8 @@ class StreamRunner:
         How often which motion status.
     problems
         The first hundred frames without an image, by name, and why; `n_problems` counts all.
+    windowed
+        Whether a recording was too long to be answered as a whole.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class StreamRunner:
         self.n_answered = self.n_unreliable = self.n_problems = 0
         self.answered: list[int] = []
         self.motion: Counter[str] = Counter()
+        self.windowed = False
         self.problems: dict[str, str] = {}
         self._regions: list[Regions] | None = [] if keep_regions else None
         self._pending: list[_Pending] = []
@@ -162,6 +165,7 @@ class StreamRunner:
         kept = None if self.others is None else features
         self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept))
         if len(self._pending) >= self.window:
+            self.windowed = True
             self._flush(everything=False)
 
     def _flush(self, *, everything: bool) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+
+from conformodal.experiments.table1 import Table
 
 from .figures import COLOURS, as_svg
 from .templating import render_page
@@ -29,20 +31,6 @@ _MARKS = (
 )
 
 
-class TableLike(Protocol):
-    """Cells as they are shown."""
-
-    @property
-    def header(self) -> Sequence[str]:
-        """Names of the columns."""
-        ...
-
-    @property
-    def lines(self) -> Sequence[Sequence[str]]:
-        """Cells, line by line."""
-        ...
-
-
 @dataclass(frozen=True)
 class Section:
     """A heading, a figure and the tables below it, each with a name."""
@@ -50,7 +38,7 @@ class Section:
     heading: str
     caption: str
     svg: str
-    tables: Sequence[tuple[str, TableLike]]
+    tables: Sequence[tuple[str, Table]]
 
 
 def error_chart(conditions: Sequence[str], errors: Mapping[str, Sequence[Sequence[float]]], unit: str) -> str:
