@@ -92,7 +92,7 @@ def methods(
         "smoother, without the finders": smooth(alone_path, alone, prior),
         "smoother": smooth(chosen, seen, prior),
     }
-    regressor = train_classical(data, config.training, config.components)
+    regressor = train_classical(data, config.training)
     for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():
         label = {"classical": "classical regressor", "classical_smoothed": "classical regressor, same smoother"}[name]
         found[label] = bare(trajectory.positions_xyz, trajectory.orientations_quat_wxyz)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.datasets import SplitError, SplitKind, hold_out, make_split
+from conformodal.datasets import SplitError, SplitKind, held_out_together, make_split
 
 
 @pytest.mark.parametrize("kind", ["interleaved", "blocks"])
@@ -64,22 +64,13 @@ def test_shares_that_do_not_fit_are_refused(used):
         make_split(np.zeros(100, int), "interleaved", used=used)
 
 
-def test_blocks_held_out_once_more_are_whole_stretches_without_gaps():
-    frames = np.concatenate((np.arange(0, 90), np.arange(100, 160), np.arange(300, 310)))
-    recording = (np.arange(400) >= 40).astype(int)
-    kept, held = hold_out(frames, recording, SplitKind.BLOCKS, 0.25, seed=1, n_blocks=16)
-    assert sorted([*kept, *held]) == frames.tolist()
-    # 160 frames in pieces of at most 10, cut where the recording changes and where frames are missing
-    runs = np.split(held, np.flatnonzero(np.diff(held) != 1) + 1)
-    assert all(run[0] % 10 == 0 and (run[-1] + 1) % 10 == 0 for run in runs)
-    assert len(held) == 40
-    np.testing.assert_array_equal(held, hold_out(frames, recording, SplitKind.BLOCKS, 0.25, seed=1, n_blocks=16)[1])
-
-
-def test_frames_held_out_once_more_are_single():
-    kept, held = hold_out(np.arange(0, 200, 2), np.zeros(200, int), SplitKind.INTERLEAVED, 0.25)
-    assert len(held) == 25
-    assert (np.diff(held) > 2).any()
-    assert not set(kept) & set(held)
-    with pytest.raises(SplitError, match="too few to hold some out"):
-        hold_out(np.array([4]), np.zeros(9, int), SplitKind.INTERLEAVED, 0.25)
+@pytest.mark.parametrize("kind", [SplitKind.INTERLEAVED, SplitKind.BLOCKS])
+def test_frames_held_out_together_are_in_the_same_part(kind):
+    recording = np.repeat([0, 1], [130, 270])
+    piece = held_out_together(recording, kind, n_blocks=20)
+    split = make_split(recording, kind, seed=3, n_blocks=20)
+    for part in (split.train, split.calibration, split.test):
+        inside = np.isin(np.arange(400), part)
+        assert not set(piece[inside]) & set(piece[~inside])
+    assert not set(piece[recording == 0]) & set(piece[recording == 1])
+    assert len(np.unique(piece)) == (400 if kind is SplitKind.INTERLEAVED else 21)

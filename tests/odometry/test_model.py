@@ -67,7 +67,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-3'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-4'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -205,7 +205,7 @@ def test_data_sets_are_recognised_by_content(sequence, small_world, tmp_path):
 
 def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
     tuning = FineTuning(blocks=1, epochs=1)
-    config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2), components=(64,), finders=1, used=0.3)
+    config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), finders=1, used=0.3)
     data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
     trained = train_model(data, config)
     save_model(trained, tmp_path / "model")

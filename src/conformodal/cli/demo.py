@@ -33,9 +33,9 @@ from .outcome import Known, Part, part_frames, run_metrics, say
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
-# Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details.
-TRAINING = TrainingConfig(epochs=40, dropout=0.6)
-COMPONENTS = (None,)  # all features: rooms differ in small things
+# Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details. All
+# features, not their principal components: rooms differ in small things.
+TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
 ALPHA = 0.04
 
 
@@ -46,7 +46,7 @@ def demo(
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
-    config = ModelConfig(alpha=ALPHA, seed=seed, components=COMPONENTS, training=replace(TRAINING, seed=seed))
+    config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
     with progress_bars() as report:
         write_corridor(
             out / "corridor",

@@ -208,6 +208,7 @@ def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) 
         "promised for `interleaved` without noise, otherwise an observation. Set length and intervals: a target at "
         "alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of the position "
         f"region's size and the smoothed answer's error. Costs: wall time with {workers} trainings at a time on this "
-        "machine; the search for the classical settings, which all others but ours use too, is counted once, as the "
-        "classical regressor's; an answer is all that follows the features (and, for ours, the motions)."
+        "machine; the search for the classical settings, which the other networks but ours use too, is counted "
+        "once, as the classical regressor's; locally linear regression is the part of our search that is one, alone; an "
+        "answer is all that follows the features (and, for ours, the motions)."
     )

@@ -119,7 +119,7 @@ def train_on(
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
     save_model(model, out)
     if classical:
-        save_classical(train_classical(data, config.training, config.components, report), out)
+        save_classical(train_classical(data, config.training, report), out)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     metrics = {

@@ -12,7 +12,7 @@ from .noise import PixelNoise
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence, read_image
 from .sevenscenes import read_sevenscenes
-from .splits import Split, SplitKind, hold_out, make_split
+from .splits import Split, SplitKind, held_out_together, make_split
 from .tum import read_tum_rgbd
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     "SplitError",
     "SplitKind",
     "check_sequence",
-    "hold_out",
+    "held_out_together",
     "make_split",
     "read_colmap",
     "read_euroc_mav",

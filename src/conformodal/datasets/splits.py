@@ -89,7 +89,7 @@ def make_split(
             f"used ({used}) must be more than calibration ({calibration}), and with test ({test}) at most 1"
         )
     rng = np.random.default_rng(seed)
-    units = _units(np.arange(n), recording, kind, n_blocks)
+    units = _units(recording, kind, n_blocks)
     order = rng.permutation(len(units))
     n_test = round(test * len(units))
     n_calibration = round(calibration * len(units))
@@ -101,41 +101,25 @@ def make_split(
     return Split(kind, seed, train=parts[2], calibration=parts[1], test=parts[0])
 
 
-def hold_out(
-    frames: IntArray, recording: IntArray, kind: SplitKind, share: float, *, seed: int = 0, n_blocks: int = 25
-) -> tuple[IntArray, IntArray]:
-    """Cut a part once more: the frames that stay, and those held out in the manner of `kind`; both sorted.
+def held_out_together(recording: IntArray, kind: SplitKind, n_blocks: int = 25) -> IntArray:
+    """Number (n,) of each frame's piece: frames of one piece get into the same part of a split.
 
     Parameters
     ----------
-    frames
-        Sorted indices.
-    recording
-        Of all frames.
-    kind, seed, n_blocks
-        As for :func:`make_split`; a block also ends where frames are missing.
-    share
-        To hold out, of the blocks or frames; at least one is, and at least one stays.
-
-    Raises
-    ------
-    SplitError
-        If there are fewer pieces than two.
+    recording, kind, n_blocks
+        As for :func:`make_split`.
     """
-    units = _units(frames, recording, kind, n_blocks)
-    if len(units) < 2:
-        raise SplitError(f"{len(frames)} frames in {len(units)} pieces are too few to hold some out")
-    order = np.random.default_rng(seed).permutation(len(units))
-    n_held = min(max(1, round(share * len(units))), len(units) - 1)
-    parts = (order[n_held:], order[:n_held])
-    kept, held = (np.sort(np.concatenate([units[u] for u in part])) for part in parts)
-    return kept, held
+    piece = np.empty(len(recording), dtype=np.int64)
+    for number, unit in enumerate(_units(recording, kind, n_blocks)):
+        piece[unit] = number
+    return piece
 
 
-def _units(frames: IntArray, recording: IntArray, kind: SplitKind, n_blocks: int) -> list[IntArray]:
-    """What is kept together: single frames, or stretches of one recording without gaps."""
+def _units(recording: IntArray, kind: SplitKind, n_blocks: int) -> list[IntArray]:
+    """What is kept together: single frames, or stretches of one recording."""
+    frames = np.arange(len(recording))
     if kind is SplitKind.INTERLEAVED:
         return [np.array([i]) for i in frames]
     size = max(1, ceil(len(frames) / n_blocks))
-    ends = np.flatnonzero((np.diff(recording[frames]) != 0) | (np.diff(frames) != 1)) + 1
-    return [run[a : a + size] for run in np.split(frames, ends) for a in range(0, len(run), size)]
+    runs = np.split(frames, np.flatnonzero(np.diff(recording) != 0) + 1)
+    return [run[a : a + size] for run in runs for a in range(0, len(run), size)]

@@ -1,7 +1,8 @@
 """Other ways to regress a pose from the same features, with the same trunk, optimiser and epochs.
 
-All are trained on the training and calibration parts together, with the settings that were searched for the classical
-regressor; only conformalised quantile regression holds the calibration part out.
+All but the last are networks trained with the settings that were searched for the classical regressor, on the training
+and calibration parts together; only conformalised quantile regression holds the calibration part out. Locally linear
+regression has no network: it is the part of the conformal method's search that is one, on its own.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,8 +18,18 @@ import numpy.typing as npt
 import torch
 
 from conformodal.conformal import conformal_quantile
-from conformodal.odometry import TrainingData
-from conformodal.vision import Head, Projection, TrainingConfig, fit_head, mean_squared_error, predict_values
+from conformodal.datasets import held_out_together
+from conformodal.odometry import TrainingData, target_scale
+from conformodal.vision import (
+    Head,
+    LocalSettings,
+    Projection,
+    TrainingConfig,
+    fit_head,
+    fit_local,
+    mean_squared_error,
+    predict_values,
+)
 
 from .classical import START_DROPOUT, ClassicalRegressor
 
@@ -28,6 +40,10 @@ Answer: TypeAlias = Callable[[Features], FloatArray]
 N_POSITION = 3
 N_COMPONENTS = 5
 N_PASSES, N_MEMBERS = 30, 5
+_LOCAL = tuple(
+    LocalSettings(components, neighbours, ridge, None)
+    for components, neighbours, ridge in product((16, 64, 256), (10, 20, 40), (0.01, 0.1))
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +221,17 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
         return problem.metric(found[:, :, 0] - slack), problem.metric(found[:, :, 2] + slack)
 
     return QuantileIntervals(_trained(problem, [head], started, lambda x: quantiles(x)[:, :, 1]), interval)
+
+
+def local_regression(problem: Problem) -> Baseline:
+    """Linear regression among the most similar frames (Cleveland 1979), chosen by leaving pieces of the split out."""
+    data, known = problem.data, problem.known
+    pieces = held_out_together(data.sequence.recording, data.split.kind)[known]
+    started = time.perf_counter()
+    targets = data.targets[known]
+    regression, _ = fit_local(data.features[known], targets, target_scale(targets), pieces, choices=_LOCAL)
+    seconds = time.perf_counter() - started
+    return Baseline(lambda features: regression.predict(features).best, seconds, regression.size)
 
 
 def _fit(

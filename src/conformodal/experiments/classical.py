@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.odometry import ModelConfig, OdometryRun, TrainingData, as_trajectory
+from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import (
@@ -38,6 +38,7 @@ from .errors import ExperimentError
 
 START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
+COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
 _RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 _FILES = ("classical.json", "classical.safetensors")
 
@@ -96,7 +97,6 @@ class ClassicalRegressor:
 def train_classical(
     data: TrainingData,
     config: TrainingConfig,
-    components: Sequence[int | None] = ModelConfig().components,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> ClassicalRegressor:
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
@@ -111,8 +111,6 @@ def train_classical(
         What the conformal model was trained on.
     config
         What it was trained with; only learning rate, dropout and components change.
-    components
-        Numbers to choose from, the conformal model's.
     progress
         Called with stage, trainings done and trainings in all (as far as known).
     """
@@ -155,8 +153,9 @@ def train_classical(
             beside = (replace(best(), learning_rate=rate) for rate in _RATES[max(at - 1, 0) : at + 2])
             waiting = [settings for settings in beside if settings not in errors]
     at_best = best()
+    choices = () if config.components is None else COMPONENTS
     others = [replace(at_best, dropout=d) for d in {0.0, config.dropout} - {START_DROPOUT}]
-    others += [replace(at_best, components=k) for k in components if k != at_best.components]
+    others += [replace(at_best, components=k) for k in choices if k != at_best.components]
     others.append(replace(at_best, dropout=config.dropout, input_dropout=config.input_dropout))
     for left, settings in enumerate(reversed(others)):
         try_out(settings, len(others) - left)

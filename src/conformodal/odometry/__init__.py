@@ -13,7 +13,7 @@ from .results import read_metrics, read_trajectories, write_metrics, write_run
 from .selection import calibrate_selection, recording_errors
 from .store import load_model, save_model
 from .streaming import StreamRunner
-from .targets import TARGET_NAMES, pose_targets
+from .targets import TARGET_NAMES, pose_targets, target_scale
 from .training import ModelConfig, TrainingData, data_digest, prepare_training_data, train_model
 from .writer import ResultsWriter
 
@@ -55,6 +55,7 @@ __all__ = [
     "recording_errors",
     "records_contain",
     "save_model",
+    "target_scale",
     "train_model",
     "write_metrics",
     "write_region_parquet",

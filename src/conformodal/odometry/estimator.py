@@ -19,7 +19,6 @@ from conformodal.reasoning import (
     Observations,
     OnlineReasoner,
     interval_candidates,
-    mode_candidates,
     online,
     softmax_mean,
 )
@@ -27,7 +26,7 @@ from conformodal.vision import FeatureCache, extract_features
 
 from .answers import METHODS, answers, as_trajectory
 from .errors import OdometryError
-from .model import PoseModel
+from .model import PoseModel, Search
 from .motions import MotionRecord, Progress, measure_motions
 from .store import load_model
 
@@ -58,6 +57,8 @@ class Estimate:
         Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
     features
         (F,) of the image, or None without one.
+    proba, search
+        Calibrated head's softmaxes, seven arrays (1, K_j), and what the search starts from; None without an image.
     reliable
         False where image or motion could not be used; `problem` says why.
     """
@@ -71,6 +72,8 @@ class Estimate:
     reliable: bool
     problem: str = ""
     features: npt.NDArray[np.float32] | None = None
+    proba: list[npt.NDArray[Any]] | None = None
+    search: Search | None = None
     tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
 
 
@@ -168,8 +171,8 @@ class VisualOdometry:
         features = self.model.backbone.describe(prepared).astype(np.float32)
         proba = self.model.proba(features)
         region = self.model.calibration.predict(proba)
-        search = self.model.search_proba(features)
-        here = mode_candidates(search, self.model.bins, scale=self.model.scale)[0]
+        search = self.model.search(features)
+        here = self.model.candidates(search)[0]
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
@@ -186,6 +189,8 @@ class VisualOdometry:
             reliable,
             problem,
             features[0],
+            proba,
+            search,
             self._front_end.tracks,
         )
 
@@ -242,17 +247,17 @@ class VisualOdometry:
             sequence.noise,
         )
         proba = self.model.proba(features)
-        search = self.model.search_proba(features)
+        search = self.model.search(features)
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
             regions=self.model.calibration.predict(proba),
-            candidates=mode_candidates(search, self.model.bins, scale=self.model.scale),
+            candidates=self.model.candidates(search),
             motions=[motions.motions[i] for i in usable.tolist()],
             trajectories={},
             unreadable=motions.unreadable,
         )
-        run.trajectories = self._trajectories(run, proba, search, sequence.recording[usable])
+        run.trajectories = self._trajectories(run, proba, search.proba, sequence.recording[usable])
         return run
 
     def _trajectories(

@@ -11,11 +11,28 @@ import numpy.typing as npt
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.datasets import Split
 from conformodal.poses import PinholeCamera
-from conformodal.reasoning import MotionPrior, SpreadScale
+from conformodal.reasoning import Candidates, MotionPrior, SpreadScale, mode_candidates
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
+from .local import LocalFinder
 from .radius import PoseRadius
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What reasoning starts from; nothing is promised of it.
+
+    Attributes
+    ----------
+    proba
+        Seven arrays (n, K_j).
+    strangeness
+        (n,) how little the model has seen that looks like each image, 1 where that is typical; None where nothing says.
+    """
+
+    proba: list[npt.NDArray[np.floating[Any]]]
+    strangeness: npt.NDArray[np.float64] | None
 
 
 @dataclass(eq=False)
@@ -29,6 +46,8 @@ class PoseModel:
     finders
         The same with other starts, trained on the calibration frames as well. Nothing is promised of them: the search
         for the pose starts from their mean.
+    local
+        A finder without a network that has a say in that mean; or None.
     bins
         Bins of the seven targets.
     calibration
@@ -52,6 +71,7 @@ class PoseModel:
     backbone: Backbone
     head: Head
     finders: tuple[Head, ...]
+    local: LocalFinder | None
     bins: QuantileBins
     calibration: SplitConformal
     sign_reference: npt.NDArray[np.float64]
@@ -77,10 +97,18 @@ class PoseModel:
         """Softmax of the seven targets for features (n, F)."""
         return predict_proba(self.head, features)
 
-    def search_proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
-        """What reasoning starts from: the mean of the finders' softmaxes. Not calibrated."""
+    def search(self, features: npt.NDArray[np.float32]) -> Search:
+        """What reasoning starts from, for features (n, F): the mean of all finders' softmaxes. Not calibrated."""
         found = [predict_proba(finder, features) for finder in self.finders]
-        return [np.mean(blocks, axis=0) for blocks in zip(*found, strict=True)]
+        mean = [np.mean(blocks, axis=0) for blocks in zip(*found, strict=True)]
+        if self.local is None:
+            return Search(mean, None)
+        answers = self.local.regression.predict(features)
+        return Search(self.local.blend(mean, answers, self.bins), self.local.strangeness(answers))
+
+    def candidates(self, search: Search) -> list[Candidates]:
+        """Candidate poses of every image, with spreads of the size of their errors."""
+        return mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
 
     def recalibrate(self, alpha: float) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.

@@ -24,14 +24,16 @@ from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior, SpreadScale
-from conformodal.vision import Backbone, BackboneConfig, Head, Projection
+from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
 
 from .errors import ModelFileError
+from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-3"
+FORMAT = "conformodal-model-4"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
+_LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 
@@ -53,12 +55,18 @@ def save_model(model: PoseModel, folder: Path) -> None:
             model.calibration.rule.scale_,
         )
     arrays["sign_reference"] = model.sign_reference
+    if model.local is not None:
+        own = model.local.regression
+        arrays |= {"local.offset": own.projection.offset, "local.components": own.projection.components}
+        arrays |= {"local.references": own.references, "local.targets": own.targets}
+        arrays["local.target_scale"] = own.target_scale
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
         "backbone_fingerprint": model.backbone.fingerprint,
         "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs, "finders": len(model.finders)},
+        "local": _local_record(model.local),
         "calibration": {
             "alpha": str(model.calibration.alpha),
             "score": model.calibration.score.name,
@@ -131,11 +139,12 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         backbone=backbone,
         head=head,
         finders=tuple(finders),
+        local=_local(record["local"], arrays),
         bins=bins,
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
         prior=MotionPrior(prior["turn_rate_rad_s"], *(tuple(prior[k]) for k in _PRIOR_TABLES)),
-        scale=SpreadScale(tuple(scale["position"]), scale["orientation"]),
+        scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
         camera=PinholeCamera(**{**record["camera"], "distortion": lens}),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
         data_digest=record["data_digest"],
@@ -150,6 +159,22 @@ def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]])
     head = Head(Projection(state["offset"].numpy(), state["components"].numpy()), shape["outputs"], shape["hidden"])
     head.load_state_dict(state)
     return head.eval()
+
+
+def _local_record(local: LocalFinder | None) -> dict[str, Any] | None:
+    if local is None:
+        return None
+    return {"settings": asdict(local.regression.settings), **{k: getattr(local, k) for k in _LOCAL_NUMBERS}}
+
+
+def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -> LocalFinder | None:
+    if record is None:
+        return None
+    its = {k.removeprefix("local."): v for k, v in arrays.items() if k.startswith("local.")}
+    through = Projection(its["offset"], its["components"])
+    settings = LocalSettings(**record["settings"])
+    regression = LocalRegression(through, its["references"], its["targets"], its["target_scale"], settings)
+    return LocalFinder(regression, **{k: record[k] for k in _LOCAL_NUMBERS})
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

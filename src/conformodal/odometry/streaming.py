@@ -159,9 +159,10 @@ class StreamRunner:
         if len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
             self.writer.poses("online", revised[:1])
         self._lagging = revised
-        row = features[None]
-        paper = interval_candidates(model.proba(row), region)[0]
-        mean = softmax_mean(model.search_proba(row), model.bins)[0]
+        assert estimate.proba is not None
+        assert estimate.search is not None
+        paper = interval_candidates(estimate.proba, region)[0]
+        mean = softmax_mean(estimate.search.proba, model.bins)[0]
         kept = None if self.others is None else features
         self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept))
         if len(self._pending) >= self.window:

@@ -15,7 +15,7 @@ from conformodal.conformal import ConformalError, QuantileBins, SplitConformal
 from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
-from conformodal.datasets import Sequence, Split, SplitKind, make_split
+from conformodal.datasets import Sequence, Split, SplitKind, held_out_together, make_split
 from conformodal.poses import sign_reference
 from conformodal.reasoning import fit_motion_prior, fit_spread_scale, mode_candidates
 from conformodal.vision import (
@@ -24,23 +24,25 @@ from conformodal.vision import (
     FeatureCache,
     FineTuning,
     Head,
+    LocalAnswers,
     Projection,
     TrainingConfig,
     extract_features,
     find_network,
     fine_tune,
     fit_head,
+    fit_local,
     fit_projection,
     pick_device,
     predict_proba,
     soft_cross_entropy,
 )
 
-from .components import choose_components
 from .errors import OdometryError
+from .local import LocalFinder, make_finder
 from .model import PoseModel
 from .motions import Progress
-from .targets import pose_targets
+from .targets import pose_targets, target_scale
 
 _SEED_STEP = 1000  # between heads that are averaged
 
@@ -63,11 +65,10 @@ class ModelConfig:
         Of :class:`~conformodal.conformal.SplitConformal`.
     test, calibration, used
         Shares of all frames, see :func:`~conformodal.datasets.make_split`.
-    components
-        Numbers of principal components of the features to choose from, see
-        :func:`~conformodal.odometry.components.choose_components`; one alone is taken as it is. None is all features.
     finders
         Heads that the search for the pose starts from.
+    local
+        Whether it also starts from what the most similar training frames say.
     network
         Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
     fine_tuning
@@ -95,8 +96,8 @@ class ModelConfig:
     test: float = 0.2
     calibration: float = 0.16
     used: float | None = None
-    components: tuple[int | None, ...] = (64, 256)
     finders: int = 3
+    local: bool = True
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"
@@ -112,8 +113,6 @@ class ModelConfig:
         pick_device(self.device)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
-        if not self.components or any(k is not None and k < 1 for k in self.components):
-            raise OdometryError(f"components must be one number or more, at least 1 each, got {self.components}")
         if self.finders < 1:
             raise OdometryError(f"finders must be at least 1, got {self.finders}")
 
@@ -193,19 +192,6 @@ def train_model(
     everything = np.sort(np.concatenate((train, held_out)))
     bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
     calibration = SplitConformal(bins, config.alpha, config.score, as_joint(config.joint))
-    components = choose_components(
-        data.features,
-        data.targets,
-        data.sequence.recording,
-        train,
-        config.components,
-        kind=config.split,
-        bins=bins,
-        sigma_bins=config.sigma_bins,
-        training=config.training,
-        progress=_stage(progress, "components"),
-    )
-    training = replace(config.training, components=components)
 
     def fit(rows: npt.NDArray[np.int64], stage: str, seed: int, projection: Projection) -> Head:
         labels = np.concatenate(bins.soft_targets(data.targets[rows], config.sigma_bins), axis=1)
@@ -214,36 +200,67 @@ def train_model(
             labels,
             bins.sizes,
             soft_cross_entropy,
-            replace(training, seed=seed),
+            replace(config.training, seed=seed),
             projection=projection,
             checkpoint_dir=checkpoint_dir,
             progress=_stage(progress, stage),
         )
 
-    head = fit(train, "training", training.seed, fit_projection(data.features[train], components))
+    components = config.training.components
+    head = fit(train, "training", config.training.seed, fit_projection(data.features[train], components))
     through = fit_projection(data.features[everything], components)
     finders = tuple(
-        fit(everything, f"finder {k + 1}", training.seed + _SEED_STEP * k, through) for k in range(config.finders)
+        fit(everything, f"finder {k + 1}", config.training.seed + _SEED_STEP * k, through)
+        for k in range(config.finders)
     )
     if config.joint == "max":
         calibration.fit_scale(predict_proba(head, data.features[train]), data.targets[train])
     proba = predict_proba(head, data.features[held_out])
     calibration.calibrate(proba, data.targets[held_out])
+    modes, strangeness, local = mode_candidates(proba, bins), None, None
+    found = _local_finder(data, everything, config, progress) if config.local else None
+    if found is not None:  # errors of the search, as far as frames that nobody saw can tell of them
+        local, answers = found
+        modes, strangeness = mode_candidates(local.blend(proba, answers, bins), bins), local.strangeness(answers)
     truth = data.sequence.require_truth()
     return PoseModel(
         backbone=data.backbone,
         head=head,
         finders=finders,
+        local=local,
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,
         prior=fit_motion_prior(truth[train], data.sequence.recording[train]),
-        scale=fit_spread_scale(mode_candidates(proba, bins), truth[held_out]),
+        scale=fit_spread_scale(modes, truth[held_out], strangeness),
         camera=data.sequence.camera,
         split=data.split,
         data_digest=data_digest(data.sequence),
-        configuration=_record(replace(config, components=(components,)), data.sequence),
+        configuration=_record(config, data.sequence),
     )
+
+
+def _local_finder(
+    data: TrainingData,
+    frames: npt.NDArray[np.int64],
+    config: ModelConfig,
+    progress: Progress | None,
+) -> tuple[LocalFinder, LocalAnswers] | None:
+    """A local finder among `frames`, and its answers to the calibration frames when it may not see their pieces.
+
+    None where all images look the same or there is nothing to leave out.
+    """
+    pieces = held_out_together(data.sequence.recording, config.split)
+    features, targets, calibration = data.features[frames], data.targets[frames], data.split.calibration
+    if len(np.unique(pieces[frames])) < 2 or not np.ptp(features, axis=0).any():
+        return None
+    regression, left_out = fit_local(
+        features, targets, target_scale(targets), pieces[frames], progress=_stage(progress, "neighbours")
+    )
+    finder = make_finder(regression, left_out, config.sigma_bins)
+    queries = regression.references[np.searchsorted(frames, calibration)]
+    hidden = pieces[calibration][:, None] == pieces[frames][None, :]
+    return finder, regression.predict_projected(queries, hidden)
 
 
 def data_digest(sequence: Sequence) -> str:

@@ -17,7 +17,7 @@ from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_orientations, smooth_positions
-from .spreads import fit_spread_scale
+from .spreads import fit_growth, fit_spread_scale
 from .viterbi import Decoder, orientation_cost, position_cost, viterbi
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "Reasoner",
     "ReasoningError",
     "SpreadScale",
+    "fit_growth",
     "fit_motion_prior",
     "fit_spread_scale",
     "greedy",

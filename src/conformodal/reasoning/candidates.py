@@ -63,10 +63,25 @@ class Candidates:
 
 @dataclass(frozen=True)
 class SpreadScale:
-    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames."""
+    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames.
+
+    Attributes
+    ----------
+    position, orientation
+        For an image of typical strangeness.
+    growth
+        Power of an image's strangeness that spreads grow with.
+    """
 
     position: tuple[float, float, float] = (1.0, 1.0, 1.0)
     orientation: float = 1.0
+    growth: float = 0.0
+
+    def at(self, strangeness: float) -> SpreadScale:
+        """The factors for an image of some strangeness, which is 1 where it is typical."""
+        grown = float(strangeness**self.growth)
+        x, y, z = (factor * grown for factor in self.position)
+        return SpreadScale((x, y, z), self.orientation * grown)
 
 
 def mode_candidates(
@@ -74,6 +89,7 @@ def mode_candidates(
     bins: QuantileBins,
     *,
     scale: SpreadScale | None = None,
+    strangeness: FloatArray | None = None,
     mode_bins: int = MODE_BINS,
     min_mass: float = MIN_MASS,
     max_candidates: int = MAX_CANDIDATES,
@@ -88,6 +104,8 @@ def mode_candidates(
         Bins of the seven targets.
     scale
         From :func:`fit_spread_scale`; None leaves spreads as the softmax has them.
+    strangeness
+        (n,) what `scale` grows with; None where nothing is known of it.
     mode_bins
         Peaks fewer bins apart are one mode, unless the probability between them nearly vanishes.
     min_mass
@@ -99,7 +117,9 @@ def mode_candidates(
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
         pieces = [_pieces(p, _basins(p, mode_bins), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        found.append(_combine(pieces, scale or SpreadScale(), np.log(min_mass), max_candidates))
+        here = scale or SpreadScale()
+        here = here if strangeness is None else here.at(strangeness[i])
+        found.append(_combine(pieces, here, np.log(min_mass), max_candidates))
     return found
 
 

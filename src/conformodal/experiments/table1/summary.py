@@ -22,6 +22,7 @@ METHODS = {
     "dropout_passes": "MC dropout, 30 passes",
     "deep_ensemble": "deep ensemble of 5",
     "quantile_regression": "quantile regression (median)",
+    "local_regression": "locally linear regression",
 }
 Record = dict[str, Any]
 

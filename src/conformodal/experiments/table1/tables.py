@@ -79,7 +79,7 @@ def method_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> 
 
 def cost_table(row: Row, records: Sequence[Record], split: str) -> Table:
     """What every method costs beside its error, in one row."""
-    header = ["method", "RMSE, m", "training, s", "answer, ms a frame", "trained numbers, MB"]
+    header = ["method", "RMSE, m", "training, s", "answer, ms a frame", "trained or stored numbers, MB"]
     lines = []
     for method, name in METHODS.items():
         if not _values(records, row, split, method, "train_s"):

@@ -29,7 +29,7 @@ from conformodal.odometry import (
     write_run,
 )
 from conformodal.poses import Trajectory, normalise_quat, trajectory_errors
-from conformodal.reasoning import Observations, mode_candidates, smooth, viterbi
+from conformodal.reasoning import Observations, smooth, viterbi
 from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
 
 from ..baselines import (
@@ -39,6 +39,7 @@ from ..baselines import (
     deep_ensemble,
     dropout_passes,
     learnt_weights,
+    local_regression,
     mixture_density,
     quantile_regression,
 )
@@ -90,7 +91,7 @@ class Table1Worker:
         model = train_model(data, config)
         conformal_s = time.perf_counter() - started
         started = time.perf_counter()
-        classical = train_classical(data, training, config.components)
+        classical = train_classical(data, training)
         classical_s = time.perf_counter() - started
         problem = Problem.of(data, classical)
         quantiles = quantile_regression(problem, ALPHA)
@@ -100,11 +101,13 @@ class Table1Worker:
             "dropout_passes": dropout_passes(problem, classical),
             "deep_ensemble": deep_ensemble(problem, classical),
             "quantile_regression": quantiles.baseline,
+            "local_regression": local_regression(problem),
         }
         cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
         cost["smoothed"] = {
             "train_s": conformal_s,
-            "n_parameters": sum(_size(head) for head in (model.head, *model.finders)),
+            "n_parameters": sum(_size(head) for head in (model.head, *model.finders))
+            + (0 if model.local is None else model.local.regression.size),
         }
         cost["classical"] = {"train_s": classical_s, "n_parameters": _size(classical.head)}
         trained = _Trained(task, data, model, classical, baselines, quantiles)
@@ -112,7 +115,6 @@ class Table1Worker:
         return {
             "frames": parts,
             "classical": asdict(classical.training),
-            "components": model.configuration["components"],
             "cost": cost,
             "noise": {f"{sigma:g}": self._tested(trained, sigma) for sigma in task.sigmas},
         }
@@ -191,7 +193,7 @@ def _answer(
     """All that leads from features and motions to regions and the smoothed answer, and nothing else."""
     proba = model.proba(features)
     model.calibration.predict(proba)
-    candidates = mode_candidates(model.search_proba(features), model.bins, scale=model.scale)
+    candidates = model.candidates(model.search(features))
     for number in np.unique(recording):
         at = np.flatnonzero(recording == number)
         seen = Observations([candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
