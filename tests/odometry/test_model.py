@@ -36,6 +36,11 @@ def test_a_saved_model_gives_the_same_answers(model, tmp_path):
     x = np.random.default_rng(0).random((4, len(model.head.offset))).astype(np.float32)
     for a, b in zip(model.proba(x), back.proba(x), strict=True):
         np.testing.assert_array_equal(a, b)
+    there, again = model.search(x), back.search(x)
+    for a, b in zip(there.proba, again.proba, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert (there.strangeness > 0).all()
+    np.testing.assert_array_equal(there.strangeness, again.strangeness)
     np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)
     for part in ("train", "calibration", "test"):
         np.testing.assert_array_equal(model.split.part(part), back.split.part(part))

@@ -3,7 +3,7 @@ import pytest
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.poses import Trajectory
-from conformodal.reasoning import fit_spread_scale, interval_candidates, mode_candidates, softmax_mean
+from conformodal.reasoning import fit_growth, fit_spread_scale, interval_candidates, mode_candidates, softmax_mean
 
 K = 20
 
@@ -80,6 +80,38 @@ def test_spread_scale_measures_errors_in_spreads():
     assert scale.orientation == pytest.approx(0.05)
     scaled = mode_candidates(proba, pose_bins(), scale=scale)
     np.testing.assert_allclose(scaled[0].position_spreads[0], spread * scale.position)
+
+
+def test_spreads_grow_with_strangeness_as_errors_did():
+    rng = np.random.default_rng(1)
+    strangeness = np.exp(rng.normal(size=400))
+    proba = [np.repeat(bumps((10.0, 1)), 400, axis=0)] * 3 + [np.repeat(q, 400, axis=0) for q in identity_quat()]
+    candidates = mode_candidates(proba, pose_bins())
+    spread = candidates[0].position_spreads[0]
+    truth = candidates[0].positions_xyz[0] + rng.normal(size=(400, 3)) * spread * strangeness[:, None] ** 0.8
+    quats = np.tile(candidates[0].orientations_quat_wxyz[0], (400, 1))
+    scale = fit_spread_scale(candidates, Trajectory(np.arange(400.0), truth, quats), strangeness)
+    assert scale.growth == pytest.approx(0.8, abs=0.1)
+    np.testing.assert_allclose(scale.position, [1, 1, 1], rtol=0.15)
+    scaled = mode_candidates(proba[:], pose_bins(), scale=scale, strangeness=np.full(400, 3.0))
+    np.testing.assert_allclose(scaled[0].position_spreads[0], spread * scale.position * 3**scale.growth)
+    np.testing.assert_allclose(
+        scaled[0].orientation_spreads_rad, candidates[0].orientation_spreads_rad * scale.orientation * 3**scale.growth
+    )
+
+
+@pytest.mark.parametrize(
+    ("errors", "strangeness", "growth"),
+    [
+        ([1, 2, 4, 8], [1, 2, 4, 8], 1.0),
+        ([8, 4, 2, 1], [1, 2, 4, 8], 0.0),
+        ([1, 1e3, 1e6, 1e9], [1, 2, 4, 8], 2.0),
+        ([1, 2, 3], [1, 1, 1], 0.0),
+        ([0, 0, 1], [1, 2, 4], 0.0),
+    ],
+)
+def test_growth_is_the_power_that_errors_follow_within_reason(errors, strangeness, growth):
+    assert fit_growth(np.array(errors, float), np.array(strangeness, float)) == pytest.approx(growth)
 
 
 @pytest.mark.parametrize(("apart", "n_modes"), [(3, 1), (5, 2), (9, 2)])

@@ -209,6 +209,6 @@ def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) 
         "alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of the position "
         f"region's size and the smoothed answer's error. Costs: wall time with {workers} trainings at a time on this "
         "machine; the search for the classical settings, which the other networks but ours use too, is counted "
-        "once, as the classical regressor's; locally linear regression is the part of our search that is one, alone; an "
-        "answer is all that follows the features (and, for ours, the motions)."
+        "once, as the classical regressor's; locally linear regression is the part of our search that is one, alone. "
+        "An answer is all that follows the features (and, for ours, the motions)."
     )
