@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from scipy.stats import spearmanr
 
 from conformodal.conformal import coverage_band
@@ -129,16 +130,28 @@ def size_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     """Size of the position's region against the answer's error, frame by frame; sizes that are infinite left out."""
     figure = Figure(figsize=(4 * len(runs), 3.8), layout="constrained")
     axes = figure.subplots(1, len(runs), squeeze=False, sharex=True, sharey=True)
+    sizes, errors = [], []
     for axis, (title, run) in zip(axes[0], runs, strict=True):
         size = run.position_sizes_m()
         error = np.linalg.norm(run.answer.positions_xyz - run.truth.positions_xyz, axis=1)
         known = np.isfinite(size) & (size > 0)
+        sizes.append(size[known])
+        errors.append(error[known])
         axis.loglog(size[known], np.maximum(error[known], 1e-4), ".", ms=4, color=COLOURS["smoothed"])
-        rank = spearmanr(size[known], error[known]).statistic if known.sum() > 2 else np.nan
-        axis.set_title(f"{title}: rank correlation {rank:.2f}", fontsize=10)
+        axis.set_title(f"{title}: rank correlation {_rank(size[known], error[known]):.2f}", fontsize=10)
         axis.set_xlabel("size of the region (m)")
+        for scale in (axis.xaxis, axis.yaxis):  # few plain numbers: ranges of less than a decade have none otherwise
+            scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            scale.set_major_formatter(StrMethodFormatter("{x:g}"))
+            scale.set_minor_locator(NullLocator())
     axes[0, 0].set_ylabel("error of the answer (m)")
+    together = _rank(np.concatenate(sizes), np.concatenate(errors))
+    figure.suptitle(f"all frames together: rank correlation {together:.2f}", fontsize=10)
     return figure
+
+
+def _rank(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
+    return float(spearmanr(a, b).statistic) if len(a) > 2 else float("nan")
 
 
 def _shown(values: npt.NDArray[np.float64]) -> tuple[float, float]:
