@@ -198,7 +198,7 @@ def main() -> None:
         f"Right mode: less than half a module ({MODULE_LENGTH / 2:.1f} m) from the truth.\n\n"
         "On redkitchen, `interleaved`, the heads' softmax mean and the neighbours, two methods that share nothing but "
         "features and training poses, have errors in common (root of the mean product) of "
-        f"{spread(shared['redkitchen'])} m: what no method on these features and poses is likely to get below.\n\n{notes}"
+        f"{spread(shared['redkitchen'])} m: noise of the poses themselves, most likely.\n\n{notes}"
     )
     header = ["data", "method", "rmse_m", "of the best candidate's", "rmse_deg", "right mode"]
     write_table(

@@ -63,14 +63,13 @@ def test_places_that_look_alike_get_an_answer_each_and_none_in_between():
     assert 2 < together.best[0, 0] < 8
 
 
-def test_excluded_references_are_not_looked_at():
+def test_references_of_a_querys_own_group_are_not_looked_at():
     x, y, place = two_places()
     spoilt = y.copy()
     spoilt[place == 1] = 1e9
-    hidden = np.tile(place == 1, (1, 1))
     for radius in (None, 3.0):
         found = regression(x, spoilt, LocalSettings(2, 10, 1e-6, radius)).predict_projected(
-            np.array([[0.3, 0.0]], dtype=np.float32), hidden
+            np.array([[0.3, 0.0]], dtype=np.float32), (np.array([1]), place)
         )
         np.testing.assert_allclose(found.best, [[0.3]], atol=0.02)
 

@@ -259,8 +259,7 @@ def _local_finder(
     )
     finder = make_finder(regression, left_out, config.sigma_bins)
     queries = regression.references[np.searchsorted(frames, calibration)]
-    hidden = pieces[calibration][:, None] == pieces[frames][None, :]
-    return finder, regression.predict_projected(queries, hidden)
+    return finder, regression.predict_projected(queries, (pieces[calibration], pieces[frames]))
 
 
 def data_digest(sequence: Sequence) -> str:

@@ -117,12 +117,12 @@ class LocalRegression:
         return self.predict_projected(np.asarray(centred @ self.projection.components, dtype=np.float32))
 
     def predict_projected(
-        self, queries: npt.NDArray[np.float32], excluded: npt.NDArray[np.bool_] | None = None
+        self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     ) -> LocalAnswers:
-        """Answers to projected features (m, k), where `excluded` (m, n) says which references a query may not see."""
+        """Answers to projected features (m, k); with groups of queries (m,) and references (n,), none sees its own."""
         parts = []
         for a in range(0, len(queries), _CHUNK):
-            hidden = None if excluded is None else excluded[a : a + _CHUNK]
+            hidden = None if groups is None else groups[0][a : a + _CHUNK, None] == groups[1][None, :]
             parts.append(self._answer(queries[a : a + _CHUNK].astype(np.float64), hidden))
         if not parts:
             empty = np.empty((0, 1, self.targets.shape[1]))

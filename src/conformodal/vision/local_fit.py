@@ -78,13 +78,12 @@ def fit_local(
         raise VisionError("features are all the same")
     projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
     rows = np.unique(np.linspace(0, len(features) - 1, min(len(features), _MAX_QUERIES)).round().astype(np.int64))
-    hidden = group[rows][:, None] == group[None, :]
     found: list[tuple[float, LocalRegression, LeftOut]] = []
     for done, how in enumerate(choices):
         if progress is not None:
             progress(done, len(choices))
         regression = LocalRegression(projection, projected, targets, target_scale, how)
-        answers = regression.predict_projected(projected[rows], hidden)
+        answers = regression.predict_projected(projected[rows], (group[rows], group))
         found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
     if progress is not None:
         progress(len(choices), len(choices))
