@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ _MARKS = (
     ("#999999", "*"),
     ("#8C6D31", "P"),
     ("#5254A3", "X"),
+    ("#7A1F5C", "h"),
 )
 
 
@@ -58,7 +60,7 @@ def error_chart(conditions: Sequence[str], errors: Mapping[str, Sequence[Sequenc
     axis = figure.subplots()
     place = np.arange(len(conditions))[::-1]
     offsets = np.linspace(0.32, -0.32, max(len(errors), 2))
-    for (name, found), offset, (colour, mark) in zip(errors.items(), offsets, _MARKS, strict=False):
+    for (name, found), offset, (colour, mark) in zip(errors.items(), offsets, cycle(_MARKS)):
         mean = np.array([np.mean(v) for v in found])
         reach = np.abs(np.array([[np.min(v), np.max(v)] for v in found]).T - mean)
         axis.errorbar(mean, place + offset, xerr=reach, fmt=mark, ms=5, color=colour, lw=0.8, label=name)
