@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,5 +79,5 @@ def make_finder(regression: LocalRegression, left_out: LeftOut, sigma_bins: floa
     typical = max(float(np.median(strange)), 1e-9)
     limit = max(float(np.quantile(strange, _USUAL)), typical)
     miss = (left_out.answers.best - regression.targets[left_out.rows]) / regression.target_scale
-    growth = fit_growth(np.linalg.norm(miss, axis=1), np.maximum(strange / typical, 1e-3))
-    return LocalFinder(regression, typical, limit, growth, sigma_bins)
+    finder = LocalFinder(regression, typical, limit, 0.0, sigma_bins)
+    return replace(finder, growth=fit_growth(np.linalg.norm(miss, axis=1), finder.strangeness(left_out.answers)))

@@ -160,12 +160,13 @@ class LocalRegression:
             values[:, p], rest = _ridge(
                 known[chosen], self.targets[chosen], np.take_along_axis(mine, first, axis=1), queries, how.ridge
             )
-            strangeness = rest if p == 0 else strangeness  # the first place is that of the nearest neighbour
+            if p == 0:  # the place of the nearest neighbour
+                strangeness = rest
         total = weights.sum(axis=1, keepdims=True)
         return values, weights / np.where(total > 0, total, 1), strangeness
 
     def _places(self, near: npt.NDArray[np.int64], there: npt.NDArray[np.bool_], radius: float) -> npt.NDArray[Any]:
-        """(m, crowd) number of each neighbour's place, -1 for none: the nearest free neighbour gathers those by it."""
+        """(m, crowd) each neighbour's place, below 0 for none: the nearest free neighbour gathers those by it."""
         where = self.targets[near] / self.target_scale
         place = np.where(there, -1, -2)
         for p in range(_PLACES):
