@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -33,7 +35,8 @@ def make_data(two_answers=False, n=900):
         targets[:, :] = np.where(rng.random(n) < 0.6, 1.0, -1.0)[:, None] + 0.05 * rng.normal(size=(n, 7))
     order = rng.permutation(n)
     split = Split(SplitKind.INTERLEAVED, 0, *(np.sort(p) for p in np.split(order, [n // 2, 3 * n // 4])))
-    return TrainingData(None, split, None, features, targets, np.array([1.0, 0, 0, 0]))
+    sequence = SimpleNamespace(recording=np.zeros(n, dtype=np.int64))
+    return TrainingData(sequence, split, None, features, targets, np.array([1.0, 0, 0, 0]))
 
 
 @pytest.fixture(scope="module")

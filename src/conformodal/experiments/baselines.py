@@ -1,7 +1,8 @@
 """Other ways to regress a pose from the same features, with the same trunk, optimiser and epochs.
 
-All but the last are networks trained with the settings that were searched for the classical regressor, on the training
-and calibration parts together; only conformalised quantile regression holds the calibration part out. Locally linear
+All but the last are networks. Each starts from the settings that were searched for the classical regressor, has its own
+rate and dropout searched in the same way, and is trained on the training and calibration parts together; only
+conformalised quantile regression holds the calibration part out, and searches within the training part. Locally linear
 regression has no network: it is the part of the conformal method's search that is one, on its own.
 """
 
@@ -27,11 +28,13 @@ from conformodal.vision import (
     TrainingConfig,
     fit_head,
     fit_local,
+    fit_projection,
     mean_squared_error,
     predict_values,
 )
 
-from .classical import START_DROPOUT, ClassicalRegressor
+from .classical import START_DROPOUT, ClassicalRegressor, root_mean_square
+from .search import Search
 
 FloatArray = npt.NDArray[np.float64]
 Features: TypeAlias = npt.NDArray[np.float32]
@@ -40,6 +43,8 @@ Answer: TypeAlias = Callable[[Features], FloatArray]
 N_POSITION = 3
 N_COMPONENTS = 5
 N_PASSES, N_MEMBERS = 30, 5
+_LEAST_DROPOUT = 0.03  # of MC dropout
+_JUDGED = 5  # one piece of the training part in so many judges the settings of quantile regression
 _LOCAL = tuple(
     LocalSettings(components, neighbours, ridge, None)
     for components, neighbours, ridge in product((16, 64, 256), (10, 20, 40), (0.01, 0.1))
@@ -139,7 +144,7 @@ def pinball_loss(levels: tuple[float, ...]) -> Any:
 def learnt_weights(problem: Problem) -> Baseline:
     """The classical regressor with learnt loss weights."""
     started = time.perf_counter()
-    head = _fit(problem, learnt_weights_loss, head_type=WeightedHead)
+    head = _searched(problem, _Kind(learnt_weights_loss, [1] * problem.mean.size, predict_values, WeightedHead))
     return _trained(problem, [head], started, lambda features: predict_values(head, features))
 
 
@@ -147,23 +152,21 @@ def mixture_density(problem: Problem) -> Baseline:
     """A mixture density network; answers with the mean of its heaviest component."""
     d = problem.mean.size
     started = time.perf_counter()
-    head = _fit(problem, mixture_loss, outputs=[N_COMPONENTS * (1 + 2 * d)])
 
-    def answer(features: Features) -> FloatArray:
+    def heaviest(head: Head, features: Features) -> FloatArray:
         raw = torch.from_numpy(predict_values(head, features))
         logits, means, _ = split_mixture(raw, d)
         return np.asarray(means[torch.arange(len(raw)), logits.argmax(dim=1)].numpy())
 
-    return _trained(problem, [head], started, answer)
+    head = _searched(problem, _Kind(mixture_loss, [N_COMPONENTS * (1 + 2 * d)], heaviest))
+    return _trained(problem, [head], started, lambda features: heaviest(head, features))
 
 
 def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
     """The classical regressor, asked 30 times with dropout and averaged (Gal and Ghahramani 2016)."""
     started = time.perf_counter()
-    # where the search found that dropout does not pay, this method needs some nevertheless
-    head = classical.head if classical.training.dropout else _fit(problem, mean_squared_error, dropout=START_DROPOUT)
 
-    def answer(features: Features) -> FloatArray:
+    def asked_often(head: Head, features: Features) -> FloatArray:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(problem.config.seed)
             head.train()
@@ -172,14 +175,21 @@ def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
             finally:
                 head.eval()
 
-    return _trained(problem, [head], started, answer)
+    # where the search found that dropout does not pay, this method needs some nevertheless
+    plain = _Kind(mean_squared_error, [1] * problem.mean.size, asked_often, least_dropout=_LEAST_DROPOUT)
+    head = classical.head if classical.training.dropout else _searched(problem, plain)
+    return _trained(problem, [head], started, lambda features: asked_often(head, features))
 
 
 def deep_ensemble(problem: Problem, classical: ClassicalRegressor) -> Baseline:
     """The mean of five classical regressors from different starts (Lakshminarayanan, Pritzel and Blundell 2017)."""
     started = time.perf_counter()
     seeds = (problem.config.seed + 1000 * k for k in range(1, N_MEMBERS))
-    heads = [classical.head, *(_fit(problem, mean_squared_error, seed=seed) for seed in seeds)]
+    plain = _Kind(mean_squared_error, [1] * problem.mean.size, predict_values)
+    heads = [
+        classical.head,
+        *(plain.fit(problem, problem.known, replace(problem.config, seed=seed), problem.projection) for seed in seeds),
+    ]
 
     def answer(features: Features) -> FloatArray:
         return np.asarray(np.mean([predict_values(head, features) for head in heads], axis=0))
@@ -208,10 +218,20 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
     d = problem.mean.size
     train, held_out = problem.data.split.train, problem.data.split.calibration
     started = time.perf_counter()
-    head = _fit(problem, pinball_loss((alpha / 2, 0.5, 1 - alpha / 2)), outputs=[3] * d, rows=train)
+
+    def quantiles_of(head: Head, features: Features) -> FloatArray:
+        return np.sort(predict_values(head, features).reshape(-1, d, 3), axis=2)
+
+    loss = pinball_loss((alpha / 2, 0.5, 1 - alpha / 2))
+    kind = _Kind(loss, [3] * d, lambda head, features: quantiles_of(head, features)[:, :, 1])
+    # the calibration part must not even have chosen a rate
+    pieces = held_out_together(problem.data.sequence.recording, problem.data.split.kind)[train]
+    judge = np.isin(pieces, np.unique(pieces)[::_JUDGED])
+    settings = _search(problem, kind, train[~judge], train[judge]).best
+    head = kind.fit(problem, train, settings)
 
     def quantiles(features: Features) -> FloatArray:
-        return np.sort(predict_values(head, features).reshape(-1, d, 3), axis=2)
+        return quantiles_of(head, features)
 
     seen, y = quantiles(problem.data.features[held_out]), problem.standard(held_out)
     slack = conformal_quantile(np.maximum(seen[:, :, 0] - y, y - seen[:, :, 2]), alpha)
@@ -234,22 +254,51 @@ def local_regression(problem: Problem) -> Baseline:
     return Baseline(lambda features: regression.predict(features).best, seconds, regression.size)
 
 
-def _fit(
-    problem: Problem,
-    loss: Any,
-    *,
-    outputs: list[int] | None = None,
-    rows: npt.NDArray[np.int64] | None = None,
-    head_type: type[Head] = Head,
-    **changes: Any,
-) -> Head:
-    at = problem.known if rows is None else rows
-    config = replace(problem.config, **changes)
-    out = [1] * problem.mean.size if outputs is None else outputs
-    # a projection may know the rows that a head is trained on, and no others
-    projection = problem.projection if rows is None else None
-    features, targets = problem.data.features[at], problem.standard(at)
-    return fit_head(features, targets, out, loss, config, head_type=head_type, projection=projection)
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """What a network is trained to do, and what it then answers: standardised targets (n, 7)."""
+
+    loss: Any
+    outputs: list[int]
+    answer: Callable[[Head, Features], FloatArray]
+    head_type: type[Head] = Head
+    least_dropout: float = 0.0
+
+    def fit(
+        self,
+        problem: Problem,
+        rows: npt.NDArray[np.int64],
+        settings: TrainingConfig,
+        projection: Projection | None = None,
+    ) -> Head:
+        """Train on some rows; a projection may know these and no others."""
+        features, targets = problem.data.features[rows], problem.standard(rows)
+        return fit_head(
+            features, targets, self.outputs, self.loss, settings, head_type=self.head_type, projection=projection
+        )
+
+
+def _search(problem: Problem, kind: _Kind, rows: npt.NDArray[np.int64], judge: npt.NDArray[np.int64]) -> Search:
+    """Rate and dropout, trained on some rows and judged on others by the error of the position."""
+    projection = fit_projection(problem.data.features[rows], problem.config.components)
+
+    def error(settings: TrainingConfig) -> float:
+        head = kind.fit(problem, rows, settings, projection)
+        miss = problem.metric(kind.answer(head, problem.data.features[judge])) - problem.data.targets[judge]
+        return root_mean_square(miss[:, :N_POSITION])
+
+    search = Search(error)
+    search.walk(replace(problem.config, dropout=max(problem.config.dropout, kind.least_dropout)))
+    others = {max(dropout, kind.least_dropout) for dropout in (0.0, START_DROPOUT)}
+    search.try_out(*(replace(search.best, dropout=dropout) for dropout in sorted(others)))
+    return search
+
+
+def _searched(problem: Problem, kind: _Kind) -> Head:
+    """Searched on the training part, judged on the calibration part, trained on both."""
+    split = problem.data.split
+    settings = _search(problem, kind, split.train, split.calibration).best
+    return kind.fit(problem, problem.known, settings, problem.projection)
 
 
 def _trained(problem: Problem, heads: list[Head], started: float, standard: Answer) -> Baseline:

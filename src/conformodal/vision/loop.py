@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import lightning
+import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
-from torch.utils.data import BatchSampler, DataLoader, RandomSampler, TensorDataset
+from torch.utils.data import DataLoader, TensorDataset
 
 from .heads import Head
 from .training import Loss, Progress, TrainingConfig
@@ -26,23 +27,38 @@ _CHECKPOINT_EVERY_EPOCHS = 10
 
 
 class _Module(lightning.LightningModule):
-    def __init__(self, head: Head, loss: Loss, config: TrainingConfig, n_steps: int) -> None:
-        super().__init__()
-        self.head, self.loss, self.config, self.n_steps = head, loss, config, n_steps
+    """One step of Lightning's is an epoch: its own work a batch took as long as the batch of so small a network."""
 
-    def training_step(self, batch: list[torch.Tensor], _: int) -> torch.Tensor:
-        x, y = batch
-        return self.loss(self.head, self.head.answer(x), y)
+    def __init__(self, head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self.head, self.x, self.y, self.loss, self.config = head, x, y, loss, config
+        self.batch_size = min(config.batch_size, len(x))
+
+    def training_step(self, _: list[torch.Tensor]) -> None:
+        counted: Any = self.optimizers()
+        schedule: Any = self.lr_schedulers()
+        # of seed and epoch alone: a training that is taken up again goes on as it would have
+        order = np.random.default_rng((self.config.seed, self.current_epoch)).permutation(len(self.x))
+        batches = torch.split(torch.from_numpy(order), self.batch_size)
+        for k, at in enumerate(batches, 1):
+            # Lightning keeps no state unless it has counted a step since the last time
+            optimizer = counted if k == len(batches) else counted.optimizer
+            optimizer.zero_grad()
+            torch.autograd.backward(self.loss(self.head, self.head.answer(self.x[at]), self.y[at]))
+            optimizer.step()
+            schedule.step()
 
     def configure_optimizers(self) -> Any:
         cfg = self.config
         optimizer = torch.optim.AdamW(
             self.head.parameters(), lr=cfg.learning_rate, weight_decay=cfg.weight_decay, fused=True
         )
+        n_steps = cfg.epochs * -(-len(self.x) // self.batch_size)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, max_lr=cfg.learning_rate, total_steps=self.n_steps, pct_start=0.1
+            optimizer, max_lr=cfg.learning_rate, total_steps=n_steps, pct_start=0.1
         )
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        return {"optimizer": optimizer, "lr_scheduler": schedule}
 
 
 class _Report(Callback):
@@ -63,12 +79,8 @@ def run_loop(
     progress: Progress | None,
 ) -> None:
     """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.training.fit_head`."""
-    dataset = TensorDataset(x, y)
-    order = RandomSampler(dataset, generator=torch.Generator().manual_seed(config.seed))
-    # whole batches by one index operation, not sample by sample
-    sampler = BatchSampler(order, min(config.batch_size, len(x)), drop_last=False)
-    loader: DataLoader[Any] = DataLoader(dataset, sampler=sampler, batch_size=None)
-    module = _Module(head, loss, config, config.epochs * len(sampler))
+    loader: DataLoader[Any] = DataLoader(TensorDataset(torch.zeros(1)))  # epochs; the module holds the samples
+    module = _Module(head, x, y, loss, config)
     folder = None if checkpoint_dir is None else checkpoint_dir / _digest(x, y, loss, config)
     fit_module(module, loader, config.epochs, folder, progress)
 

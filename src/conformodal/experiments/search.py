@@ -1,0 +1,57 @@
+"""The search for settings that every network in the comparison is given: tried on one part, judged on another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from conformodal.vision import TrainingConfig
+
+RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
+
+
+class Search:
+    """Settings tried so far, and their errors.
+
+    Parameters
+    ----------
+    error
+        Trains with settings and judges; a training that broke down may give anything but a finite number.
+    report
+        Called with trainings done and trainings in all, as far as known.
+    """
+
+    def __init__(
+        self, error: Callable[[TrainingConfig], float], report: Callable[[int, int], None] | None = None
+    ) -> None:
+        self._error = error
+        self._report = report
+        self.errors: dict[TrainingConfig, float] = {}
+
+    @property
+    def best(self) -> TrainingConfig:
+        """The settings with the least error."""
+        return min(self.errors, key=self.errors.__getitem__)
+
+    def try_out(self, *choices: TrainingConfig) -> None:
+        """Train with each of these settings, once."""
+        new = [settings for settings in dict.fromkeys(choices) if settings not in self.errors]
+        for left, settings in zip(range(len(new), 0, -1), new, strict=True):
+            if self._report is not None:
+                self._report(len(self.errors), len(self.errors) + left)
+            error = self._error(settings)
+            self.errors[settings] = error if math.isfinite(error) else math.inf
+
+    def walk(self, *starts: TrainingConfig) -> None:
+        """Down and up :data:`RATES` from settings that differ in their rates alone, until the best is between worse."""
+        tried: list[TrainingConfig] = []
+        waiting = list(starts)
+        while waiting:
+            self.try_out(*waiting)
+            tried += waiting
+            best = min(tried, key=self.errors.__getitem__)
+            below = [rate for rate in RATES if rate < best.learning_rate][-1:]
+            above = [rate for rate in RATES if rate > best.learning_rate][:1]
+            beside = [replace(best, learning_rate=rate) for rate in below + above]
+            waiting = [settings for settings in beside if settings not in tried]
