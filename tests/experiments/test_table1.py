@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from PIL import Image
+from scipy.stats import spearmanr
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
@@ -17,12 +18,14 @@ from conformodal.experiments.table1 import (
     main_table,
     method_table,
     rows_of,
+    size_table,
     tasks_of,
     tidy,
     write_json,
     write_parquet,
 )
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
+from conformodal.experiments.table1.sizes import rank_correlation
 from conformodal.experiments.table1.summary import METHODS
 from conformodal.odometry import ResultsError
 from conformodal.report.stored import StoredRun
@@ -63,9 +66,13 @@ def made_up(task):
         "intervals": 1.5,
         "size_error_rank_correlation": None,
     }
-    tested = {"errors": errors, "region": region, "answer_ms": {"classical": 0.1}}
+    # in a row the larger region has the smaller error; over rows of other noise it has the larger
+    frames = {
+        s: {"size_m": [1 + s, 2 + s], "error_m": [2 + 9 * s, 1 + 9 * s], "turn_rad_s": [None, 1.0]} for s in task.sigmas
+    }
     cost = {"classical": {"train_s": 5.0, "n_parameters": 10}}
-    noise = {f"{s:g}": tested for s in task.sigmas}
+    tested = {"errors": errors, "region": region, "answer_ms": {"classical": 0.1}}
+    noise = {f"{s:g}": {**tested, "frames": frames[s]} for s in task.sigmas}
     return {"frames": {"train": 1, "calibration": 1, "test": 1}, "cost": cost, "noise": noise}
 
 
@@ -96,6 +103,25 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
         assert len(table) == 2 + len(METHODS)
         costs = cost_table(ROWS[1], records, split)
         assert costs.lines == [["classical", "0.0330 ± 0.0030", "5.0 ± 0.0", "0.10 ± 0.00", "0.0"]]
+
+
+def test_sizes_are_held_against_errors_over_rows_together():
+    sizes, errors = [], []
+    for sigma in (0.0, 0.05, 0.1, 0.2):
+        sizes += [1 + sigma, 2 + sigma]
+        errors += [2 + 9 * sigma, 1 + 9 * sigma]
+    expected = f"{spearmanr(sizes, errors).statistic:.2f} ± 0.00"
+    tasks = tasks_of(ROWS, BOTH, [0, 1], 100, "digest")
+    table = size_table(ROWS, tasks, [made_up(t) for t in tasks], "blocks")
+    assert table.lines[0] == ["noise 0 to 0.2", expected, ""]  # one turning rate, which does not vary
+    assert table.lines[1][0] == "all rows"
+    assert table.lines[1][1] != expected
+
+
+def test_rank_correlation_leaves_out_what_is_not_there():
+    assert rank_correlation([1, 2, None, 4], [1, 2, 3, np.nan]) == pytest.approx(1)
+    assert np.isnan(rank_correlation([1, 1], [1, 2]))
+    assert np.isnan(rank_correlation([], []))
 
 
 def test_parquet_and_json_hold_the_same_records(tmp_path):

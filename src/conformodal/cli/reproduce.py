@@ -25,6 +25,7 @@ from conformodal.experiments.table1 import (
     main_table,
     method_table,
     rows_of,
+    size_table,
     tasks_of,
     tidy,
     write_json,
@@ -98,7 +99,16 @@ def table1(
     if find_spec("pyarrow"):  # an extra
         write_parquet(records, out / "table1.parquet")
     title, note = f"The paper's table 1 on {sequence.name}", _note(seeds, epochs, networks, workers, fine_tune)
-    tables = {str(kind): _tables(rows, records, str(kind)) for kind in splits}
+    tables = {
+        str(kind): [
+            *_tables(rows, records, str(kind)),
+            (
+                "Rank correlation of the region's size, frames of several rows together",
+                size_table(rows, tasks, results, kind),
+            ),
+        ]
+        for kind in splits
+    }
     text = [f"# {title}", "", note]
     for kind, found in tables.items():
         text += ["", f"## Split `{kind}`"]
@@ -203,12 +213,14 @@ def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) 
         f"Mean ± standard deviation over {over} of split and training, {epochs} epochs. Ratio: the other's RMSE over "
         f"ours, seed by seed. {features} features of {networks.replace(',', ', ')}. The test frames are the same fifth "
         "for every row; a fifth of the used frames calibrates. The classical regressors are trained on these as well, "
-        "with learning rate, dropout and number of components searched for each. Noise is on the camera's pixels, in "
-        "[0, 1], at test time only, for network and tracker alike. Whole pose covered: at alpha = 0.1 (bonferroni); "
+        "with learning rate, dropout and number of components searched for each, and the other networks with learning "
+        "rate and dropout. Noise is on the camera's pixels, in [0, 1], at test time only, for network and tracker "
+        "alike. Whole pose covered: at alpha = 0.1 (bonferroni); "
         "promised for `interleaved` without noise, otherwise an observation. Set length and intervals: a target at "
         "alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of the position "
         f"region's size and the smoothed answer's error. Costs: wall time with {workers} trainings at a time on this "
-        "machine; the search for the classical settings, which the other networks but ours use too, is counted "
-        "once, as the classical regressor's; locally linear regression is the part of our search that is one, alone. "
+        "machine, searches for settings included; the other networks but ours start from the classical regressor's, "
+        "whose search is counted once, as its own; locally linear regression is the part of our search that is one, "
+        "alone. "
         "An answer is all that follows the features (and, for ours, the motions)."
     )

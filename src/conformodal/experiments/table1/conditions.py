@@ -16,6 +16,7 @@ TEST = 0.2
 CALIBRATION_SHARE = 0.2  # of the used frames
 NETWORKS = ("efficientnet_lite0", "efficientnet_lite1", "efficientnet_lite2")
 NOISE = (0.0, 0.05, 0.1, 0.2)
+_RESULTS = 2  # of results of tasks; older ones are worked out again
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ class TrainingTask:
     def settings(self) -> dict[str, object]:
         """All that decides the result."""
         tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
-        return {**vars(self), "split": str(self.split), "sigmas": list(self.sigmas), "fine_tuning": tuning}
+        own = {"split": str(self.split), "sigmas": list(self.sigmas), "fine_tuning": tuning, "results": _RESULTS}
+        return {**vars(self), **own}
 
 
 def tasks_of(

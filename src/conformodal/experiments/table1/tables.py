@@ -55,12 +55,12 @@ def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Ta
         for method in ("smoothed", "classical"):
             cells += [_of(records, row, split, method, "rmse_m", 4), _of(records, row, split, method, "rmse_deg", 2)]
         ratios = _ratios(records, row, split)
-        cells += [_spread(ratios["classical"], 2), _spread(ratios["classical_smoothed"], 2)]
+        cells += [spread(ratios["classical"], 2), spread(ratios["classical_smoothed"], 2)]
         others = {m: v for m, v in ratios.items() if m in METHODS and m not in _OURS and not m.startswith("classical")}
         best = min(others, key=lambda m: float(np.median(others[m])))
-        cells.append(f"{_spread(others[best], 2)} {METHODS[best]}")
+        cells.append(f"{spread(others[best], 2)} {METHODS[best]}")
         cells.append(_of(records, row, split, "smoothed", "region_joint_coverage", 2))
-        cells.append(_spread([float(np.mean(v)) for v in _values(records, row, split, "smoothed", "region_length")], 2))
+        cells.append(spread([float(np.mean(v)) for v in _values(records, row, split, "smoothed", "region_length")], 2))
         cells.append(_of(records, row, split, "smoothed", "region_intervals", 2))
         cells.append(_of(records, row, split, "smoothed", "region_size_error_rank_correlation", 2))
         paper = row.paper_classical / row.paper_conformal
@@ -100,7 +100,7 @@ def _values(records: Sequence[Record], row: Row, split: str, method: str, key: s
 
 
 def _of(records: Sequence[Record], row: Row, split: str, method: str, key: str, digits: int) -> str:
-    return _spread(_values(records, row, split, method, key), digits)
+    return spread(_values(records, row, split, method, key), digits)
 
 
 def _ratios(records: Sequence[Record], row: Row, split: str) -> dict[str, list[float]]:
@@ -113,7 +113,7 @@ def _ratios(records: Sequence[Record], row: Row, split: str) -> dict[str, list[f
     }
 
 
-def _spread(values: Sequence[float], digits: int) -> str:
+def spread(values: Sequence[float], digits: int) -> str:
     """Mean and standard deviation over seeds."""
     if not values:
         return ""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import spearmanr
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import PixelNoise, Sequence
@@ -28,7 +27,7 @@ from conformodal.odometry import (
     train_model,
     write_run,
 )
-from conformodal.poses import Trajectory, normalise_quat, trajectory_errors
+from conformodal.poses import Trajectory, angle_between_quats, normalise_quat, trajectory_errors
 from conformodal.reasoning import Observations, smooth, viterbi
 from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
 
@@ -45,6 +44,7 @@ from ..baselines import (
 )
 from ..classical import ClassicalRegressor, train_classical
 from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
+from .sizes import rank_correlation
 
 ALPHA = 0.1
 RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -143,6 +143,7 @@ class Table1Worker:
         return {
             "errors": {name: trajectory_errors(t, truth) for name, t in found.items()},
             "region": _regions(run, model, features, targets, truth),
+            "frames": _sizes(run, model, truth, recording),
             "quantile_regression": {
                 "coverage": float(((targets >= lower) & (targets <= upper)).mean()),
                 "length": _in_deviations(upper - lower, targets),
@@ -212,15 +213,11 @@ def _regions(
     single.calibrate_scores(model.calibration.scores_)
     proba = model.proba(features)
     alone = single.predict(proba)
-    widths = np.array([e[-1] - e[0] for e in model.bins.edges_])  # what stands for the whole line
-    position = np.minimum(run.regions.length, widths)[:, :3]
-    off = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
-    spread = np.linalg.norm(position, axis=1)
-    rank = float(spearmanr(spread, off).statistic) if np.ptp(spread) > 0 else float("nan")
+    rank = rank_correlation(*_size_and_error(run, model, truth))
     return {
         "joint_coverage": float(run.regions.contains(targets, joint=True).mean()),
         "coverage": float(alone.contains(targets).mean()),
-        "length": _in_deviations(np.minimum(alone.length, widths), targets),
+        "length": _in_deviations(np.minimum(alone.length, _widths(model)), targets),
         "intervals": float(alone.n_intervals.mean()),
         "size_error_rank_correlation": rank if np.isfinite(rank) else None,
         "n_calibration": model.n_calibration,
@@ -228,6 +225,30 @@ def _regions(
         # per target, mean over the seven: what the reliability figure shows
         "coverage_at": [[a, float(single.at(a).predict(proba).contains(targets).mean())] for a in RELIABILITY_ALPHAS],
     }
+
+
+def _widths(model: PoseModel) -> FloatArray:
+    """Ranges of the bins: what stands for the whole line."""
+    return np.array([e[-1] - e[0] for e in model.bins.edges_])
+
+
+def _size_and_error(run: OdometryRun, model: PoseModel, truth: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Size of the position's region and error of the smoothed answer, metres, a frame."""
+    size = np.linalg.norm(np.minimum(run.regions.length, _widths(model))[:, :3], axis=1)
+    return size, np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
+
+
+def _sizes(
+    run: OdometryRun, model: PoseModel, truth: Trajectory, recording: npt.NDArray[np.int64]
+) -> dict[str, list[float | None]]:
+    """The same beside the turning rate since the tested frame before, rad/s; None where there is none."""
+    size, error = _size_and_error(run, model, truth)
+    quats = truth.orientations_quat_wxyz
+    turn = np.full(len(truth), np.nan)
+    turn[1:] = angle_between_quats(quats[1:], quats[:-1]) / np.diff(truth.timestamps_s)
+    turn[1:][np.diff(recording) != 0] = np.nan
+    found = {"size_m": size, "error_m": error, "turn_rad_s": turn}
+    return {k: [float(f"{v:.4g}") if np.isfinite(v) else None for v in values] for k, values in found.items()}
 
 
 def _in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:

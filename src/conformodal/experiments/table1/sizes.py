@@ -1,0 +1,49 @@
+"""Does the size of the region say how large the error is? Within a row hardly anything differs; across rows it does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import spearmanr
+
+from .conditions import Row, TrainingTask
+from .summary import Record
+from .tables import Table, spread
+
+
+def rank_correlation(one: npt.ArrayLike, other: npt.ArrayLike) -> float:
+    """Spearman's, of the pairs that are there; NaN where either does not vary."""
+    a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+    there = np.isfinite(a) & np.isfinite(b)
+    a, b = a[there], b[there]
+    if len(a) < 2 or not np.ptp(a) or not np.ptp(b):
+        return float("nan")
+    return float(spearmanr(a, b).statistic)
+
+
+def size_table(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[Record], split: str) -> Table:
+    """Rank correlation of the position region's size with the error and with the turning rate, seed by seed."""
+    frames = {
+        (task.seed, task.used, task.network, sigma): result["noise"][f"{sigma:g}"]["frames"]
+        for task, result in zip(tasks, results, strict=True)
+        if str(task.split) == split
+        for sigma in task.sigmas
+    }
+    seeds = sorted({seed for seed, *_ in frames})
+    noisy = [row for row in rows if row.used == min(r.used for r in rows)]
+    groups = {f"noise {min(r.sigma for r in noisy):g} to {max(r.sigma for r in noisy):g}": noisy, "all rows": rows}
+    lines = []
+    for name, group in groups.items():
+        conditions = dict.fromkeys((row.used, row.network, row.sigma) for row in group)
+        cells = []
+        for other in ("error_m", "turn_rad_s"):
+            found = []
+            for seed in seeds:
+                pooled = [frames[seed, *condition] for condition in conditions]
+                size, against = ([v for part in pooled for v in part[key]] for key in ("size_m", other))
+                found.append(rank_correlation(size, against))
+            cells.append(spread([v for v in found if np.isfinite(v)], 2))
+        lines.append([name, *cells])
+    return Table(["frames together", "size against error", "size against turning rate"], lines)
