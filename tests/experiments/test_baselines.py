@@ -6,20 +6,22 @@ import torch
 
 from conformodal.datasets import Split, SplitKind
 from conformodal.experiments.baselines import (
-    N_COMPONENTS,
     Problem,
-    WeightedHead,
     deep_ensemble,
     dropout_passes,
     learnt_weights,
-    learnt_weights_loss,
     mixture_density,
-    mixture_loss,
-    pinball_loss,
     quantile_regression,
-    split_mixture,
 )
 from conformodal.experiments.classical import train_classical
+from conformodal.experiments.losses import (
+    N_COMPONENTS,
+    WeightedHead,
+    learnt_weights_loss,
+    mixture_loss,
+    pinball_loss,
+    split_mixture,
+)
 from conformodal.odometry import TrainingData
 from conformodal.vision import Projection, TrainingConfig, fit_projection
 
