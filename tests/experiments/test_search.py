@@ -49,3 +49,12 @@ def test_a_training_that_broke_down_is_never_the_best(broken):
     search = Search(lambda s: broken if s.dropout else 5.0)
     search.try_out(at(1e-3), at(1e-3, 0.0))
     assert search.best == at(1e-3, 0.0)
+
+
+def test_where_the_last_training_breaks_down_the_next_best_settings_take_over():
+    search = Search(lambda s: {0.3: 1.0, 0.1: 2.0, 0.0: 3.0}[s.dropout])
+    search.try_out(at(1e-3), at(1e-3, 0.1), at(1e-3, 0.0))
+    errors = {0.3: math.nan, 0.1: 4.1, 0.0: 5.9}
+    assert search.once_more(lambda s: s.dropout, errors.__getitem__) == (at(1e-3, 0.0), 0.0)
+    assert search.once_more(lambda s: s.dropout, lambda _: 0.1) == (at(1e-3), 0.3)
+    assert search.once_more(lambda s: s.dropout, lambda _: math.inf) == (at(1e-3), 0.3)  # nothing is better

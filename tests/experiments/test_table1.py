@@ -27,7 +27,7 @@ from conformodal.experiments.table1 import (
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
 from conformodal.experiments.table1.sizes import rank_correlation
 from conformodal.experiments.table1.summary import METHODS
-from conformodal.odometry import ResultsError
+from conformodal.odometry import ResultsError, read_metrics
 from conformodal.report.stored import StoredRun
 
 ROWS = rows_of()
@@ -171,10 +171,12 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(small_world, tmp_path):
     kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()}
     assert len(kept) == 4
     (tmp_path / "table1.md").unlink()
+    seconds = read_metrics(tmp_path)["seconds"]
     again = CliRunner().invoke(app, [str(a) for a in arguments])
     assert again.exit_code == 0
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == kept
     assert "| 40 % of the data |" in (tmp_path / "table1.md").read_text()
+    assert read_metrics(tmp_path)["seconds"] > seconds  # of both
 
     drawn = CliRunner().invoke(app, [str(a) for a in ["reproduce", "figures", *arguments[2:5], *arguments[7:]]])
     assert drawn.exit_code == 0, drawn.output

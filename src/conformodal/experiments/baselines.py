@@ -109,7 +109,7 @@ class Problem:
 def learnt_weights(problem: Problem) -> Baseline:
     """The classical regressor with learnt loss weights."""
     started = time.perf_counter()
-    head = _searched(problem, _Kind(learnt_weights_loss, [1] * problem.mean.size, predict_values, WeightedHead))
+    head = _judged(problem, _Kind(learnt_weights_loss, [1] * problem.mean.size, predict_values, WeightedHead))
     return _trained(problem, [head], started, lambda features: predict_values(head, features))
 
 
@@ -123,7 +123,7 @@ def mixture_density(problem: Problem) -> Baseline:
         logits, means, _ = split_mixture(raw, d)
         return np.asarray(means[torch.arange(len(raw)), logits.argmax(dim=1)].numpy())
 
-    head = _searched(problem, _Kind(mixture_loss, [N_COMPONENTS * (1 + 2 * d)], heaviest))
+    head = _judged(problem, _Kind(mixture_loss, [N_COMPONENTS * (1 + 2 * d)], heaviest))
     return _trained(problem, [head], started, lambda features: heaviest(head, features))
 
 
@@ -142,7 +142,7 @@ def dropout_passes(problem: Problem, classical: ClassicalRegressor) -> Baseline:
 
     # where the search found that dropout does not pay, this method needs some nevertheless
     plain = _Kind(mean_squared_error, [1] * problem.mean.size, asked_often, least_dropout=_LEAST_DROPOUT)
-    head = classical.head if classical.training.dropout else _searched(problem, plain)
+    head = classical.head if classical.training.dropout else _judged(problem, plain)
     return _trained(problem, [head], started, lambda features: asked_often(head, features))
 
 
@@ -192,8 +192,7 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
     # the calibration part must not even have chosen a rate
     pieces = held_out_together(problem.data.sequence.recording, problem.data.split.kind)[train]
     judge = np.isin(pieces, np.unique(pieces)[::_JUDGED])
-    settings = _search(problem, kind, train[~judge], train[judge]).best
-    head = kind.fit(problem, train, settings)
+    head = _searched(problem, kind, train[~judge], train[judge], train)
 
     def quantiles(features: Features) -> FloatArray:
         return quantiles_of(head, features)
@@ -243,27 +242,32 @@ class _Kind:
         )
 
 
-def _search(problem: Problem, kind: _Kind, rows: npt.NDArray[np.int64], judge: npt.NDArray[np.int64]) -> Search:
-    """Rate and dropout, trained on some rows and judged on others by the error of the position."""
-    projection = fit_projection(problem.data.features[rows], problem.config.components)
+def _searched(
+    problem: Problem,
+    kind: _Kind,
+    rows: npt.NDArray[np.int64],
+    judge: npt.NDArray[np.int64],
+    everything: npt.NDArray[np.int64],
+) -> Head:
+    """Trained on everything, with the rate and dropout that did best on `judge` when trained on `rows`."""
+    data, components = problem.data, problem.config.components
+    part, whole = (fit_projection(data.features[at], components) for at in (rows, everything))
 
-    def error(settings: TrainingConfig) -> float:
-        head = kind.fit(problem, rows, settings, projection)
-        miss = problem.metric(kind.answer(head, problem.data.features[judge])) - problem.data.targets[judge]
+    def error(head: Head) -> float:
+        miss = problem.metric(kind.answer(head, data.features[judge])) - data.targets[judge]
         return root_mean_square(miss[:, :N_POSITION])
 
-    search = Search(error)
+    search = Search(lambda settings: error(kind.fit(problem, rows, settings, part)))
     search.walk(replace(problem.config, dropout=max(problem.config.dropout, kind.least_dropout)))
     others = {max(dropout, kind.least_dropout) for dropout in (0.0, START_DROPOUT)}
     search.try_out(*(replace(search.best, dropout=dropout) for dropout in sorted(others)))
-    return search
+    _, head = search.once_more(lambda settings: kind.fit(problem, everything, settings, whole), error)
+    return head
 
 
-def _searched(problem: Problem, kind: _Kind) -> Head:
+def _judged(problem: Problem, kind: _Kind) -> Head:
     """Searched on the training part, judged on the calibration part, trained on both."""
-    split = problem.data.split
-    settings = _search(problem, kind, split.train, split.calibration).best
-    return kind.fit(problem, problem.known, settings, problem.projection)
+    return _searched(problem, kind, problem.data.split.train, problem.data.split.calibration, problem.known)
 
 
 def _trained(problem: Problem, heads: list[Head], started: float, standard: Answer) -> Baseline:

@@ -138,9 +138,11 @@ def train_classical(
 
     misses: dict[TrainingConfig, npt.NDArray[np.float64]] = {}
 
+    def miss(head: Head) -> npt.NDArray[np.float64]:
+        return np.asarray(predict_values(head, data.features[check]) * scale + mean - data.targets[check])
+
     def error(settings: TrainingConfig) -> float:
-        head = fit(train, settings)
-        misses[settings] = predict_values(head, data.features[check]) * scale + mean - data.targets[check]
+        misses[settings] = miss(fit(train, settings))
         return root_mean_square(misses[settings][:, :3])
 
     search = Search(error, report)
@@ -153,9 +155,10 @@ def train_classical(
         replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
         *(replace(search.best, components=k) for k in choices),
     )
-    chosen = search.best
     report(len(search.errors), len(search.errors))
-    head = fit(everything, chosen)
+    chosen, head = search.once_more(
+        lambda settings: fit(everything, settings), lambda head: root_mean_square(miss(head)[:, :3])
+    )
     report(len(search.errors) + 1, len(search.errors))
     truth = data.targets[check]
     angle = angle_between_quats(truth[:, 3:] + misses[chosen][:, 3:], truth[:, 3:])

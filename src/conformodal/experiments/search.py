@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 from conformodal.vision import TrainingConfig
+
+_Trained = TypeVar("_Trained")
+_BROKEN = 2.0  # a training on more that errs so many times as much as the search's on what it has seen, failed
 
 RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 
@@ -55,3 +59,22 @@ class Search:
             above = [rate for rate in RATES if rate > best.learning_rate][:1]
             beside = [replace(best, learning_rate=rate) for rate in below + above]
             waiting = [settings for settings in beside if settings not in tried]
+
+    def once_more(
+        self, train: Callable[[TrainingConfig], _Trained], error: Callable[[_Trained], float]
+    ) -> tuple[TrainingConfig, _Trained]:
+        """Train with the best settings on more; with the next best where that breaks down, as high rates do at times.
+
+        Parameters
+        ----------
+        train
+            On all that may be seen.
+        error
+            On what the search judged by, which is now seen: larger than in the search only if training failed.
+        """
+        ranked = sorted(self.errors, key=self.errors.__getitem__)
+        for settings in ranked:
+            trained = train(settings)
+            if error(trained) <= _BROKEN * self.errors[settings]:
+                return settings, trained
+        return ranked[0], train(ranked[0])
