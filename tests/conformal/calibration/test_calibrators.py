@@ -110,3 +110,20 @@ def test_errors_name_the_argument(problem):
         MondrianConformal(bins).calibrate(proba, y, [1])
     with pytest.raises(ConformalError, match="must name the folds"):
         CrossConformal(bins).calibrate(proba, y, np.zeros(80)).predict({})
+
+
+@pytest.mark.parametrize("score", ["lac", "density"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("at_once", [True, False])
+def test_few_rows_and_many_have_the_same_sets(score, dtype, at_once):
+    rng = np.random.default_rng(0)
+    y = rng.gamma(2.0, size=(400, 2))
+    bins = QuantileBins(12).fit(y)
+    proba = rng.dirichlet(np.ones(12), size=(400, 2)).astype(dtype)
+    answers = proba if at_once else [np.ascontiguousarray(proba[:, j]) for j in range(2)]
+    calibrated = SplitConformal(bins, 0.2, score).calibrate(answers, y)
+    many = calibrated.predict(answers)
+    for i in range(0, 400, 7):
+        few = proba[i : i + 3] if at_once else [part[i : i + 3] for part in answers]
+        for j, mask in enumerate(calibrated.predict(few).masks):
+            np.testing.assert_array_equal(mask, many.masks[j][i : i + 3])

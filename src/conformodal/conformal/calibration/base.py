@@ -19,6 +19,7 @@ from .joint import Joint, JointRule
 
 Empty = Literal["allow", "mode"]
 FloatArray = npt.NDArray[np.floating[Any]]
+_ROWS_OF_A_CUT = 64
 
 
 class Calibrator:
@@ -114,7 +115,7 @@ class Calibrator:
         limits = np.asarray(thresholds)
         if limits.shape not in ((d,), (n, d)):
             raise ConformalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
-        if whole is not None and limits.ndim == 1 and self._elementwise and np.issubdtype(whole.dtype, np.floating):
+        if whole is not None and limits.ndim == 1 and self._by_cuts(n) and np.issubdtype(whole.dtype, np.floating):
             masks: BoolArray | list[BoolArray] = self._masks_at_once(whole, limits)
         else:
             for part in parts if whole is not None else []:
@@ -128,6 +129,10 @@ class Calibrator:
     @property
     def _elementwise(self) -> bool:
         return bool(getattr(self.score, "elementwise", False))
+
+    def _by_cuts(self, n: int) -> bool:
+        """Whether to find the least probability in a set first: it costs as much as the scores of some sixty rows."""
+        return self._elementwise and n > _ROWS_OF_A_CUT
 
     def _masks_at_once(self, proba: FloatArray, limits: FloatArray) -> BoolArray:
         """Check and compare all targets in one pass over contiguous (n, d, K): memory is read once."""
@@ -149,7 +154,7 @@ class Calibrator:
         widths = self.bins.widths[j]
         mask = np.empty((part.shape[0], self.cells.sizes[j]), dtype=bool)
         cut = None
-        if limit.ndim == 0 and self._elementwise:
+        if limit.ndim == 0 and self._by_cuts(len(part)):
             cut = lowest_probability(self.score, widths, limit, part.dtype)
 
         def fill(rows: slice) -> None:
