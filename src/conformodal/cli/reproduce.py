@@ -121,7 +121,7 @@ def table1(
     record: dict[str, Any] = {"command": "reproduce table1", "provenance": provenance(), "configuration": settings}
     earlier = read_metrics(out) if (out / METRICS).is_file() else {}
     before = earlier.get("seconds", 0.0) if earlier.get("configuration") == json.loads(json.dumps(settings)) else 0.0
-    record["seconds"] = round(before + time.perf_counter() - started, 1)  # of all such runs
+    record["seconds"] = round(before + time.perf_counter() - started, 3)  # of all such runs
     write_metrics(out, record)
     sections = [
         Section(
