@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import pytest
 
+from conformodal.experiments import ExperimentError
 from conformodal.experiments.search import RATES, Search
 from conformodal.vision import TrainingConfig
 
@@ -58,3 +59,8 @@ def test_where_the_last_training_breaks_down_the_next_best_settings_take_over():
     assert search.once_more(lambda s: s.dropout, errors.__getitem__) == (at(1e-3, 0.0), 0.0)
     assert search.once_more(lambda s: s.dropout, lambda _: 0.1) == (at(1e-3), 0.3)
     assert search.once_more(lambda s: s.dropout, lambda _: math.inf) == (at(1e-3), 0.3)  # nothing is better
+
+
+def test_nothing_is_trained_on_more_before_anything_was_tried():
+    with pytest.raises(ExperimentError, match="tried out"):
+        Search(lambda _: 1.0).once_more(lambda s: s, lambda _: 0.0)

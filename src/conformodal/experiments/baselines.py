@@ -1,9 +1,10 @@
 """Other ways to regress a pose from the same features, with the same trunk, optimiser and epochs.
 
 All but the last are networks. Each starts from the settings that were searched for the classical regressor, has its own
-rate and dropout searched in the same way, and is trained on the training and calibration parts together; only
-conformalised quantile regression holds the calibration part out, and searches within the training part. Locally linear
-regression has no network: it is the part of the conformal method's search that is one, on its own.
+rate and dropout searched from there, and is trained on the training and calibration parts together; only conformalised
+quantile regression holds the calibration part out, and searches within the training part. The ensemble, and MC dropout
+where the classical regressor has dropout, are that regressor again and keep its settings. Locally linear regression has
+no network: it is the part of the conformal method's search that is one, on its own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -194,9 +196,7 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
     judge = np.isin(pieces, np.unique(pieces)[::_JUDGED])
     head = _searched(problem, kind, train[~judge], train[judge], train)
 
-    def quantiles(features: Features) -> FloatArray:
-        return quantiles_of(head, features)
-
+    quantiles = partial(quantiles_of, head)
     seen, y = quantiles(problem.data.features[held_out]), problem.standard(held_out)
     slack = conformal_quantile(np.maximum(seen[:, :, 0] - y, y - seen[:, :, 2]), alpha)
 

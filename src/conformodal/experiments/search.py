@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from conformodal.vision import TrainingConfig
 
+from .errors import ExperimentError
+
 _Trained = TypeVar("_Trained")
 _BROKEN = 2.0  # a training on more that errs so many times as much as the search's on what it has seen, failed
 
@@ -71,10 +73,18 @@ class Search:
             On all that may be seen.
         error
             On what the search judged by, which is now seen: larger than in the search only if training failed.
+
+        Raises
+        ------
+        ExperimentError
+            If nothing was tried out before.
         """
-        ranked = sorted(self.errors, key=self.errors.__getitem__)
-        for settings in ranked:
+        first: tuple[TrainingConfig, _Trained] | None = None
+        for settings in sorted(self.errors, key=self.errors.__getitem__):
             trained = train(settings)
             if error(trained) <= _BROKEN * self.errors[settings]:
                 return settings, trained
-        return ranked[0], train(ranked[0])
+            first = first or (settings, trained)
+        if first is None:
+            raise ExperimentError("no settings were tried out yet")
+        return first

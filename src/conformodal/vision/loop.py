@@ -27,7 +27,7 @@ _CHECKPOINT_EVERY_EPOCHS = 10
 
 
 class _Module(lightning.LightningModule):
-    """One step of Lightning's is an epoch: its own work a batch took as long as the batch of so small a network."""
+    """One step of Lightning's is an epoch: its own work a batch would take about as long as the batch itself."""
 
     def __init__(self, head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> None:
         super().__init__()
