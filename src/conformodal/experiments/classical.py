@@ -90,8 +90,7 @@ class ClassicalRegressor:
         parts = []
         for number in np.unique(recording):
             at = np.flatnonzero(recording == number)
-            seen = Observations([run.candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
-            parts.append(self.answers(features[at], seen, prior))
+            parts.append(self.answers(features[at], run.observations(at), prior))
         return {name: concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -1,18 +1,22 @@
-"""Relative motion between frames: corners, flow and two-view geometry (OpenCV, PoseLib)."""
+"""Motion between frames: corners, flow, two-view geometry and submaps (OpenCV, PoseLib)."""
 
 from .frontend import MotionFrontEnd
 from .relative_pose import estimate_relative_motion
-from .tracker import CornerTracker, TrackerConfig
+from .submaps import build_submaps
+from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
 from .two_view import TwoView, TwoViewSolver, solve_opencv, solve_poselib
 from .undistortion import undistort
 
 __all__ = [
     "CornerTracker",
+    "Corners",
     "MotionFrontEnd",
     "TrackerConfig",
     "TwoView",
     "TwoViewSolver",
+    "build_submaps",
     "estimate_relative_motion",
+    "grey_image",
     "solve_opencv",
     "solve_poselib",
     "undistort",

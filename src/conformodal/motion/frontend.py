@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .relative_pose import estimate_relative_motion
-from .tracker import CornerTracker, TrackerConfig
+from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
 from .two_view import TwoViewSolver, solve_poselib
 
 # With fewer of the marked corners left than this, motion so far is banked and measured afresh from here.
@@ -34,6 +33,8 @@ class MotionFrontEnd:
     ----------
     tracks
         Corners (m, 2) in the frame measured last but one and in the last, in pixels; None for the first frame.
+    corners
+        All corners of the frame measured last, for :func:`~conformodal.motion.build_submaps`.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class MotionFrontEnd:
         self.solver = solver
         self.tracker = CornerTracker(config)
         self.tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+        self.corners: Corners = self.tracker.corners()
         self._forget_bank()
 
     def reset(self) -> None:
@@ -76,11 +78,11 @@ class MotionFrontEnd:
             motion = self._chain(motion)
         self._forget_bank()
         self.tracker.mark()
+        self.corners = self.tracker.corners()
         return motion
 
     def _advance(self, image: npt.NDArray[np.uint8]) -> None:
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        self.tracker.advance(np.ascontiguousarray(grey))
+        self.tracker.advance(grey_image(image))
 
     def _since_mark(self) -> RelativeMotion:
         before, now = self.tracker.pairs()

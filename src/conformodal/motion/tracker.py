@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -48,6 +48,27 @@ class TrackerConfig:
     max_back_error_px: float = 0.7
 
 
+def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
+    """An image (height, width[, 3]) as the tracker takes it."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.ascontiguousarray(grey, dtype=np.uint8)
+
+
+class Corners(NamedTuple):
+    """The corners of one frame.
+
+    Attributes
+    ----------
+    ids
+        (n,) the same corner has the same number in every frame; no number is used twice.
+    pixels
+        (n, 2) where they are in the image.
+    """
+
+    ids: npt.NDArray[np.int64]
+    pixels: FloatArray
+
+
 class CornerTracker:
     """Follows corners from a marked frame through the frames after it.
 
@@ -57,6 +78,7 @@ class CornerTracker:
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
+        self._n_ever = 0
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +86,7 @@ class CornerTracker:
         self._image: GreyImage | None = None
         self._now: FloatArray = np.empty((0, 2), np.float32)
         self._marked: FloatArray = np.empty((0, 2), np.float32)
+        self._ids: npt.NDArray[np.int64] = np.empty(0, np.int64)
         self.n_at_mark = 0
 
     @property
@@ -88,7 +111,7 @@ class CornerTracker:
         alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
         alive &= np.linalg.norm(back - self._now, axis=1) <= cfg.max_back_error_px
         alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
-        self._now, self._marked = there[alive], self._marked[alive]
+        self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
 
     def mark(self) -> None:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
@@ -97,13 +120,20 @@ class CornerTracker:
         most = self.config.max_corners
         missing = most - len(self._now)
         if len(self._now) < self.config.renew_below * most:
-            self._now = np.concatenate((self._now, self._new_corners(self._image, missing)))
+            new = self._new_corners(self._image, missing)
+            self._now = np.concatenate((self._now, new))
+            self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))
+            self._n_ever += len(new)
         self._marked = self._now.copy()
         self.n_at_mark = len(self._now)
 
     def pairs(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Pixels (n, 2) at the marked frame and at the current one."""
         return self._marked.astype(np.float64), self._now.astype(np.float64)
+
+    def corners(self) -> Corners:
+        """All living corners of the current frame."""
+        return Corners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: GreyImage, count: int) -> FloatArray:
         spacing = max(3.0, self.config.spacing_share * image.shape[1])

@@ -1,6 +1,7 @@
 """The estimator: trained models, streams and sequences."""
 
 from .answers import METHODS, OtherMethods, answers, as_trajectory
+from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import Estimate, OdometryRun, VisualOdometry
 from .model import PoseModel
@@ -43,6 +44,7 @@ __all__ = [
     "fit_pose_radius",
     "iter_region_records",
     "load_model",
+    "measure_depths",
     "measure_motions",
     "pose_errors",
     "pose_targets",

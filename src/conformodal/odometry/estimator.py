@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
-from conformodal.motion import MotionFrontEnd
-from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.motion import Corners, MotionFrontEnd
+from conformodal.poses import RelativeMotion, Submap, Trajectory
 from conformodal.reasoning import (
     LAG,
     Candidates,
@@ -55,6 +55,8 @@ class Estimate:
         Motion since the last usable frame, or None.
     tracks
         Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
+    corners
+        All corners here, or None without an image.
     features
         (F,) of the image, or None without one.
     proba, search
@@ -75,6 +77,7 @@ class Estimate:
     proba: list[npt.NDArray[Any]] | None = None
     search: Search | None = None
     tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    corners: Corners | None = None
 
 
 @dataclass(eq=False)
@@ -89,6 +92,8 @@ class OdometryRun:
         (m,) seconds.
     regions, candidates, motions
         One a frame; ``motions[t]`` leads from the frame before.
+    submaps
+        Of these frames, by their place in `frames`.
     trajectories
         By method, see :data:`METHODS`; ``smoothed`` is the answer.
     unreadable
@@ -100,6 +105,7 @@ class OdometryRun:
     regions: Regions
     candidates: list[Candidates]
     motions: list[RelativeMotion | None]
+    submaps: list[Submap]
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
 
@@ -112,6 +118,13 @@ class OdometryRun:
     def reliable(self) -> npt.NDArray[np.bool_]:
         """(m,) whether motion since the frame before could be used; True for the first of a recording."""
         return np.array([m is None or m.reliable for m in self.motions])
+
+    def observations(self, at: IntArray) -> Observations:
+        """What reasoning is given about the frames of one recording, by their places (m,) in `frames`."""
+        places = {place: k for k, place in enumerate(at.tolist())}
+        submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
+        motions = [self.motions[t] for t in at]
+        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps)
 
 
 class VisualOdometry:
@@ -192,6 +205,7 @@ class VisualOdometry:
             proba,
             search,
             self._front_end.tracks,
+            self._front_end.corners,
         )
 
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
@@ -248,12 +262,14 @@ class VisualOdometry:
         )
         proba = self.model.proba(features)
         search = self.model.search(features)
+        places = {frame: k for k, frame in enumerate(usable.tolist())}
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
             regions=self.model.calibration.predict(proba),
             candidates=self.model.candidates(search),
             motions=[motions.motions[i] for i in usable.tolist()],
+            submaps=[s for submap in motions.submaps if (s := submap.renumbered(places)) is not None],
             trajectories={},
             unreadable=motions.unreadable,
         )
@@ -273,8 +289,7 @@ class VisualOdometry:
         prior = self.model.prior
         for number in np.unique(recording):  # motion is never linked across recordings
             at = np.flatnonzero(recording == number)
-            motions, times = [run.motions[t] for t in at], run.timestamps_s[at]
-            seen = Observations([run.candidates[t] for t in at], motions, times)
+            seen = run.observations(at)
             found = answers(seen, [paper[t] for t in at], mean[at], prior)
             found["online"] = as_trajectory(online(seen, prior, self.lag))
             for name, path in found.items():

@@ -1,16 +1,16 @@
-"""Relative motions of a whole sequence, between the frames that are to be answered."""
+"""Relative motions and submaps of a whole sequence, between the frames that are to be answered."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import ImageError, Sequence
-from conformodal.motion import MotionFrontEnd
-from conformodal.poses import RelativeMotion
+from conformodal.motion import Corners, MotionFrontEnd, build_submaps
+from conformodal.poses import RelativeMotion, Submap
 
 IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
@@ -18,7 +18,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class MotionRecord:
-    """Relative motions between the answered frames of a sequence.
+    """Motion between the answered frames of a sequence.
 
     Attributes
     ----------
@@ -26,14 +26,17 @@ class MotionRecord:
         By frame: the motion from the answered frame before; None for the first of a recording.
     unreadable
         Frames that could not be decoded, and why.
+    submaps
+        Of the answered frames; each lies within one recording.
     """
 
     motions: dict[int, RelativeMotion | None]
     unreadable: dict[int, str]
+    submaps: list[Submap] = field(default_factory=list)
 
 
 def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
-    """Relative motions between `frames` of a sequence, followed through all frames between them.
+    """Relative motions and submaps of `frames` of a sequence, followed through all frames between them.
 
     Parameters
     ----------
@@ -48,9 +51,12 @@ def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | N
     front_end = MotionFrontEnd(sequence.camera)
     found = MotionRecord({}, {})
     recording = None
+    corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
         if sequence.recording[i] != recording:
+            _add_submaps(found, corners, sequence)
+            corners = {}
             front_end.reset()
             recording = sequence.recording[i]
         try:
@@ -61,8 +67,16 @@ def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | N
             continue
         if i in answer:
             found.motions[i] = front_end.measure(image)
+            corners[i] = front_end.corners
         else:
             front_end.pass_by(image)
         if progress is not None:
             progress("motion", done, len(span))
+    _add_submaps(found, corners, sequence)
     return found
+
+
+def _add_submaps(found: MotionRecord, corners: dict[int, Corners], sequence: Sequence) -> None:
+    frames = dict(enumerate(corners))
+    submaps = (submap.renumbered(frames) for submap in build_submaps(list(corners.values()), sequence.camera))
+    found.submaps.extend(submap for submap in submaps if submap is not None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -31,11 +32,12 @@ from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-4"
+FORMAT = "conformodal-model-5"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
+_PRIOR_DEPTHS = ("depth_m", "depth_spread")
 
 
 def save_model(model: PoseModel, folder: Path) -> None:
@@ -72,7 +74,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
             "score": model.calibration.score.name,
             "joint": model.calibration.joint,
         },
-        "prior": asdict(model.prior),
+        "prior": _finite(asdict(model.prior)),
         "scale": asdict(model.scale),
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
@@ -133,7 +135,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     calibration.calibrate_scores(arrays["calibration.scores"])
     lens = tuple(record["camera"]["distortion"])
-    prior, scale = record["prior"], record["scale"]
+    scale = record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
         backbone=backbone,
@@ -143,7 +145,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         bins=bins,
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
-        prior=MotionPrior(prior["turn_rate_rad_s"], *(tuple(prior[k]) for k in _PRIOR_TABLES)),
+        prior=_prior(record["prior"]),
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
         camera=PinholeCamera(**{**record["camera"], "distortion": lens}),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
@@ -178,8 +180,14 @@ def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity: null stands for it."""
-    return {k: None if v == float("inf") else v for k, v in record.items()}
+    """JSON has no infinity and no NaN: null stands for them."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+
+
+def _prior(record: dict[str, Any]) -> MotionPrior:
+    tables = {k: tuple(record[k]) for k in _PRIOR_TABLES}
+    depths = {k: math.nan if record[k] is None else float(record[k]) for k in _PRIOR_DEPTHS}
+    return MotionPrior(**{**record, **tables, **depths})
 
 
 def _radius(record: dict[str, Any] | None) -> PoseRadius | None:

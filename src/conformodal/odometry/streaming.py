@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import Regions
 from conformodal.datasets.streams import Frame, SourceError
+from conformodal.motion import Corners, build_submaps
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import Candidates, Observations, interval_candidates, softmax_mean
 
@@ -34,6 +35,7 @@ class _Pending:
     mean: npt.NDArray[np.float64]
     motion: RelativeMotion | None
     features: npt.NDArray[np.float32] | None
+    corners: Corners
 
 
 class StreamRunner:
@@ -161,10 +163,11 @@ class StreamRunner:
         self._lagging = revised
         assert estimate.proba is not None
         assert estimate.search is not None
+        assert estimate.corners is not None
         paper = interval_candidates(estimate.proba, region)[0]
         mean = softmax_mean(estimate.search.proba, model.bins)[0]
         kept = None if self.others is None else features
-        self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept))
+        self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept, estimate.corners))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
@@ -190,9 +193,10 @@ class StreamRunner:
 
     def _answer(self, pending: list[_Pending], wanted: slice) -> None:
         """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
-        prior = self.odometry.model.prior
+        prior, camera = self.odometry.model.prior, self.odometry.model.camera
         times = np.array([p.timestamp_s for p in pending])
-        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times)
+        submaps = build_submaps([p.corners for p in pending], camera)
+        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
         found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
         if self.others is not None:
             features = np.array([p.features for p in pending], dtype=np.float32)

@@ -17,7 +17,7 @@ from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together, make_split
 from conformodal.poses import sign_reference
-from conformodal.reasoning import fit_motion_prior, fit_spread_scale, mode_candidates
+from conformodal.reasoning import MotionPrior, fit_motion_prior, fit_spread_scale, mode_candidates
 from conformodal.vision import (
     Backbone,
     BackboneConfig,
@@ -38,6 +38,7 @@ from conformodal.vision import (
     soft_cross_entropy,
 )
 
+from .depths import measure_depths
 from .errors import OdometryError
 from .local import LocalFinder, make_finder
 from .model import PoseModel
@@ -231,13 +232,20 @@ def train_model(
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,
-        prior=fit_motion_prior(truth[train], data.sequence.recording[train]),
+        prior=_motion_prior(data),
         scale=fit_spread_scale(modes, truth[held_out], strangeness),
         camera=data.sequence.camera,
         split=data.split,
         data_digest=data_digest(data.sequence),
         configuration=_record(config, data.sequence),
     )
+
+
+def _motion_prior(data: TrainingData) -> MotionPrior:
+    truth, train = data.sequence.require_truth(), data.split.train
+    depth, spread = measure_depths(data.sequence, train)
+    prior = fit_motion_prior(truth[train], data.sequence.recording[train])
+    return replace(prior, depth_m=depth, depth_spread=spread)
 
 
 def _local_finder(

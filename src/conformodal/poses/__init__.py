@@ -17,6 +17,7 @@ from .rotations import (
     quat_wxyz_from_matrix,
     sign_reference,
 )
+from .submap import Submap
 from .trajectory import Trajectory, concatenate
 from .tum import read_tum, tum_lines, write_tum
 
@@ -27,6 +28,7 @@ __all__ = [
     "PinholeCamera",
     "PoseError",
     "RelativeMotion",
+    "Submap",
     "Trajectory",
     "TrajectoryFileError",
     "align",

@@ -15,8 +15,9 @@ from .errors import ReasoningError
 from .greedy import greedy
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
+from .orientations import smooth_orientations
 from .prior import MotionPrior, fit_motion_prior
-from .smoother import smooth, smooth_orientations, smooth_positions
+from .smoother import smooth, smooth_positions
 from .spreads import fit_growth, fit_spread_scale
 from .viterbi import Decoder, orientation_cost, position_cost, viterbi
 

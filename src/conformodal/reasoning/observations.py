@@ -9,7 +9,7 @@ from typing import Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import RelativeMotion
+from conformodal.poses import RelativeMotion, Submap
 
 from .candidates import Candidates
 from .errors import ReasoningError
@@ -31,16 +31,19 @@ class Observations:
         ``motions[t]`` leads from frame t - 1 to frame t, None where nothing is known of it; the first is ignored.
     timestamps_s
         (n,) seconds, increasing.
+    submaps
+        Frames numbered 0 to n - 1.
 
     Raises
     ------
     ReasoningError
-        If there are no frames, lengths differ, or timestamps do not increase.
+        If there are no frames, lengths differ, timestamps do not increase, or a submap has other frames.
     """
 
     candidates: Sequence[Candidates]
     motions: Sequence[RelativeMotion | None]
     timestamps_s: FloatArray
+    submaps: Sequence[Submap] = ()
 
     def __post_init__(self) -> None:
         n = len(self.candidates)
@@ -53,6 +56,9 @@ class Observations:
         if late.size:
             t = int(late[0])
             raise ReasoningError(f"timestamps must increase: {self.timestamps_s[t : t + 2]} s at frames {t}, {t + 1}")
+        for submap in self.submaps:
+            if submap.frames[0] < 0 or submap.frames[-1] >= n:
+                raise ReasoningError(f"a submap of frames {submap.frames.tolist()} is not one of {n} frames")
 
 
 @dataclass(frozen=True, eq=False)

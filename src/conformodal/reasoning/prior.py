@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,12 +31,16 @@ class MotionPrior:
         Speed that hardly any step of that length exceeds (the 99.5th percentile, and a tenth more).
     acceleration_density
         Variance of velocity changes per second, m^2/s^3 and per axis.
+    depth_m, depth_spread
+        Median depth of the corners in view, and the spread of its logarithm; NaN where nothing is known.
     """
 
     turn_rate_rad_s: float
     intervals_s: tuple[float, ...]
     top_speed_mps: tuple[float, ...]
     acceleration_density: tuple[float, ...]
+    depth_m: float = math.nan
+    depth_spread: float = math.nan
 
     def reach_m(self, step_s: float) -> float:
         """How far the camera can get within a time step, in metres."""

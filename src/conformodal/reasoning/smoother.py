@@ -1,7 +1,7 @@
-"""Smoothing: chosen candidates, rotations and weighted directions into a trajectory finer than a bin.
+"""Smoothing: chosen candidates, relative motions and submaps into a trajectory finer than a bin.
 
-Rotations first, by Gauss-Newton on SO(3); then positions, which with rotations known is a linear least squares
-problem but for the robust weights. Both are sparse and banded, so time is linear in frames.
+Rotations first; then positions, which with rotations known is a linear least squares problem but for the robust
+weights. Both are sparse and banded, so time is linear in frames.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from conformodal.poses import RelativeMotion
+from conformodal.poses import RelativeMotion, Submap
 
 from .errors import ReasoningError
 from .observations import Observations, PosePath
+from .orientations import smooth_orientations
+from .placing import Placing
 from .prior import MotionPrior
+from .robust import cauchy
 
 FloatArray = npt.NDArray[np.float64]
 
 _ITERATIONS = 12
-# Cauchy's scale in standard deviations: residuals beyond it lose their pull.
-_CAUCHY = 2.0
 
 
 def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
@@ -36,69 +37,15 @@ def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
     path
         Chosen poses of the frames of `seen`.
     seen
-        Gives the relative motions.
+        Gives the relative motions and submaps.
     prior
         See :func:`smooth_positions`.
     """
-    times, motions = seen.timestamps_s, seen.motions
-    quats = smooth_orientations(path.orientations_quat_wxyz, path.orientation_spreads_rad, motions, times, prior)
-    spreads = path.position_spreads
-    positions = smooth_positions(path.positions_xyz, spreads, quats, motions, times, prior)
+    times, motions, submaps = seen.timestamps_s, seen.motions, seen.submaps
+    spreads = path.orientation_spreads_rad
+    quats = smooth_orientations(path.orientations_quat_wxyz, spreads, motions, times, prior, submaps)
+    positions = smooth_positions(path.positions_xyz, path.position_spreads, quats, motions, times, prior, submaps)
     return replace(path, positions_xyz=positions, orientations_quat_wxyz=quats)
-
-
-def smooth_orientations(
-    quats_wxyz: FloatArray,
-    spreads_rad: FloatArray,
-    motions: Sequence[RelativeMotion | None],
-    timestamps_s: FloatArray,
-    prior: MotionPrior,
-) -> FloatArray:
-    """Orientations (n, 4) wxyz that agree with the chosen ones and with the relative rotations.
-
-    Parameters
-    ----------
-    quats_wxyz, spreads_rad
-        (n, 4) and (n,): each frame's own answer and its spread.
-    motions
-        ``motions[t]`` leads from frame t - 1 to frame t.
-    timestamps_s
-        (n,) seconds; only used where a rotation is unknown.
-    prior
-        Turning rates to expect there.
-    """
-    n = len(quats_wxyz)
-    if n < 2:
-        return quats_wxyz.copy()
-    own = Rotation.from_quat(quats_wxyz, scalar_first=True)
-    relative = np.tile(np.eye(3), (n - 1, 1, 1))
-    sigma = prior.turn_rate_rad_s * np.diff(timestamps_s)
-    for t, motion in enumerate(motions[1:]):
-        if motion is not None and motion.R_prev_next is not None:
-            relative[t], sigma[t] = motion.R_prev_next, motion.rotation_sigma_rad
-    link = Rotation.from_matrix(relative)
-    now = own
-    for _ in range(_ITERATIONS):
-        r_own = (own.inv() * now).as_rotvec() / spreads_rad[:, None]
-        between = now[:-1].inv() * now[1:]
-        r_link = (link.inv() * between).as_rotvec() / sigma[:, None]
-        w_own = _cauchy(np.linalg.norm(r_own, axis=1)) / spreads_rad**2
-        w_link = _cauchy(np.linalg.norm(r_link, axis=1)) / sigma**2
-        # moving frame t by d_t changes the link's residual by d_{t+1} - R(t, t+1)^T d_t
-        turned = between.inv().as_matrix()
-        eye = np.broadcast_to(np.eye(3), (n, 3, 3))
-        diagonal = eye * w_own[:, None, None]
-        diagonal = diagonal + np.pad(eye[1:] * w_link[:, None, None], ((1, 0), (0, 0), (0, 0)))
-        diagonal = diagonal + np.pad(eye[1:] * w_link[:, None, None], ((0, 1), (0, 0), (0, 0)))
-        gradient = r_own * (w_own * spreads_rad)[:, None]
-        pull = r_link * (w_link * sigma)[:, None]
-        gradient[1:] += pull
-        gradient[:-1] -= np.einsum("tji,tj->ti", turned, pull)
-        step = _solve_block_tridiagonal(diagonal, -turned * w_link[:, None, None], -gradient)
-        now = now * Rotation.from_rotvec(step)
-        if np.abs(step).max() < 1e-8:
-            break
-    return np.asarray(now.as_quat(scalar_first=True))
 
 
 def smooth_positions(
@@ -108,6 +55,7 @@ def smooth_positions(
     motions: Sequence[RelativeMotion | None],
     timestamps_s: FloatArray,
     prior: MotionPrior,
+    submaps: Sequence[Submap] = (),
 ) -> FloatArray:
     """Positions (n, 3) in metres that agree with the chosen ones, the relative directions and the way the camera moves.
 
@@ -119,6 +67,9 @@ def smooth_positions(
         (n, 4) orientations, which turn relative directions into the world.
     motions, timestamps_s, prior
         As for :func:`smooth_orientations`; the prior's velocity changes bind three frames at a time.
+    submaps
+        Of these frames. Used where the prior knows what depths to expect, because a submap that may be of any length
+        shrinks to nothing where networks err.
     """
     n = len(positions_xyz)
     if n < 3:
@@ -140,13 +91,14 @@ def smooth_positions(
     first = (sparse.eye_array(n - 1, n, k=1) - sparse.eye_array(n - 1, n)).tocsr()[linked]
     differences = sparse.kron(first, sparse.eye_array(3)).tocsr()
     bends = sparse.kron(second, sparse.eye_array(3)).tocsr()
+    placing = Placing(submaps, quats_wxyz, prior) if submaps and np.isfinite(prior.depth_m) else None
     now = positions_xyz.copy()
     for turn in range(_ITERATIONS):
         miss = (now - positions_xyz) / spreads
-        w_own = _cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3))[:, None] / spreads**2
+        w_own = cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3))[:, None] / spreads**2
         bend = np.linalg.norm((second @ now), axis=1) * np.sqrt(w_smooth / 3)
         # at the start nothing is missed yet, so a wrong answer would pass for a sharp turn: hold bends stiff once
-        w_bend = w_smooth * (_cauchy(bend / 2) if turn else 1.0)
+        w_bend = w_smooth * (cauchy(bend / 2) if turn else 1.0)
         matrix = sparse.diags_array(w_own.ravel()) + bends.T @ sparse.diags_array(np.repeat(w_bend, 3)) @ bends
         if linked:
             move = np.diff(now, axis=0)[linked]
@@ -156,10 +108,11 @@ def smooth_positions(
             off = np.linalg.norm(np.einsum("tij,tj->ti", across, move), axis=1) / sigma
             off = np.where(np.einsum("ti,ti->t", move, directions) < 0, np.inf, off)  # backwards: the pair misleads
             # a direction far off is no evidence at all (Geman and McClure): blur and near planes mislead a whole pair
-            weight = np.where(np.isfinite(off), _cauchy(np.where(np.isfinite(off), off, 0)) ** 2, 0.0) / sigma**2
+            weight = np.where(np.isfinite(off), cauchy(np.where(np.isfinite(off), off, 0)) ** 2, 0.0) / sigma**2
             blocks = sparse.block_diag(list(across * weight[:, None, None]), format="csr")
             matrix = matrix + differences.T @ blocks @ differences
-        after = spsolve(matrix.tocsc(), (w_own * positions_xyz).ravel()).reshape(n, 3)
+        right = (w_own * positions_xyz).ravel()
+        after = (spsolve(matrix.tocsc(), right) if placing is None else _placed(matrix, right, placing)).reshape(n, 3)
         change = np.abs(after - now).max()
         now = after
         if change < 1e-6:
@@ -176,15 +129,11 @@ def _second_differences(dt: FloatArray) -> sparse.csr_array:
     return (change @ velocity).tocsr()
 
 
-def _cauchy(residual: FloatArray) -> FloatArray:
-    return np.asarray(1 / (1 + (residual / _CAUCHY) ** 2))
-
-
-def _solve_block_tridiagonal(diagonal: FloatArray, above: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve the symmetric system with blocks `diagonal` (n, 3, 3) and, from row t to t + 1, ``above[t]^T``."""
-    n = len(diagonal)
-    matrix = sparse.bsr_array((diagonal, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
-    columns, pointers = np.arange(1, n), np.concatenate((np.arange(n), [n - 1]))
-    upper = sparse.bsr_array((above.transpose(0, 2, 1), columns, pointers), shape=(3 * n, 3 * n))
-    full = (matrix + upper + upper.T).tocsc()
-    return np.asarray(spsolve(full, right.ravel()).reshape(n, 3))
+def _placed(matrix: sparse.csr_array, right: FloatArray, placing: Placing) -> FloatArray:
+    """Solve for the positions and where the submaps lie, together."""
+    weights, pulls = placing.prior()
+    full = sparse.block_diag((matrix, sparse.diags_array(weights)))
+    full = full + placing.rows.T @ sparse.diags_array(placing.weights) @ placing.rows
+    solution = spsolve(full.tocsc(), np.concatenate((right, pulls)))
+    placing.take(solution[len(right) :])
+    return np.asarray(solution[: len(right)])

@@ -28,7 +28,7 @@ from conformodal.odometry import (
     write_run,
 )
 from conformodal.poses import Trajectory, angle_between_quats, normalise_quat, trajectory_errors
-from conformodal.reasoning import Observations, smooth, viterbi
+from conformodal.reasoning import smooth, viterbi
 from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
 
 from ..baselines import (
@@ -197,7 +197,7 @@ def _answer(
     candidates = model.candidates(model.search(features))
     for number in np.unique(recording):
         at = np.flatnonzero(recording == number)
-        seen = Observations([candidates[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at])
+        seen = replace(run.observations(at), candidates=[candidates[t] for t in at])
         smooth(viterbi(seen, model.prior), seen, model.prior)
 
 
