@@ -64,7 +64,7 @@ def methods(
     heads_only = replace(model, local=None)
     times, motions, prior = run.timestamps_s, run.motions, model.prior
     truth = sequence.require_truth()[run.frames]
-    seen = Observations(run.candidates, motions, times)
+    seen = run.observations(np.arange(len(times)))
     nowhere = np.full((len(times), 3), np.nan)
 
     def bare(positions: np.ndarray, quats: np.ndarray) -> PosePath:
@@ -78,22 +78,23 @@ def methods(
     turns = zip(seen.candidates, truth.orientations_quat_wxyz, strict=True)
     best_turn = [int(angle_between_quats(c.orientations_quat_wxyz, q).argmin()) for c, q in turns]
     halves = mode_candidates(search.proba, model.bins, scale=model.scale, strangeness=search.strangeness, mode_bins=0)
-    rough = Observations(halves, motions, times)
+    rough = replace(seen, candidates=halves)
     heads_only.scale = fit_spread_scale(
         mode_candidates(model.proba(data.features[model.split.calibration]), model.bins),
         sequence.require_truth()[model.split.calibration],
     )
-    no_neighbours = Observations(heads_only.candidates(heads_only.search(features)), motions, times)
-    alone = Observations(mode_candidates(proba, model.bins, scale=heads_only.scale), motions, times)
+    no_neighbours = replace(seen, candidates=heads_only.candidates(heads_only.search(features)))
+    alone = replace(seen, candidates=mode_candidates(proba, model.bins, scale=heads_only.scale))
     assert model.local is not None
     neighbours = model.local.regression.predict(features).best
     alone_path = viterbi(alone, prior)
     chosen = viterbi(seen, prior)
-    blind = Observations(seen.candidates, without_directions(motions), times)
-    still = Observations(seen.candidates, [None] * len(times), times)
+    blind = replace(seen, motions=without_directions(motions))
+    apart = replace(seen, submaps=())
+    still = replace(seen, motions=[None] * len(times))
     found = {
         "softmax mean": bare(mean[:, :3], normalise_quat(mean[:, 3:])),
-        "greedy, as in the paper": greedy(Observations(interval_candidates(proba, run.regions), motions, times)),
+        "greedy, as in the paper": greedy(replace(seen, candidates=interval_candidates(proba, run.regions))),
         "viterbi, no relative motion": viterbi(still, prior),
         "viterbi, near peaks split at half their height": viterbi(rough, prior),
         "neighbours alone": bare(neighbours[:, :3], normalise_quat(neighbours[:, 3:])),
@@ -104,6 +105,7 @@ def methods(
         "online, lag 10": online(seen, prior, 10),
         "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
         "smoother, no relative directions": smooth(chosen, blind, prior),
+        "smoother, no submaps": smooth(chosen, apart, prior),
         "smoother, without the finders and neighbours": smooth(alone_path, alone, prior),
         "smoother, without the neighbours": smooth(viterbi(no_neighbours, prior), no_neighbours, prior),
         "smoother": smooth(chosen, seen, prior),
@@ -123,7 +125,9 @@ def cost(seen: Observations, prior: MotionPrior) -> list[tuple[str, float, float
     n = len(seen.timestamps_s)
     rounds = -(-LONG // n)
     times = np.arange(rounds * n)[:LONG] / 30
-    long = Observations((list(seen.candidates) * rounds)[:LONG], (list(seen.motions) * rounds)[:LONG], times)
+    whole = range(0, LONG - n + 1, n)
+    submaps = [s for start in whole for m in seen.submaps if (s := m.renumbered({f: start + f for f in range(n)}))]
+    long = Observations((list(seen.candidates) * rounds)[:LONG], (list(seen.motions) * rounds)[:LONG], times, submaps)
     found = []
 
     def measure(name: str, work: Callable[[], PosePath | None]) -> PosePath | None:
