@@ -19,6 +19,7 @@ from conformodal.poses import MotionStatus, PinholeCamera, Submap
 from .bundle import Bundle, Views, adjust_bundle, residual_spread
 from .relative_pose import estimate_relative_motion
 from .tracker import Corners
+from .two_view import poselib_camera
 from .undistortion import undistort
 
 FloatArray = npt.NDArray[np.float64]
@@ -160,12 +161,7 @@ def _first_guess(
     sound = to_last & (inverse > _LEAST_RESIDUAL_PX / camera.fx)
     if sound.sum() < MIN_CORNERS / 2:
         return None
-    model = {
-        "model": "PINHOLE",
-        "width": camera.width,
-        "height": camera.height,
-        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-    }
+    model = poselib_camera(camera)
     rays = np.column_stack((views.anchor, np.ones(len(views.anchor))))
     turned, centres = [], []
     for here, seen in zip(pixels[1][:-1], views.seen[:-1], strict=True):

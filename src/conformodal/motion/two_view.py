@@ -41,6 +41,12 @@ class TwoView(NamedTuple):
 TwoViewSolver: TypeAlias = Callable[[FloatArray, FloatArray, PinholeCamera], TwoView | None]
 
 
+def poselib_camera(camera: PinholeCamera) -> dict[str, object]:
+    """Intrinsics as PoseLib takes them; corners are undistorted before."""
+    params = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": params}
+
+
 def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
     """Five points in LO-RANSAC, then a robust fit to all inliers.
 
@@ -57,12 +63,7 @@ def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: Pinh
     -------
     TwoView, or None where no motion was found
     """
-    model = {
-        "model": "PINHOLE",
-        "width": camera.width,
-        "height": camera.height,
-        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-    }
+    model = poselib_camera(camera)
     pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, _REFINEMENT)
     return _turned_round(np.asarray(pose.R), np.asarray(pose.t), np.asarray(info["inliers"], dtype=np.bool_))
 
