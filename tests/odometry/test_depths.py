@@ -64,14 +64,8 @@ def test_a_model_that_knows_no_depths_is_saved_and_answers(small_world, tmp_path
     assert np.isfinite(run.trajectory.positions_xyz).all()
 
 
-def test_submaps_stay_within_a_recording_and_name_its_frames(small_world, tmp_path):
-    import shutil
-
-    for name in ("seq-01", "seq-02"):
-        shutil.copytree(small_world.folder / "seq-01", tmp_path / name)
-    for name in ("camera-intrinsics.txt", "frame-rate.txt"):
-        shutil.copy(small_world.folder / name, tmp_path / name)
-    both = read_sevenscenes(tmp_path)
+def test_submaps_stay_within_a_recording_and_name_its_frames(small_world, two_recordings):
+    both = two_recordings
     n = len(both) // 2
     frames = np.arange(n - 20, n + 20)
     found = measure_motions(both, frames)

@@ -174,14 +174,8 @@ def test_another_camera_is_refused(model):
         model.check_camera(PinholeCamera(120, 100, 79.5, 59.5, 160, 120))
 
 
-def test_recordings_are_not_linked(small_world, tmp_path):
-    import shutil
-
-    for name in ("seq-01", "seq-02"):
-        shutil.copytree(small_world.folder / "seq-01", tmp_path / name)
-    for name in ("camera-intrinsics.txt", "frame-rate.txt"):
-        shutil.copy(small_world.folder / name, tmp_path / name)
-    both = read_sevenscenes(tmp_path)
+def test_recordings_are_not_linked(small_world, two_recordings):
+    both = two_recordings
     n = len(both) // 2
     odometry = VisualOdometry.load(small_world.model)
     run = odometry.process(both, np.array([n - 2, n - 1, n, n + 1]), cache=FeatureCache(small_world.cache))

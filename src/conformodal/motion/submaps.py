@@ -103,7 +103,7 @@ def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera)
     motion = estimate_relative_motion(common.anchor[to_last], common.others[-1][to_last], camera)
     if motion.status is not MotionStatus.OK or motion.R_prev_next is None or motion.direction_prev is None:
         return None
-    views = Views(_on_plane(pixels[0], camera), _on_plane(pixels[1], camera), common.seen)
+    views = Views(camera.on_plane(pixels[0]), camera.on_plane(pixels[1]), common.seen)
     start = _first_guess(pixels, views, motion.R_prev_next, motion.direction_prev, camera)
     if start is None:
         return None
@@ -142,10 +142,6 @@ def _matched(corners: Sequence[Corners]) -> _Matched:
     best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[:MAX_CORNERS])
     best = best[seen[:, best].any(axis=0)]
     return _Matched(first.pixels[best].astype(np.float64), places[:, best], seen[:, best])
-
-
-def _on_plane(pixels: FloatArray, camera: PinholeCamera) -> FloatArray:
-    return np.asarray((pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
 
 
 def _first_guess(

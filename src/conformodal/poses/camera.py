@@ -45,8 +45,11 @@ class PinholeCamera:
         """(3, 3) intrinsic matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def on_plane(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Where rays through undistorted pixels (..., 2) meet the plane at depth 1, (..., 2)."""
+        return np.asarray((pixels - (self.cx, self.cy)) / (self.fx, self.fy))
+
     def bearings(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Unit rays (n, 3) in the camera frame (x right, y down, z forward) through undistorted pixels (n, 2)."""
-        xy = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
-        rays = np.column_stack((xy, np.ones(len(xy))))
+        rays = np.column_stack((self.on_plane(pixels), np.ones(len(pixels))))
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

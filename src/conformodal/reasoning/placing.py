@@ -54,8 +54,9 @@ class Placing:
         for submap, unit in zip(submaps, self._expected, strict=True):
             path = submap.positions @ matrix_from_quat_wxyz(quats_wxyz[submap.frames[:1]])[0].T
             start = np.broadcast_to(-np.eye(3), (len(path), 3, 3))
-            # to turn by w about the anchor moves a place v away from it by w x v
-            blocks.append(np.concatenate((start, -path[:, :, None], _cross(unit * path)), axis=2).reshape(-1, UNKNOWNS))
+            # to turn by w about the anchor moves a place v away from it by w x v = -[v]x w
+            cross = np.cross(np.eye(3), unit * path[:, None])
+            blocks.append(np.concatenate((start, -path[:, :, None], cross), axis=2).reshape(-1, UNKNOWNS))
             variances.append(np.full(path.size, (submap.sigma * unit) ** 2))
         frames = np.concatenate([s.frames for s in submaps])
         columns = (3 * frames[:, None] + np.arange(3)).ravel()
@@ -82,10 +83,3 @@ class Placing:
     def take(self, unknowns: FloatArray) -> None:
         """Linearise the next time about these unknowns (7 submaps,)."""
         self._length = unknowns.reshape(-1, UNKNOWNS)[:, 3]
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    """(k, 3, 3) with ``_cross(v) @ w = v x w``."""
-    zero = np.zeros(len(v))
-    x, y, z = v.T
-    return np.stack([np.stack(row, axis=1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)

@@ -1,4 +1,4 @@
-"""How the camera moves, learnt from the training trajectory: speeds, turning, and changes of velocity."""
+"""How the camera moves and how deep it looks, learnt in training: speeds, turning, changes of velocity, depths."""
 
 from __future__ import annotations
 
