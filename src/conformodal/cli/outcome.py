@@ -127,7 +127,10 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     for name, why in list(metrics["problems"].items())[:3]:
         console.print(f"  {name}: {why}", soft_wrap=True, markup=False)
     if whole_space:
-        console.print("[bold]The region is the whole space in some target[/]: too few calibration frames for alpha.")
+        console.print(
+            "[bold]The region is the whole space in some target[/]: too few calibration frames for this alpha, or too "
+            "many of them beyond the training range."
+        )
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
     if "errors" in metrics:
