@@ -64,7 +64,8 @@ def methods(
     heads_only = replace(model, local=None)
     times, motions, prior = run.timestamps_s, run.motions, model.prior
     truth = sequence.require_truth()[run.frames]
-    seen = run.observations(np.arange(len(times)))
+    fixed = run.observations(np.arange(len(times)))
+    seen = replace(fixed, candidates=model.candidates(search))  # without landmarks, as most rows are
     nowhere = np.full((len(times), 3), np.nan)
 
     def bare(positions: np.ndarray, quats: np.ndarray) -> PosePath:
@@ -100,7 +101,7 @@ def methods(
         "neighbours alone": bare(neighbours[:, :3], normalise_quat(neighbours[:, 3:])),
         "viterbi, without the finders and neighbours": alone_path,
         "viterbi, without the neighbours": viterbi(no_neighbours, prior),
-        "viterbi": chosen,
+        "viterbi, without landmarks": chosen,
         "online, lag 0": online(seen, prior, 0),
         "online, lag 10": online(seen, prior, 10),
         "best candidate (knows the truth)": PosePath.choose(seen.candidates, times, best_move, best_turn),
@@ -108,7 +109,9 @@ def methods(
         "smoother, no submaps": smooth(chosen, apart, prior),
         "smoother, without the finders and neighbours": smooth(alone_path, alone, prior),
         "smoother, without the neighbours": smooth(viterbi(no_neighbours, prior), no_neighbours, prior),
-        "smoother": smooth(chosen, seen, prior),
+        "smoother, without landmarks": smooth(chosen, seen, prior),
+        "viterbi, with landmarks": viterbi(fixed, prior),
+        "smoother": smooth(viterbi(fixed, prior), fixed, prior),
     }
     regressor = train_classical(data, config.training)
     for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():

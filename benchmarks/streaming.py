@@ -12,12 +12,14 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from common import DATA, spread, write_page
 
+from conformodal.cli.run import FIX_EVERY_LIVE
 from conformodal.datasets import read_image, read_sevenscenes
 from conformodal.datasets.streams import Frame, SequenceStream, prefetch
 from conformodal.motion import MotionFrontEnd
@@ -82,11 +84,17 @@ class Again:
                 yield Frame(f"{k}-{f.name}", f.timestamp_s + 1000 * k, f.image)
 
 
-def run(model: PoseModel, stream: Any, folder: Path, sample: Callable[[], None] | None = None) -> tuple[int, float]:
+def run(
+    model: PoseModel,
+    stream: Any,
+    folder: Path,
+    sample: Callable[[], None] | None = None,
+    fix_every: int = FIX_EVERY_LIVE,
+) -> tuple[int, float]:
     pictures, done = Thumbnails(), 0
     started = time.perf_counter()
     with ResultsWriter(folder) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer)
+        runner = StreamRunner(VisualOdometry(model, fix_every=fix_every), writer)
         for frame in prefetch(stream):
             runner.push(frame)
             pictures.add(frame.name, frame.image)
@@ -98,13 +106,15 @@ def run(model: PoseModel, stream: Any, folder: Path, sample: Callable[[], None] 
     return done, answered
 
 
-def model_at(width: int, height: int, sequence: Any) -> PoseModel:
-    """A model whose network sees images of a size; how well it was trained does not change how fast it is."""
+def _every(frames: int) -> str:
+    return "every frame" if frames == 1 else f"every {frames} frames"
+
+
+def quick_model(sequence: Any) -> PoseModel:
+    """A model whose network can be given images of any size; how well it was trained does not change how fast it is."""
     config = ModelConfig(training=TrainingConfig(epochs=5))
     data = prepare_training_data(sequence, config, FeatureCache(default_cache_dir()))
-    model = train_model(data, config)
-    model.backbone = Backbone(BackboneConfig(width=width, height=height))
-    return model
+    return train_model(data, config)
 
 
 def main() -> None:
@@ -115,28 +125,30 @@ def main() -> None:
         (Backbone, "describe", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
         (OnlineReasoner, "push", "fixed-lag search"),
+        (VisualOdometry, "_fixes", "landmarks"),
         (StreamRunner, "_take", "greedy and mean, writing"),
         (Thumbnails, "add", "thumbnails"),
         (VisualOdometry, "step", "step"),
     ]
-    lines = ["| network input | frames per second | ms a frame, by part |", "| --- | --- | --- |"]
+    lines = ["| network input | landmarks | frames per second | ms a frame, by part |", "| --- | --- | --- | --- |"]
+    model = quick_model(sequence)
     with tempfile.TemporaryDirectory() as folder:
-        for width, height in ((224, 224), (320, 240)):
-            model = model_at(width, height, sequence)
+        for (width, height), fix_every in product(((224, 224), (320, 240)), (1, FIX_EVERY_LIVE)):
+            model.backbone = Backbone(BackboneConfig(width=width, height=height))
             run(model, SequenceStream(sequence, np.arange(50)), Path(folder))  # warm
             rates, parts = [], defaultdict(list)
             for _ in range(REPEATS):
                 spent: dict[str, float] = defaultdict(float)
                 with stopwatches(spent, watched):
-                    done, seconds = run(model, stream, Path(folder))
+                    done, seconds = run(model, stream, Path(folder), fix_every=fix_every)
                 rates.append(done / seconds)
-                inside = ("resizing", "network", "tracking and relative pose", "fixed-lag search")
+                inside = ("resizing", "network", "tracking and relative pose", "fixed-lag search", "landmarks")
                 spent["heads, regions, candidates"] = spent.pop("step") - sum(spent[k] for k in inside)
                 spent["waiting for images, the rest"] = seconds - sum(spent.values())
                 for label, value in spent.items():
                     parts[label].append(1e3 * value / done)
             shown = ", ".join(f"{label} {np.median(values):.1f}" for label, values in parts.items())
-            lines.append(f"| {width}x{height} | {spread(rates, 1)} | {shown} |")
+            lines.append(f"| {width}x{height} | {_every(fix_every)} | {spread(rates, 1)} | {shown} |")
         loaded = resident_mb()
         peak = [loaded]
         run(model, Again(stream, ROUNDS), Path(folder), lambda: peak.append(resident_mb()))
@@ -151,7 +163,8 @@ def main() -> None:
         "",
         f"Median and range of {REPEATS} runs over the {len(sequence)} frames of seq-01 (640x480, JPEG), "
         "EfficientNet-Lite0 to block 7, three finders and the calibrated head, from files on disk; until the last "
-        "frame is answered. Images are decoded in a thread of its own.",
+        "frame is answered. Images are decoded in a thread of its own. Landmarks: how often they are looked for; every "
+        f"{FIX_EVERY_LIVE} frames is the default at a camera's pace.",
         "",
         f"Memory above what the runs before left, model included: {after_first - loaded:.0f} MB at most in the first "
         f"{len(sequence)} frames, {max(peak) - loaded:.0f} MB in {ROUNDS * len(sequence)}.",

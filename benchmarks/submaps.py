@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from common import DATA, write_table
-from relative_motion import read_kitti
+from relative_motion import FOUND_FOCAL_PX, read_kitti, with_focal_length
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import PixelNoise, Sequence, read_sevenscenes
@@ -68,7 +68,9 @@ def row(name: str, sequence: Sequence, stride: int) -> list[str]:
 def main() -> None:
     redkitchen = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
     noisy = Sequence(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
+    refocused = with_focal_length(redkitchen, FOUND_FOCAL_PX)
     rows = [row("redkitchen", redkitchen, 1), row("redkitchen", redkitchen, 5), row("redkitchen, noise 0.1", noisy, 5)]
+    rows.append(row(f"redkitchen, focal length {FOUND_FOCAL_PX:g} px", refocused, 5))
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_modules=6, n_laps=1, seed=0)
         rows.append(row("corridor", read_sevenscenes(scratch), 1))

@@ -1,5 +1,6 @@
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,8 @@ import typer
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.odometry import read_region_parquet, read_region_records
+from conformodal.cli.train import said_of
+from conformodal.odometry import load_model, read_region_parquet, read_region_records
 from conformodal.poses import read_tum
 
 
@@ -64,6 +66,16 @@ def test_run_writes_everything(results):
 def test_regions_are_the_same_as_parquet(results):
     pytest.importorskip("pyarrow")
     assert read_region_parquet(results / "regions.parquet") == read_region_records(results / "regions.jsonl")
+
+
+def test_a_run_says_in_how_many_frames_landmarks_were_recognised(small_world, results, tmp_path):
+    counts = json.loads((results / "metrics.json").read_text())
+    assert counts["fix_every"] == 1
+    assert 0.8 * counts["n_answered"] < counts["n_fixed"] <= counts["n_answered"]
+    invoke("run", small_world.model, small_world.folder, "--out", tmp_path, "--part", "test", "--fix-every", 4)
+    fewer = json.loads((tmp_path / "metrics.json").read_text())
+    assert fewer["fix_every"] == 4
+    assert 0 < fewer["n_fixed"] <= -(-fewer["n_answered"] // 4)
 
 
 def test_the_page_is_self_contained(results):
@@ -168,9 +180,10 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     part = invoke("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
     assert part.exit_code == 0, part.output
     assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
-    some = invoke("run", model, flights, "--limit", 3, "--out", tmp_path / "part")
-    assert some.exit_code == 0, some.output
-    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
+    for another_way in (["--limit", 3], ["--fix-every", 2]):
+        some = invoke("run", model, flights, *another_way, "--out", tmp_path / "part")
+        assert some.exit_code == 0, some.output
+        assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
 
     result = invoke("calibrate", model, flights, *cache)
     assert result.exit_code == 0, result.output
@@ -190,6 +203,19 @@ def test_calibrate_refuses_what_the_model_was_trained_on(small_world, tmp_path, 
     result = invoke("calibrate", small_world.model, flights, "--method", "luck", "--cache", tmp_path)
     assert result.exit_code == 2
     assert "method must be one of" in result.output
+
+
+def test_training_says_what_landmarks_found(small_world):
+    model = load_model(small_world.model)
+    assert said_of(None, model.camera).startswith("no landmarks")
+    own = model.landmarks
+    assert said_of(own, model.camera) == (
+        f"{len(own.map.points_xyz)} landmarks of {len(own.map.poses_se3)} frames"  # the corridor's camera is exact
+    )
+    longer = replace(model.camera, fx=1.2 * model.camera.fx)
+    assert f"{own.map.camera.fx:.0f} px where {longer.fx:.0f} px is given" in said_of(own, longer)
+    told = json.loads((small_world.model / "metrics.json").read_text())["landmarks"]
+    assert told == own.summary
 
 
 def test_fine_tuning_by_name():

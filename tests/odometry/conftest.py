@@ -5,6 +5,11 @@ import pytest
 from conformodal.datasets import read_sevenscenes
 
 
+@pytest.fixture(scope="module")
+def sequence(small_world):
+    return read_sevenscenes(small_world.folder)
+
+
 @pytest.fixture
 def two_recordings(small_world, tmp_path):
     """The small world's recording twice, as one data set."""

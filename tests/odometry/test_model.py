@@ -21,11 +21,6 @@ from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
 
 
 @pytest.fixture(scope="module")
-def sequence(small_world):
-    return read_sevenscenes(small_world.folder)
-
-
-@pytest.fixture(scope="module")
 def model(small_world):
     return load_model(small_world.model)
 
@@ -72,7 +67,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-5'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-6'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),

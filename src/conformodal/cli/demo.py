@@ -107,6 +107,7 @@ def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> 
     counts = {
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
+        "n_fixed": sum(bool(fixes) for fixes in result.fixes),
         "n_without_image": len(result.unreadable),
         "problems": {str(k): v for k, v in result.unreadable.items()},
         "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),

@@ -68,6 +68,7 @@ def run_metrics(
     counts: dict[str, Any],
     *,
     whole: bool = True,
+    as_calibrated: bool = True,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -83,6 +84,8 @@ def run_metrics(
         Numbers of frames and seconds.
     whole
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
+    as_calibrated
+        Whether landmarks were looked for in all of them, as when a radius is calibrated; regions do not depend on it.
     """
     metrics: dict[str, Any] = {
         "command": "run",
@@ -97,7 +100,7 @@ def run_metrics(
     if classical is not None:
         metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if whole and part is Part.ALL else None
+    radius = model.radius if whole and as_calibrated and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
@@ -110,7 +113,8 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     """The page's first lines."""
     lines = [
         f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
-        f"{metrics['n_unreliable']} frames without reliable motion, {metrics['n_without_image']} without an image.",
+        f"{metrics['n_unreliable']} frames without reliable motion, {metrics['n_without_image']} without an image; "
+        f"landmarks recognised in {metrics['n_fixed']}.",
     ]
     if metrics["radius"] is not None:
         radius = metrics["radius"]
@@ -123,7 +127,8 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
 def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} without reliable motion{lost}")
+    fixed = f", landmarks recognised in {metrics['n_fixed']}" if metrics["n_fixed"] else ""
+    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} without reliable motion{fixed}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
         console.print(f"  {name}: {why}", soft_wrap=True, markup=False)
     if whole_space:

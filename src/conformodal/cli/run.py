@@ -41,6 +41,8 @@ from .outcome import Known, Part, part_frames, run_metrics, say, summary
 from .sources import open_source
 
 INTERRUPTED, BROKE_OFF = 130, 3
+# Frames that do not wait leave no time for landmarks in each of them: a 30 Hz camera then gets five fixes a second.
+FIX_EVERY_LIVE = 6
 
 
 @kind_errors
@@ -60,6 +62,12 @@ def run(
         Pace,
         typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon."),
     ] = Pace.FAST,
+    fix_every: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help=f"Look for landmarks in every so many frames; 1, or {FIX_EVERY_LIVE} at a camera's pace."
+        ),
+    ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     save: Annotated[Path | None, typer.Option(help="Record for Rerun: a file .rrd (extra 'view').")] = None,
@@ -76,7 +84,9 @@ def run(
     if stream.camera is not None:
         loaded.check_camera(stream.camera)
     live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
-    metrics, whole_space = stream_through(loaded, load_classical(model), stream, part, out, pace, limit, live)
+    metrics, whole_space = stream_through(
+        loaded, load_classical(model), stream, part, out, pace, limit, live, fix_every
+    )
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
         console.print(f"[bold]stopped early[/]: {metrics['stopped']}", soft_wrap=True)
@@ -94,6 +104,7 @@ def stream_through(
     pace: Pace = Pace.FAST,
     limit: int | None = None,
     live: LiveView | None = None,
+    fix_every: int | None = None,
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region was the whole space.
 
@@ -105,10 +116,12 @@ def stream_through(
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     truth = None if sequence is None else sequence.truth
     pictures, whole_space, limited, stopped = Thumbnails(), False, False, ""
+    lossy = stream.live or pace is Pace.CAMERA
+    odometry = VisualOdometry(model, fix_every=fix_every or (FIX_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     with ResultsWriter(out) as writer:
         others = None if classical is None else classical.answers
-        runner = StreamRunner(VisualOdometry(model), writer, others, keep_regions=truth is not None)
+        runner = StreamRunner(odometry, writer, others, keep_regions=truth is not None)
         try:
             with _stop_flag() as stop, StatusLine(stream.n_frames) as status:
                 for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
@@ -138,28 +151,30 @@ def stream_through(
     if not runner.n_answered:
         first = next(iter(runner.problems.values()), "it holds no frame")
         raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
-    counts = {
-        "n_answered": runner.n_answered,
-        "n_unreliable": runner.n_unreliable,
-        "n_without_image": runner.n_problems,
-        "problems": runner.problems,
-        "motion": dict(sorted(runner.motion.items())),
-        "stopped": stopped,
-        "seconds": round(seconds, 2),
-    }
-    lossy = stream.live or pace is Pace.CAMERA
+    counts = {**_counts(runner), "fix_every": odometry.fix_every, "stopped": stopped, "seconds": round(seconds, 2)}
     whole = not (stopped or limited or lossy or runner.windowed)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     trajectories = read_trajectories(out) if needed else {}
-    metrics = run_metrics(model, classical, part, trajectories, known, counts, whole=whole)
+    metrics = run_metrics(
+        model, classical, part, trajectories, known, counts, whole=whole, as_calibrated=odometry.fix_every == 1
+    )
     write_metrics(out, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(out)
-    title = f"conformodal: {stream.name}"
-    lines = summary(stream.name, metrics)
-    viewer = make_viewer(out, pictures.kept)
-    write_page(out / "report.html", ReportContent(title, lines, metrics, viewer=viewer))
+    lines, viewer = summary(stream.name, metrics), make_viewer(out, pictures.kept)
+    write_page(out / "report.html", ReportContent(f"conformodal: {stream.name}", lines, metrics, viewer=viewer))
     return metrics, whole_space
+
+
+def _counts(runner: StreamRunner) -> dict[str, Any]:
+    return {
+        "n_answered": runner.n_answered,
+        "n_unreliable": runner.n_unreliable,
+        "n_fixed": runner.n_fixed,
+        "n_without_image": runner.n_problems,
+        "problems": runner.problems,
+        "motion": dict(sorted(runner.motion.items())),
+    }
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import typer
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import save_classical, train_classical
 from conformodal.odometry import (
+    Landmarks,
     ModelConfig,
     PoseModel,
     prepare_training_data,
@@ -20,12 +21,14 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
+from conformodal.poses import PinholeCamera
 from conformodal.vision import NETWORKS, FeatureCache, FineTuning, TrainingConfig, VisionError, default_cache_dir
 
 from .console import Report, console, kind_errors, print_where, progress_bars
 from .sources import open_sequence
 
 _DEFAULT = ModelConfig()
+_FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 
 
 @kind_errors
@@ -67,6 +70,10 @@ def train(
     fine_tune_epochs: Annotated[int, typer.Option(min=1, help="Passes over the training images.")] = (
         FineTuning().epochs
     ),
+    landmarks: Annotated[
+        bool,
+        typer.Option(help="Whether the search for the pose also starts from corners of training frames seen again."),
+    ] = _DEFAULT.landmarks,
     device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
@@ -84,6 +91,7 @@ def train(
         calibration=calibration,
         used=used,
         network=network,
+        landmarks=landmarks,
         fine_tuning=tuning_of(fine_tune, fine_tune_epochs, seed),
         device=device,
         seed=seed,
@@ -110,6 +118,20 @@ def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
     raise VisionError(f"--fine-tune must be a number of blocks, 'all' or 'none', got {choice!r}")
 
 
+def said_of(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
+    """What a user should know of the landmarks."""
+    if landmarks is None:
+        return "no landmarks: too few corners of the training frames could be placed; the search does without"
+    said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
+    found, given = landmarks.map.camera.fx, camera.fx
+    if abs(found / given - 1) > _FOCAL_OFF:
+        said += (
+            f"; the poses speak for a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
+            "former, all else the latter"
+        )
+    return said
+
+
 def train_on(
     sequence: Sequence, config: ModelConfig, out: Path, *, classical: bool, cache_dir: Path, report: Report
 ) -> PoseModel:
@@ -128,6 +150,7 @@ def train_on(
         "configuration": model.configuration,
         "seed": config.seed,
         "split": {"kind": str(split.kind), **parts},
+        "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "seconds": round(time.perf_counter() - started, 2),
     }
     write_metrics(out, metrics)
@@ -135,6 +158,8 @@ def train_on(
         f"{sequence.name}: {parts['train']} frames for training, {parts['calibration']} for calibration, "
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
+    if config.landmarks:
+        console.print(said_of(model.landmarks, model.camera))
     if model.unbounded:
         console.print(
             f"[bold]The region is the whole space in some target:[/] {parts['calibration']} calibration frames are too "

@@ -1,6 +1,7 @@
-"""Motion between frames: corners, flow, two-view geometry and submaps (OpenCV, PoseLib)."""
+"""Motion between frames: corners, flow, two-view geometry, submaps and landmarks (OpenCV, PoseLib)."""
 
 from .frontend import MotionFrontEnd
+from .landmarks import Described, LandmarkMap, build_map, describe, match
 from .relative_pose import estimate_relative_motion
 from .submaps import build_submaps
 from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
@@ -10,13 +11,18 @@ from .undistortion import undistort
 __all__ = [
     "CornerTracker",
     "Corners",
+    "Described",
+    "LandmarkMap",
     "MotionFrontEnd",
     "TrackerConfig",
     "TwoView",
     "TwoViewSolver",
+    "build_map",
     "build_submaps",
+    "describe",
     "estimate_relative_motion",
     "grey_image",
+    "match",
     "solve_opencv",
     "solve_poselib",
     "undistort",

@@ -4,6 +4,7 @@ from .answers import METHODS, OtherMethods, answers, as_trajectory
 from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimator import Estimate, OdometryRun, VisualOdometry
+from .landmarks import FixScale, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
 from .parquet import read_region_parquet, write_region_parquet
@@ -11,6 +12,7 @@ from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .records import METRICS, iter_region_records, read_region_records, records_contain
 from .results import read_metrics, read_trajectories, write_metrics, write_run
+from .scene import Scene, learn_scene
 from .selection import calibrate_selection, recording_errors
 from .store import load_model, save_model
 from .streaming import StreamRunner
@@ -23,6 +25,8 @@ __all__ = [
     "METRICS",
     "TARGET_NAMES",
     "Estimate",
+    "FixScale",
+    "Landmarks",
     "ModelConfig",
     "ModelFileError",
     "MotionRecord",
@@ -34,6 +38,7 @@ __all__ = [
     "Promise",
     "ResultsError",
     "ResultsWriter",
+    "Scene",
     "StreamRunner",
     "TrainingData",
     "VisualOdometry",
@@ -41,8 +46,10 @@ __all__ = [
     "as_trajectory",
     "calibrate_selection",
     "data_digest",
+    "fit_landmarks",
     "fit_pose_radius",
     "iter_region_records",
+    "learn_scene",
     "load_model",
     "measure_depths",
     "measure_motions",

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
-from conformodal.motion import Corners, MotionFrontEnd
-from conformodal.poses import RelativeMotion, Submap, Trajectory
+from conformodal.motion import Corners, MotionFrontEnd, describe
+from conformodal.poses import PoseFix, RelativeMotion, Submap, Trajectory
 from conformodal.reasoning import (
     LAG,
     Candidates,
@@ -57,6 +57,8 @@ class Estimate:
         Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
     corners
         All corners here, or None without an image.
+    fixes
+        Where landmarks have this frame, place by place; empty where none were recognised or looked for.
     features
         (F,) of the image, or None without one.
     proba, search
@@ -78,6 +80,7 @@ class Estimate:
     search: Search | None = None
     tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
     corners: Corners | None = None
+    fixes: list[PoseFix] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -94,6 +97,8 @@ class OdometryRun:
         One a frame; ``motions[t]`` leads from the frame before.
     submaps
         Of these frames, by their place in `frames`.
+    fixes
+        Where each frame could be by its landmarks.
     trajectories
         By method, see :data:`METHODS`; ``smoothed`` is the answer.
     unreadable
@@ -106,6 +111,7 @@ class OdometryRun:
     candidates: list[Candidates]
     motions: list[RelativeMotion | None]
     submaps: list[Submap]
+    fixes: list[list[PoseFix]]
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
 
@@ -136,11 +142,22 @@ class VisualOdometry:
         Trained and calibrated.
     lag
         Frames of a stream whose answer may still change, see :attr:`Estimate.revised`. :meth:`run` waits for the end.
+    fix_every
+        Landmarks are looked for in every so many frames of a stream: it takes time, and motion bridges a few frames.
+        :meth:`run` looks in all.
+
+    Raises
+    ------
+    OdometryError
+        If `fix_every` is less than 1.
     """
 
-    def __init__(self, model: PoseModel, lag: int = LAG) -> None:
+    def __init__(self, model: PoseModel, lag: int = LAG, fix_every: int = 1) -> None:
+        if fix_every < 1:
+            raise OdometryError(f"fix_every must be at least 1, got {fix_every}")
         self.model = model
         self.lag = lag
+        self.fix_every = fix_every
         self._reasoner = OnlineReasoner(model.prior, lag)
         self.reset()
 
@@ -160,6 +177,7 @@ class VisualOdometry:
         self._front_end = MotionFrontEnd(self.model.camera)
         self._reasoner.reset()
         self._last_s: float | None = None
+        self._n_steps = 0
 
     def step(self, image: npt.NDArray[np.uint8] | None, timestamp_s: float) -> Estimate:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
@@ -185,7 +203,8 @@ class VisualOdometry:
         proba = self.model.proba(features)
         region = self.model.calibration.predict(proba)
         search = self.model.search(features)
-        here = self.model.candidates(search)[0]
+        fixes = self._fixes(image)
+        here = self.model.candidates(search, [fixes])[0]
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
@@ -206,7 +225,15 @@ class VisualOdometry:
             search,
             self._front_end.tracks,
             self._front_end.corners,
+            fixes,
         )
+
+    def _fixes(self, image: npt.NDArray[np.uint8]) -> list[PoseFix]:
+        due = self._n_steps % self.fix_every == 0
+        self._n_steps += 1
+        if self.model.landmarks is None or not due:
+            return []
+        return self.model.fixes(describe(image, self.model.camera))
 
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
         """Show a frame of the stream that wants no answer: corners are followed through it."""
@@ -262,14 +289,16 @@ class VisualOdometry:
         )
         proba = self.model.proba(features)
         search = self.model.search(features)
+        fixes = [self.model.fixes(motions.described[i]) for i in usable.tolist()]
         places = {frame: k for k, frame in enumerate(usable.tolist())}
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
             regions=self.model.calibration.predict(proba),
-            candidates=self.model.candidates(search),
+            candidates=self.model.candidates(search, fixes),
             motions=[motions.motions[i] for i in usable.tolist()],
             submaps=[s for submap in motions.submaps if (s := submap.renumbered(places)) is not None],
+            fixes=fixes,
             trajectories={},
             unreadable=motions.unreadable,
         )

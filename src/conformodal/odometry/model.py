@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,11 +11,13 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.datasets import Split
-from conformodal.poses import PinholeCamera
-from conformodal.reasoning import Candidates, MotionPrior, SpreadScale, mode_candidates
+from conformodal.motion import Described
+from conformodal.poses import PinholeCamera, PoseFix
+from conformodal.reasoning import Candidates, MotionPrior, SpreadScale, add_fixes, mode_candidates
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
+from .landmarks import Landmarks
 from .local import LocalFinder
 from .radius import PoseRadius
 
@@ -48,6 +51,8 @@ class PoseModel:
         for the pose starts from their mean.
     local
         A finder without a network that has a say in that mean; or None.
+    landmarks
+        A map of corners, which the search starts from as well; or None.
     bins
         Bins of the seven targets.
     calibration
@@ -72,6 +77,7 @@ class PoseModel:
     head: Head
     finders: tuple[Head, ...]
     local: LocalFinder | None
+    landmarks: Landmarks | None
     bins: QuantileBins
     calibration: SplitConformal
     sign_reference: npt.NDArray[np.float64]
@@ -106,9 +112,29 @@ class PoseModel:
         answers = self.local.regression.predict(features)
         return Search(self.local.blend(mean, answers, self.bins), self.local.strangeness(answers))
 
-    def candidates(self, search: Search) -> list[Candidates]:
-        """Candidate poses of every image, with spreads of the size of their errors."""
-        return mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
+    def fixes(self, image: Described) -> list[PoseFix]:
+        """Where an image could have been taken by its landmarks; at most one pose a place. Not calibrated."""
+        return [] if self.landmarks is None else self.landmarks.fixes(image)
+
+    def candidates(self, search: Search, fixes: Sequence[Sequence[PoseFix]] | None = None) -> list[Candidates]:
+        """Candidate poses of every image, with spreads of the size of their errors; with its fixes, if they are given.
+
+        Raises
+        ------
+        OdometryError
+            If there are not as many lists of fixes as images.
+        """
+        found = mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
+        if fixes is None:
+            return found
+        if len(fixes) != len(found):
+            raise OdometryError(f"{len(found)} images need as many lists of fixes, got {len(fixes)}")
+        return [self.with_fixes(here, its) for here, its in zip(found, fixes, strict=True)]
+
+    def with_fixes(self, candidates: Candidates, fixes: Sequence[PoseFix]) -> Candidates:
+        """Candidates of one image, from wherever, weighed against its fixes."""
+        volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
+        return add_fixes(candidates, fixes, volume)
 
     def recalibrate(self, alpha: float) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.

@@ -1,4 +1,4 @@
-"""Relative motions and submaps of a whole sequence, between the frames that are to be answered."""
+"""What the frames of a whole sequence that are to be answered say without a network: motions, submaps, corners."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import ImageError, Sequence
-from conformodal.motion import Corners, MotionFrontEnd, build_submaps
+from conformodal.motion import Corners, Described, MotionFrontEnd, build_submaps, describe
 from conformodal.poses import RelativeMotion, Submap
 
 IntArray = npt.NDArray[np.int64]
@@ -28,11 +28,14 @@ class MotionRecord:
         Frames that could not be decoded, and why.
     submaps
         Of the answered frames; each lies within one recording.
+    described
+        By frame: what landmarks are recognised by.
     """
 
     motions: dict[int, RelativeMotion | None]
     unreadable: dict[int, str]
     submaps: list[Submap] = field(default_factory=list)
+    described: dict[int, Described] = field(default_factory=dict)
 
 
 def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
@@ -68,6 +71,7 @@ def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | N
         if i in answer:
             found.motions[i] = front_end.measure(image)
             corners[i] = front_end.corners
+            found.described[i] = describe(image, sequence.camera)
         else:
             front_end.pass_by(image)
         if progress is not None:

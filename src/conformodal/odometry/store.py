@@ -23,18 +23,21 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
+from conformodal.motion import LandmarkMap
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior, SpreadScale
 from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
 
 from .errors import ModelFileError
+from .landmarks import FixScale, Landmarks
 from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-5"
+FORMAT = "conformodal-model-6"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
+_MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 _PRIOR_DEPTHS = ("depth_m", "depth_spread")
@@ -62,6 +65,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
         arrays |= {"local.offset": own.projection.offset, "local.components": own.projection.components}
         arrays |= {"local.references": own.references, "local.targets": own.targets}
         arrays["local.target_scale"] = own.target_scale
+    if model.landmarks is not None:
+        arrays |= {f"landmarks.{k}": getattr(model.landmarks.map, k) for k in _MAP_ARRAYS}
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
         "format": FORMAT,
@@ -69,6 +74,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "backbone_fingerprint": model.backbone.fingerprint,
         "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs, "finders": len(model.finders)},
         "local": _local_record(model.local),
+        "landmarks": _landmarks_record(model.landmarks),
         "calibration": {
             "alpha": str(model.calibration.alpha),
             "score": model.calibration.score.name,
@@ -134,7 +140,6 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     calibration.calibrate_scores(arrays["calibration.scores"])
-    lens = tuple(record["camera"]["distortion"])
     scale = record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
@@ -142,12 +147,13 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         head=head,
         finders=tuple(finders),
         local=_local(record["local"], arrays),
+        landmarks=_landmarks(record["landmarks"], arrays),
         bins=bins,
         calibration=calibration,
         sign_reference=arrays["sign_reference"],
         prior=_prior(record["prior"]),
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
-        camera=PinholeCamera(**{**record["camera"], "distortion": lens}),
+        camera=_camera(record["camera"]),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
         data_digest=record["data_digest"],
         configuration=record["configuration"],
@@ -177,6 +183,25 @@ def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -
     settings = LocalSettings(**record["settings"])
     regression = LocalRegression(through, its["references"], its["targets"], its["target_scale"], settings)
     return LocalFinder(regression, **{k: record[k] for k in _LOCAL_NUMBERS})
+
+
+def _landmarks_record(landmarks: Landmarks | None) -> dict[str, Any] | None:
+    if landmarks is None:
+        return None
+    own = landmarks.map
+    return {"camera": asdict(own.camera), "depth_m": own.depth_m, "scale": asdict(landmarks.scale)}
+
+
+def _landmarks(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -> Landmarks | None:
+    if record is None:
+        return None
+    its = {k: arrays[f"landmarks.{k}"] for k in _MAP_ARRAYS}
+    own = LandmarkMap(camera=_camera(record["camera"]), depth_m=record["depth_m"], **its)
+    return Landmarks(own, FixScale(**record["scale"]))
+
+
+def _camera(record: dict[str, Any]) -> PinholeCamera:
+    return PinholeCamera(**{**record, "distortion": tuple(record["distortion"])})
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

@@ -59,8 +59,8 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable
-        Frames so far.
+    n_answered, n_unreliable, n_fixed
+        Frames so far; the last: those in which landmarks were recognised.
     answered
         Their places in the data set, if regions are kept.
     motion
@@ -83,7 +83,7 @@ class StreamRunner:
     ) -> None:
         self.odometry, self.writer, self.others = odometry, writer, others
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_fixed = self.n_problems = 0
         self.answered: list[int] = []
         self.motion: Counter[str] = Counter()
         self.windowed = False
@@ -150,6 +150,7 @@ class StreamRunner:
         model, motion = self.odometry.model, estimate.relative_motion
         self.n_answered += 1
         self.n_unreliable += not estimate.reliable
+        self.n_fixed += bool(estimate.fixes)
         if motion is not None:
             self.motion[str(motion.status)] += 1
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0))

@@ -38,11 +38,11 @@ from conformodal.vision import (
     soft_cross_entropy,
 )
 
-from .depths import measure_depths
 from .errors import OdometryError
 from .local import LocalFinder, make_finder
 from .model import PoseModel
 from .motions import Progress
+from .scene import Scene, learn_scene
 from .targets import pose_targets, target_scale
 
 _SEED_STEP = 1000  # between heads that are averaged
@@ -70,6 +70,8 @@ class ModelConfig:
         Heads that the search for the pose starts from.
     local
         Whether it also starts from what the most similar training frames say.
+    landmarks
+        Whether it also starts from corners of training frames that are seen again.
     network
         Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
     fine_tuning
@@ -99,6 +101,7 @@ class ModelConfig:
     used: float | None = None
     finders: int = 3
     local: bool = True
+    landmarks: bool = True
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"
@@ -182,13 +185,21 @@ def prepare_training_data(
 
 
 def train_model(
-    data: TrainingData, config: ModelConfig, *, checkpoint_dir: Path | None = None, progress: Progress | None = None
+    data: TrainingData,
+    config: ModelConfig,
+    *,
+    scene: Scene | None = None,
+    checkpoint_dir: Path | None = None,
+    progress: Progress | None = None,
 ) -> PoseModel:
     """Train on the training part, calibrate on the calibration part; the test part is not touched.
 
     The finders are trained on both parts: the region must not know the calibration frames, but the search for the pose,
-    of which nothing is promised, may, as a plain regressor would.
+    of which nothing is promised, may, as a plain regressor would. So does the scene, which is learnt from both as well
+    unless it is given.
     """
+    if scene is None:
+        scene = learn_scene(data.sequence, data.split, landmarks=config.landmarks, progress=progress)
     train, held_out = data.split.train, data.split.calibration
     everything = np.sort(np.concatenate((train, held_out)))
     bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
@@ -229,10 +240,11 @@ def train_model(
         head=head,
         finders=finders,
         local=local,
+        landmarks=scene.landmarks,
         bins=bins,
         calibration=calibration,
         sign_reference=data.sign_reference,
-        prior=_motion_prior(data),
+        prior=_motion_prior(data, scene),
         scale=fit_spread_scale(modes, truth[held_out], strangeness),
         camera=data.sequence.camera,
         split=data.split,
@@ -241,11 +253,10 @@ def train_model(
     )
 
 
-def _motion_prior(data: TrainingData) -> MotionPrior:
+def _motion_prior(data: TrainingData, scene: Scene) -> MotionPrior:
     truth, train = data.sequence.require_truth(), data.split.train
-    depth, spread = measure_depths(data.sequence, train)
     prior = fit_motion_prior(truth[train], data.sequence.recording[train])
-    return replace(prior, depth_m=depth, depth_spread=spread)
+    return replace(prior, depth_m=scene.depth_m, depth_spread=scene.depth_spread)
 
 
 def _local_finder(

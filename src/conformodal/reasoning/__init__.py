@@ -12,6 +12,7 @@ from .candidates import (
     softmax_mean,
 )
 from .errors import ReasoningError
+from .fixes import add_fixes
 from .greedy import greedy
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
@@ -32,6 +33,7 @@ __all__ = [
     "Reasoner",
     "ReasoningError",
     "SpreadScale",
+    "add_fixes",
     "fit_growth",
     "fit_motion_prior",
     "fit_spread_scale",

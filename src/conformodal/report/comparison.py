@@ -19,11 +19,14 @@ from .templating import render_page
 # The colours of Okabe and Ito, with a shape each: a reader needs one of the two only.
 _MARKS = (
     (COLOURS["smoothed"], "o"),
+    ("#332288", "p"),
     (COLOURS["region"], "v"),
     (COLOURS["alike"], "^"),
     ("#E69F00", "<"),
     (COLOURS["classical"], "s"),
     ("#CC79A7", "D"),
+    ("#AA4499", "d"),
+    ("#117733", "H"),
     ("#000000", "x"),
     ("#666666", "+"),
     ("#999999", "*"),

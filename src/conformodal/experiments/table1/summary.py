@@ -12,11 +12,14 @@ from .conditions import Row, TrainingTask
 
 METHODS = {
     "smoothed": "conformal, smoothed",
+    "no_landmarks": "conformal, smoothed, without landmarks",
     "viterbi": "conformal, global search",
     "greedy": "conformal, the paper's greedy reasoning",
     "softmax_mean": "softmax mean",
     "classical": "classical",
     "classical_smoothed": "classical, same smoother",
+    "classical_landmarks": "classical, our landmarks, search and smoother",
+    "landmarks": "landmarks alone",
     "learnt_weights": "classical, learnt loss weights",
     "mixture_density": "mixture density network",
     "dropout_passes": "MC dropout, 30 passes",

@@ -90,7 +90,7 @@ def cost_table(row: Row, records: Sequence[Record], split: str) -> Table:
     return Table(header, lines)
 
 
-_OURS = ("smoothed", "viterbi", "greedy", "softmax_mean", "online")
+_OURS = ("smoothed", "no_landmarks", "viterbi", "greedy", "softmax_mean", "online")
 
 
 def _values(records: Sequence[Record], row: Row, split: str, method: str, key: str) -> list[Any]:

@@ -1,0 +1,82 @@
+"""What is kept of an image to recognise it and its corners: ORB (Rublee et al. 2011) and a small blurry picture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera
+
+from ..tracker import grey_image
+from ..undistortion import undistort
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+MAX_CORNERS = 500
+LEVELS = 4  # of the pyramid; with more, corners come from coarse ones and fixes get worse
+DESCRIPTOR_BYTES = 32
+# Noise of a sigma of 0.2 leaves descriptors nearly as they are if images are blurred by so many pixels first.
+BLUR_PX = 1.2
+# Descriptors look at 31 pixels around a corner: smaller images are enlarged to so many pixels across.
+LEAST_WIDTH = 320
+THUMBNAIL = (32, 24)
+_BEFORE_BLUR = 128  # pixels across
+# The nearest descriptor must be nearer than this share of the second nearest (Lowe 2004).
+RATIO = 0.85
+
+
+class Described(NamedTuple):
+    """An image's corners and a thumbnail.
+
+    Attributes
+    ----------
+    pixels
+        (n, 2) corners, without the lens's distortion.
+    descriptors
+        (n, 32) bytes.
+    thumbnail
+        (768,) a small blurry picture of zero mean and unit length; zero for an image without contrast.
+    """
+
+    pixels: FloatArray
+    descriptors: npt.NDArray[np.uint8]
+    thumbnail: npt.NDArray[np.float32]
+
+
+def describe(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> Described:
+    """Corners and thumbnail of an image (height, width[, 3])."""
+    grey = grey_image(image)
+    width = grey.shape[1]
+    before = (_BEFORE_BLUR, max(1, round(grey.shape[0] * _BEFORE_BLUR / width)))
+    small = cv2.GaussianBlur(cv2.resize(grey, before, interpolation=cv2.INTER_AREA), (0, 0), 1.0)
+    thumbnail = cv2.resize(small, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
+    thumbnail -= thumbnail.mean()
+    thumbnail /= max(float(np.linalg.norm(thumbnail)), 1e-6)
+    enlarged = -(-LEAST_WIDTH // width)
+    if enlarged > 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), BLUR_PX), np.uint8)
+    corners, descriptors = cv2.ORB.create(MAX_CORNERS, 1.2, LEVELS, edgeThreshold=16, fastThreshold=5).detectAndCompute(
+        grey, None
+    )
+    if descriptors is None:
+        return Described(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), thumbnail)
+    # pixel centres are whole numbers, so that enlarging moves them by half a pixel
+    pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
+    return Described(undistort(pixels, camera), np.asarray(descriptors, np.uint8), thumbnail)
+
+
+def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:
+    """Pairs (m, 2) of rows that look alike and like nothing else; no row is in two pairs."""
+    if len(descriptors) == 0 or len(others) < 2:
+        return np.empty((0, 2), np.int64)
+    distance, nearest = cv2.batchDistance(descriptors, others, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
+    rows = np.flatnonzero(distance[:, 0] < RATIO * distance[:, 1])
+    rows = rows[np.argsort(distance[rows, 0], kind="stable")]
+    _, first = np.unique(nearest[rows, 0], return_index=True)
+    rows = rows[first]
+    return np.column_stack((rows, nearest[rows, 0])).astype(np.int64)

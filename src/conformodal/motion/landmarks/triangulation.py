@@ -1,0 +1,70 @@
+"""Points from the rays of several cameras with known poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+MIN_PARALLAX_RAD = np.radians(2.5)
+_ITERATIONS = 4
+_DOUBT = 0.4  # residuals beyond this share of the tolerance lose their pull
+
+
+class Rays(NamedTuple):
+    """Corners of one frame, the first camera, and where k - 1 others see them.
+
+    Attributes
+    ----------
+    plane
+        (n, k, 2) on the plane at depth 1 of each camera; of no meaning where `seen` is False.
+    seen
+        (n, k).
+    R_world_cam, centres
+        (k, 3, 3) and (k, 3) of the cameras.
+    """
+
+    plane: FloatArray
+    seen: BoolArray
+    R_world_cam: FloatArray
+    centres: FloatArray
+
+
+def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
+    """Points (n, 3) nearest to their rays, and which of them (n,) can be relied on.
+
+    Robust least squares over the distances from the rays, as angles. A point counts if the first camera and another
+    one agree on it within the tolerance (radians), it lies in front of both, and their rays differ by 2.5 degrees.
+    """
+    n, k = rays.seen.shape
+    local = np.concatenate((rays.plane, np.ones((n, k, 1))), axis=2)
+    seen = rays.seen & (_off_epipolar(rays, local) < tolerance)
+    world = np.einsum("kab,nkb->nka", rays.R_world_cam, local)
+    world /= np.linalg.norm(world, axis=2, keepdims=True)
+    across = np.eye(3) - world[..., :, None] * world[..., None, :]
+    weights = seen.astype(np.float64)
+    for _ in range(_ITERATIONS):
+        matrix = np.einsum("nk,nkab->nab", weights, across) + 1e-9 * np.eye(3)
+        right = np.einsum("nk,nkab,kb->na", weights, across, rays.centres)
+        points = np.linalg.solve(matrix, right[..., None])[..., 0]
+        apart = points[:, None] - rays.centres
+        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-6)
+        off = np.linalg.norm(np.einsum("nkab,nkb->nka", across, apart), axis=2) / distance
+        weights = seen / distance**2 / (1 + (off / (_DOUBT * tolerance)) ** 2)
+        weights /= np.maximum(weights.max(axis=1, keepdims=True), 1e-12)
+    ahead = np.einsum("nka,nka->nk", world, apart) > 0
+    agree = seen & (off < tolerance) & ahead
+    cosine = np.where(agree, np.einsum("na,nka->nk", world[:, 0], world), 1.0).min(axis=1)
+    return points, agree[:, 0] & (cosine < np.cos(MIN_PARALLAX_RAD))
+
+
+def _off_epipolar(rays: Rays, local: FloatArray) -> FloatArray:
+    """(n, k) distances from the epipolar line of the first camera's ray, on the plane at depth 1; 0 for the first."""
+    baseline = np.einsum("kba,kb->ka", rays.R_world_cam, rays.centres[0] - rays.centres)
+    turned = np.einsum("kba,bc,nc->nka", rays.R_world_cam, rays.R_world_cam[0], local[:, 0])
+    line = np.cross(baseline, turned)
+    return np.asarray(np.abs((line * local).sum(axis=2)) / np.maximum(np.linalg.norm(line[..., :2], axis=2), 1e-12))

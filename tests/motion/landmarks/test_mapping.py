@@ -1,0 +1,134 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.motion import build_map
+from conformodal.motion.landmarks.camera_fit import Matches, fit_camera
+from conformodal.motion.landmarks.keyframes import MIN_INLIERS
+from conformodal.motion.landmarks.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
+
+
+def errors(fix, pose):
+    turned = Rotation.from_quat(fix.orientation_quat_wxyz, scalar_first=True).inv() * Rotation.from_matrix(pose[:3, :3])
+    return np.linalg.norm(fix.position_xyz - pose[:3, 3]), turned.magnitude()
+
+
+def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.described()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    off = []
+    for i in range(1, len(world.poses_se3), 2):
+        (fix,) = landmarks.fixes(world.see(world.poses_se3[i], seed=500 + i, wrong=0.3))
+        off.append(errors(fix, world.poses_se3[i]))
+        assert fix.n_inliers > 100
+    assert np.median(off, axis=0) == pytest.approx(0, abs=0.004)  # metres and radians
+    assert np.max(off, axis=0) == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "turn", "place"), [(0.88, (0.01, -0.02, 0.015), (0.03, -0.02, 0.05)), (1.0, (0, 0, 0), (0, 0, 0))]
+)
+def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, factor, turn, place):
+    world = world_of(factor=factor, turn=turn, place=place)
+    landmarks = build_map(world.described(wrong=0.2), world.poses_se3, stated_camera, depth_m)
+    assert landmarks.camera.fx == pytest.approx(factor * stated_camera.fx, rel=0.01)
+    assert Rotation.from_matrix(landmarks.T_pose_cam[:3, :3]).as_rotvec() == pytest.approx(turn, abs=0.003)
+    assert landmarks.T_pose_cam[:3, 3] == pytest.approx(place, abs=0.02)
+    pose = world.poses_se3[7]
+    pose = np.block([[pose[:3, :3], pose[:3, 3:] + 0.05], [np.zeros((1, 3)), 1]])
+    (fix,) = landmarks.fixes(world.see(pose, seed=99))
+    assert errors(fix, pose) == pytest.approx((0, 0), abs=0.02)
+
+
+def test_few_matches_leave_the_camera_as_it_was(stated_camera):
+    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)))
+    bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
+    found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
+    assert found.camera == stated_camera  # corners come without distortion
+    np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
+
+
+def test_hidden_keyframes_do_not_help(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[20], seed=1000)
+    assert landmarks.fixes(image)
+    assert landmarks.fixes(image, np.ones(60, dtype=bool)) == []
+    only = np.ones(60, dtype=bool)
+    only[50] = False
+    (fix,) = landmarks.fixes(image, only) or [None]
+    assert fix is None or fix.n_inliers < landmarks.fixes(image)[0].n_inliers
+
+
+def test_two_places_that_look_alike_give_two_fixes(world_of, stated_camera, depth_m):
+    world = world_of(n=40)
+    shift = np.array([100.0, 0, 0])
+    far = world.poses_se3.copy()
+    far[:, :3, 3] += shift
+    described = world.described()
+    landmarks = build_map([*described, *described], np.concatenate((world.poses_se3, far)), stated_camera, depth_m)
+    fixes = landmarks.fixes(world.see(world.poses_se3[11], seed=77))
+    assert len(fixes) == 2
+    near = sorted(fix.position_xyz[0] for fix in fixes)
+    assert near[1] - near[0] == pytest.approx(100, abs=0.05)
+
+
+def test_corrections_take_off_what_neighbours_are_off_by(world_of, stated_camera, depth_m):
+    world = world_of()
+    plain = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    (before,) = plain.fixes(image)
+    off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
+    (after,) = plain.corrected(np.tile(off, (60, 1))).fixes(image)
+    np.testing.assert_allclose(before.position_xyz - after.position_xyz, off[:3], atol=1e-12)
+    turned = Rotation.from_quat([before.orientation_quat_wxyz, after.orientation_quat_wxyz], scalar_first=True)
+    np.testing.assert_allclose((turned[0] * turned[1].inv()).as_rotvec(), off[3:], atol=1e-12)
+
+
+def test_an_image_of_something_else_gives_no_fix(world_of, stated_camera, depth_m):
+    world, other = world_of(), world_of(seed=9)
+    landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
+    fixes = landmarks.fixes(other.see(other.poses_se3[3]))
+    assert all(fix.n_inliers < 2 * MIN_INLIERS for fix in fixes)
+
+
+def test_claims_grow_as_corners_get_fewer(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    few = image._replace(pixels=image.pixels[:60], descriptors=image.descriptors[:60])
+    (many_fix,), (few_fix,) = landmarks.fixes(image), landmarks.fixes(few)
+    assert few_fix.sigma_m > 1.5 * many_fix.sigma_m
+    assert few_fix.sigma_rad > 1.5 * many_fix.sigma_rad
+
+
+def rays_to(points, centres, noise=0.0, seed=0):
+    apart = points[:, None] - centres
+    plane = apart[..., :2] / apart[..., 2:]
+    plane = plane + noise * np.random.default_rng(seed).normal(size=plane.shape)
+    return Rays(plane, np.ones(plane.shape[:2], bool), np.tile(np.eye(3), (len(centres), 1, 1)), centres)
+
+
+def test_points_are_where_their_rays_meet():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0.5, 0.1], [-0.5, 0.2, 0]]))
+    found, sound = triangulate(rays, 0.005)
+    assert sound.all()
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    plane = rays.plane.copy()
+    plane[:, 2] += 0.05  # a match that is wrong in every point
+    found, sound = triangulate(rays._replace(plane=plane), 0.005)
+    np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
+    assert sound.mean() > 0.9
+
+
+def test_points_without_parallax_or_behind_are_not_sound():
+    centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    near = 0.1 / np.tan(1.5 * MIN_PARALLAX_RAD)
+    far = 0.1 / np.tan(0.5 * MIN_PARALLAX_RAD)
+    _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
+    assert sound.tolist() == [True, False]
+    behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
+    assert not triangulate(behind, 0.005)[1].any()
