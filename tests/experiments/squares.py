@@ -11,6 +11,7 @@ from conformodal.experiments import ExperimentError
 class Square:
     number: int
     version: int = 1
+    group: str = ""
 
     @property
     def key(self):
@@ -44,12 +45,36 @@ class Meeting:
     def __call__(self, task):
         import time
 
-        import torch
-
         if task.number < 0:
             raise ExperimentError("numbers must not be negative")
         (self.folder / f"{os.getpid()}").touch()
         end = time.monotonic() + self.seconds
         while len(list(self.folder.iterdir())) < 2 and time.monotonic() < end:
             time.sleep(0.02)
-        return {"square": task.number**2, "process": os.getpid(), "threads": torch.get_num_threads()}
+        return {"square": task.number**2, "process": os.getpid(), "threads": _threads()}
+
+
+class InStep:
+    """Squares numbers in two processes that wait for each other at every task."""
+
+    def __init__(self, folder):
+        self.folder, self.n_done = folder, 0
+
+    def __call__(self, task):
+        import time
+
+        self.n_done += 1
+        (self.folder / f"{self.n_done}-{os.getpid()}").touch()
+        end = time.monotonic() + 30
+        while len(list(self.folder.glob(f"{self.n_done}-*"))) < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+        return {"process": os.getpid()}
+
+
+def _threads():
+    """Of whichever library has the most."""
+    import cv2
+    import torch
+    from threadpoolctl import threadpool_info
+
+    return max(torch.get_num_threads(), cv2.getNumThreads(), *(pool["num_threads"] for pool in threadpool_info()))

@@ -8,7 +8,7 @@ import pytest
 from conformodal.experiments import ExperimentError, LocalEngine, RayEngine, run_tasks
 
 sys.path.insert(0, str(Path(__file__).parent))
-from squares import Counting, Meeting, Square
+from squares import Counting, InStep, Meeting, Square
 
 
 def test_results_come_in_order_and_are_kept(tmp_path):
@@ -78,6 +78,15 @@ def check_errors_keep_what_was_done(engine, folder):
 def test_processes_share_the_cores_and_the_work(tmp_path, importable):
     results = check_two_at_a_time(LocalEngine(workers=2), tmp_path)
     assert {r["threads"] for r in results} == {max(1, os.cpu_count() // 2)}
+
+
+def test_a_worker_goes_on_with_the_group_that_it_has_begun(tmp_path, importable):
+    (tmp_path / "met").mkdir()
+    tasks = [Square(k, group=group) for k, group in enumerate("aabbab")]
+    results = run_tasks(tasks, InStep(tmp_path / "met"), tmp_path / "kept", engine=LocalEngine(workers=2))
+    begun = {"a": results[0]["process"], "b": results[2]["process"]}
+    assert begun["a"] != begun["b"]
+    assert [r["process"] for r in results] == [begun[task.group] for task in tasks]
 
 
 def test_an_error_in_a_process_is_raised_here(tmp_path, importable):

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import ExperimentError
 from .engines import Result, Task, Work
+from .threads import limit_threads
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,7 @@ def _got(ray: Any, reference: Any) -> Result:
 
 
 def _work(work: Work, task: Task) -> Result:
-    import torch  # noqa: PLC0415 - on the cluster's machine
-
-    torch.set_num_threads(1)  # the CPU that the task asked for
+    limit_threads(1)  # the CPU that the task asked for
     return work(task)
 
 

@@ -19,6 +19,11 @@ class Task(Protocol):
         ...
 
     @property
+    def group(self) -> str:
+        """Tasks of one group share intermediate results: a worker that goes on with its group is faster."""
+        ...
+
+    @property
     def settings(self) -> Result:
         """All that decides the result; JSON."""
         ...

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-import torch
-
 from ..errors import ExperimentError
 from .engines import Result, Task, Work
+from .threads import limit_threads
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,8 @@ class LocalEngine:
     ----------
     workers
         Tasks at a time. One works in this process, with all cores; more share the cores evenly, in processes that
-        start anew. Small networks use one core each far better than all cores together.
+        start anew. Small networks use one core each far better than all cores together. A worker goes on with tasks of
+        the group that it has begun, and helps others when no group is left.
 
     Raises
     ------
@@ -43,22 +43,46 @@ class LocalEngine:
                 yield i, work(task)
             return
         threads = max(1, (os.cpu_count() or 1) // self.workers)
-        pool = ProcessPoolExecutor(
-            self.workers, mp_context=get_context("spawn"), initializer=_start, initargs=(threads, work)
-        )
+        # a pool each: only so is it known which process gets a task
+        pools = [
+            ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_start, initargs=(threads, work))
+            for _ in range(min(self.workers, len(tasks)))
+        ]
+        left = dict(enumerate(task.group for task in tasks))
+        begun: dict[int, str] = {}  # by worker
+        running: dict[Future[Result], tuple[int, int]] = {}
+
+        def go_on(worker: int) -> None:
+            i = _next(left, begun.get(worker), begun.values())
+            if i is not None:
+                begun[worker] = left.pop(i)
+                running[pools[worker].submit(_work, tasks[i])] = (worker, i)
+
         try:
-            waiting = {pool.submit(_work, task): i for i, task in enumerate(tasks)}
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
+            for worker in range(len(pools)):
+                go_on(worker)
+            while running:
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    worker, i = running.pop(future)
+                    result = future.result()
+                    go_on(worker)
+                    yield i, result
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            for pool in pools:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _next(left: dict[int, str], mine: str | None, begun: Collection[str]) -> int | None:
+    """The first task of my group, else of one that nobody has begun, else the first of all; None if none is left."""
+    choices = (lambda group: group == mine, lambda group: group not in begun, lambda _: True)
+    return next((i for fits in choices for i, group in left.items() if fits(group)), None)
 
 
 _working: list[Work] = []  # of a worker process: sent once, so that what it remembers serves the next task
 
 
 def _start(threads: int, work: Work) -> None:
-    torch.set_num_threads(threads)
+    limit_threads(threads)
     _working[:] = [work]
 
 

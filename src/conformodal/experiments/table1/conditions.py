@@ -16,7 +16,7 @@ TEST = 0.2
 CALIBRATION_SHARE = 0.2  # of the used frames
 NETWORKS = ("efficientnet_lite0", "efficientnet_lite1", "efficientnet_lite2")
 NOISE = (0.0, 0.05, 0.1, 0.2)
-_RESULTS = 4  # of results of tasks; older ones are worked out again
+_RESULTS = 5  # of results of tasks; older ones are worked out again
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,11 @@ class TrainingTask:
     def key(self) -> str:
         """File name of the result."""
         return task_key(self.split, self.seed, self.used, self.network)
+
+    @property
+    def group(self) -> str:
+        """Trainings of one split share motions, and many the scene."""
+        return f"{self.split}-seed{self.seed}"
 
     @property
     def settings(self) -> dict[str, object]:

@@ -20,12 +20,13 @@ from conformodal.poses import PinholeCamera
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-_MOST = 8000  # matches that are fitted
+_MOST = 40000  # matches that are fitted
 _LEAST = 400
 _SCALE_PX = 1.5  # residuals beyond lose their pull (Cauchy)
 # How far off nominal values are before anything is known: the logarithm of the focal length, the mount's angles, and
 # its place in units of the scene's depth. Where motion says nothing of one, it stays.
 _SPREAD_FOCAL, _SPREAD_TURN, _SPREAD_PLACE = 0.2, 0.05, 0.05
+_MOST_SPREADS = 3.0  # a camera further off than that comes from poses that do not belong to the images
 
 
 class Matches(NamedTuple):
@@ -53,7 +54,8 @@ class Mounted(NamedTuple):
 def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
     """The camera that brings matches nearest to their epipolar lines.
 
-    Half of the matches are fitted, the other half must agree: otherwise the camera stays as it was given.
+    Half of the matches are fitted, the other half must agree, and the camera must be near the given one: otherwise it
+    stays as it was given.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     found = least_squares(residuals, np.zeros(7), loss="cauchy", max_nfev=30)
     better = _mounted(given, found.x * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
-    return better if after < before else given
+    return better if after < before and np.abs(found.x).max() < _MOST_SPREADS else given
 
 
 def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:

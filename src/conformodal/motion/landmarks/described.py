@@ -19,6 +19,8 @@ IntArray = npt.NDArray[np.int64]
 MAX_CORNERS = 500
 LEVELS = 4  # of the pyramid; with more, corners come from coarse ones and fixes get worse
 DESCRIPTOR_BYTES = 32
+_N_BITS = 8 * DESCRIPTOR_BYTES
+_SIGNS_OF_BYTE = 2 * np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).astype(np.float32) - 1
 # Noise of a sigma of 0.2 leaves descriptors nearly as they are if images are blurred by so many pixels first.
 BLUR_PX = 1.2
 # Descriptors look at 31 pixels around a corner: smaller images are enlarged to so many pixels across.
@@ -74,9 +76,19 @@ def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     """Pairs (m, 2) of rows that look alike and like nothing else; no row is in two pairs."""
     if len(descriptors) == 0 or len(others) < 2:
         return np.empty((0, 2), np.int64)
-    distance, nearest = cv2.batchDistance(descriptors, others, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
-    rows = np.flatnonzero(distance[:, 0] < RATIO * distance[:, 1])
-    rows = rows[np.argsort(distance[rows, 0], kind="stable")]
-    _, first = np.unique(nearest[rows, 0], return_index=True)
-    rows = rows[first]
-    return np.column_stack((rows, nearest[rows, 0])).astype(np.int64)
+    alike = _signs(descriptors) @ _signs(others).T
+    every = np.arange(len(alike))
+    nearest = alike.argmax(axis=1)
+    first = alike[every, nearest]
+    alike[every, nearest] = -np.inf
+    distance, second = _N_BITS - first, _N_BITS - alike.max(axis=1)
+    rows = np.flatnonzero(distance < RATIO * second)
+    rows = rows[np.argsort(distance[rows], kind="stable")]
+    _, best = np.unique(nearest[rows], return_index=True)
+    rows = rows[best]
+    return np.column_stack((rows, nearest[rows])).astype(np.int64)
+
+
+def _signs(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Bits as -1 and 1: one product says how many differ, faster than counting them."""
+    return np.take(_SIGNS_OF_BYTE, descriptors, axis=0).reshape(len(descriptors), _N_BITS)

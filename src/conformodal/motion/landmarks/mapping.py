@@ -18,14 +18,14 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
-# A frame's corners are looked for in so many others, which look the same way from another place.
+# A frame's corners are looked for in so many others, which look the same way from another place; pairs serve both.
 PARTNERS = 10
 _MOST_TURNED_RAD = np.radians(35.0)
 _USUAL_TURN_RAD = np.radians(15.0)
 # Distances between partners, in units of the scene's depth: too near says nothing of depths, too far sees other things.
 _NEAREST, _BEST, _FARTHEST = 0.02, 0.15, 0.8
 _TOLERANCE_PX = 4.0
-_MATCHES_A_PAIR = 8  # to fit the camera with
+_MATCHES_A_PAIR = 40  # to fit the camera with
 
 
 def build_map(
@@ -50,11 +50,7 @@ def build_map(
     progress
         Called with frames done and frames in all.
     """
-    pairs: list[list[tuple[int, IntArray]]] = []
-    for i, others in enumerate(_partners(poses_se3, depth_m)):
-        pairs.append([(j, match(described[i].descriptors, described[j].descriptors)) for j in others.tolist()])
-        if progress is not None:
-            progress(i + 1, len(described))
+    pairs = _matched(described, _partners(poses_se3, depth_m), progress)
     mounted = fit_camera(_some_matches(described, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
     tolerance = 2 * _TOLERANCE_PX / (mounted.camera.fx + mounted.camera.fy)
@@ -90,6 +86,24 @@ def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
         others = others[np.argsort(cost, kind="stable")[: 5 * PARTNERS]]
         # neighbours in time say the same: take one of every few
         found.append(others[:: max(1, len(others) // PARTNERS)][:PARTNERS])
+    return found
+
+
+def _matched(
+    described: Sequence[Described], partners: Sequence[IntArray], progress: Progress | None
+) -> list[list[tuple[int, IntArray]]]:
+    """For each frame, its partners and those whose partner it is, each with the corners that both see."""
+    found: list[list[tuple[int, IntArray]]] = [[] for _ in described]
+    done: set[tuple[int, int]] = set()
+    for i, others in enumerate(partners):
+        for j in others.tolist():
+            if (j, i) not in done:
+                done.add((i, j))
+                pairs = match(described[i].descriptors, described[j].descriptors)
+                found[i].append((j, pairs))
+                found[j].append((i, pairs[:, ::-1]))
+        if progress is not None:
+            progress(i + 1, len(described))
     return found
 
 

@@ -43,28 +43,35 @@ def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
     n, k = rays.seen.shape
     local = np.concatenate((rays.plane, np.ones((n, k, 1))), axis=2)
     seen = rays.seen & (_off_epipolar(rays, local) < tolerance)
-    world = np.einsum("kab,nkb->nka", rays.R_world_cam, local)
+    world = _each(local, rays.R_world_cam.transpose(0, 2, 1))
     world /= np.linalg.norm(world, axis=2, keepdims=True)
-    across = np.eye(3) - world[..., :, None] * world[..., None, :]
+    # what lies across a ray is what is left without the part along it: I - w w'
+    across = rays.centres - world * (world * rays.centres).sum(axis=2, keepdims=True)
     weights = seen.astype(np.float64)
     for _ in range(_ITERATIONS):
-        matrix = np.einsum("nk,nkab->nab", weights, across) + 1e-9 * np.eye(3)
-        right = np.einsum("nk,nkab,kb->na", weights, across, rays.centres)
-        points = np.linalg.solve(matrix, right[..., None])[..., 0]
+        matrix = (weights.sum(axis=1) + 1e-9)[:, None, None] * np.eye(3)
+        matrix -= (weights[..., None] * world).transpose(0, 2, 1) @ world
+        right = weights[:, None] @ across
+        points = np.linalg.solve(matrix, right.transpose(0, 2, 1))[..., 0]
         apart = points[:, None] - rays.centres
-        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-6)
-        off = np.linalg.norm(np.einsum("nkab,nkb->nka", across, apart), axis=2) / distance
-        weights = seen / distance**2 / (1 + (off / (_DOUBT * tolerance)) ** 2)
+        square, along = (apart**2).sum(axis=2), (apart * world).sum(axis=2)
+        square = np.maximum(square, 1e-12)
+        off = np.sqrt(np.maximum(square - along**2, 0) / square)
+        weights = seen / square / (1 + (off / (_DOUBT * tolerance)) ** 2)
         weights /= np.maximum(weights.max(axis=1, keepdims=True), 1e-12)
-    ahead = np.einsum("nka,nka->nk", world, apart) > 0
-    agree = seen & (off < tolerance) & ahead
-    cosine = np.where(agree, np.einsum("na,nka->nk", world[:, 0], world), 1.0).min(axis=1)
+    agree = seen & (off < tolerance) & (along > 0)
+    cosine = np.where(agree, (world[:, :1] * world).sum(axis=2), 1.0).min(axis=1)
     return points, agree[:, 0] & (cosine < np.cos(MIN_PARALLAX_RAD))
 
 
 def _off_epipolar(rays: Rays, local: FloatArray) -> FloatArray:
     """(n, k) distances from the epipolar line of the first camera's ray, on the plane at depth 1; 0 for the first."""
     baseline = np.einsum("kba,kb->ka", rays.R_world_cam, rays.centres[0] - rays.centres)
-    turned = np.einsum("kba,bc,nc->nka", rays.R_world_cam, rays.R_world_cam[0], local[:, 0])
+    turned = ((local[:, 0] @ rays.R_world_cam[0].T) @ rays.R_world_cam).transpose(1, 0, 2)
     line = np.cross(baseline, turned)
     return np.asarray(np.abs((line * local).sum(axis=2)) / np.maximum(np.linalg.norm(line[..., :2], axis=2), 1e-12))
+
+
+def _each(vectors: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Rows (n, k, 3) times the matrix of their camera (k, 3, 3)."""
+    return (vectors.transpose(1, 0, 2) @ matrices).transpose(1, 0, 2)

@@ -1,0 +1,14 @@
+"""Threads of the libraries that work in a process of ours."""
+
+from __future__ import annotations
+
+import cv2
+import torch
+from threadpoolctl import threadpool_limits
+
+
+def limit_threads(threads: int) -> None:
+    """Keep torch, OpenCV and linear algebra to so many threads each, for the rest of this process."""
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    threadpool_limits(threads)
