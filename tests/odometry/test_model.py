@@ -11,6 +11,7 @@ from conformodal.odometry import (
     OdometryError,
     VisualOdometry,
     data_digest,
+    learn_scene,
     load_model,
     prepare_training_data,
     save_model,
@@ -23,6 +24,12 @@ from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
 @pytest.fixture(scope="module")
 def model(small_world):
     return load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def plain_scene(sequence, model):
+    """Without landmarks, which take longer to learn than all that these tests ask for."""
+    return learn_scene(sequence, model.split, landmarks=False)
 
 
 def test_a_saved_model_gives_the_same_answers(model, tmp_path):
@@ -90,10 +97,12 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
-def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
+def test_every_joint_and_score_survives_saving_and_reasoning(
+    sequence, small_world, plain_scene, tmp_path, joint, score
+):
     data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
     config = ModelConfig(alpha=0.2, joint=joint, score=score, training=TrainingConfig(epochs=2))
-    trained = train_model(data, config)
+    trained = train_model(data, config, scene=plain_scene)
     save_model(trained, tmp_path)
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
@@ -178,10 +187,10 @@ def test_recordings_are_not_linked(small_world, two_recordings):
     assert run.motions[2] is None
 
 
-def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
+def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world, plain_scene):
     config = ModelConfig(calibration=0.01, training=TrainingConfig(epochs=1))
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
-    model = train_model(data, config)
+    model = train_model(data, config, scene=plain_scene)
     assert model.unbounded
     run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
     assert run.regions.unbounded.all()
@@ -197,11 +206,11 @@ def test_data_sets_are_recognised_by_content(sequence, small_world, tmp_path):
     assert data_digest(read_sevenscenes(tmp_path / "moved")) != data_digest(sequence)
 
 
-def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
+def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, plain_scene, tmp_path):
     tuning = FineTuning(blocks=1, epochs=1)
     config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), finders=1, used=0.3)
     data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
-    trained = train_model(data, config)
+    trained = train_model(data, config, scene=plain_scene)
     save_model(trained, tmp_path / "model")
     back = load_model(tmp_path / "model")
     assert back.backbone.fingerprint == trained.backbone.fingerprint

@@ -50,6 +50,11 @@ def test_few_matches_leave_the_camera_as_it_was(stated_camera):
     np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
 
 
+def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
+    world = world_of(factor=2.2)
+    assert build_map(world.described(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
+
+
 def test_hidden_keyframes_do_not_help(world_of, stated_camera, depth_m):
     world = world_of()
     landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
