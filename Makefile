@@ -13,7 +13,7 @@ demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
 
 test: $(DEV)
-	$(BIN)/python -m pytest --cov --cov-report=term
+	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 
 lint: $(DEV)
 	$(BIN)/ruff check .

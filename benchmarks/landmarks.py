@@ -10,13 +10,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from common import DATA, write_table
 from relative_motion import read_kitti
 
 from conformodal.datasets import PixelNoise, Sequence, SplitKind, make_split, read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
+from conformodal.experiments.engine.threads import limit_threads
 from conformodal.motion import describe
 from conformodal.odometry import learn_scene
 from conformodal.poses import PoseFix, angle_between_quats
@@ -80,7 +80,7 @@ def off(fix: PoseFix, position: np.ndarray) -> float:
 
 
 def main() -> None:
-    cv2.setNumThreads(1)
+    limit_threads(1)
     redkitchen = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
     found = []
     for kind in SplitKind:
@@ -108,7 +108,7 @@ def main() -> None:
     note = (
         "Each frame alone: no network, no motion. Off: median and 90th percentile. Nearest: of a frame's fixes the one "
         "nearest to the truth, which is what candidates are made of; most trusted: the one a user without a network "
-        "would take. One OpenCV thread; learning includes reading images, depths and the frames left out to measure "
+        "would take. One thread; learning includes reading images, depths and the frames left out to measure "
         f"errors. Seed {SEED}; corners of training and calibration frames are mapped, test frames are not seen."
     )
     write_table("landmarks", "Landmarks", "python benchmarks/landmarks.py", header, found, note)

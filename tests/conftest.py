@@ -14,6 +14,16 @@ from hypothesis import settings
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
+
+def pytest_configure() -> None:
+    """Processes that test at the same time share the cores."""
+    n_workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if n_workers > 1:
+        from conformodal.experiments.engine.threads import limit_threads
+
+        limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
+
+
 DATA = Path(os.environ.get("CONFORMODAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 

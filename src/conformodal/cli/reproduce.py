@@ -120,7 +120,7 @@ def table1(
         )
         for kind, found in tables.items()
     ]
-    write_comparison(out / "table1.html", title, [note], sections, record)
+    write_comparison(out / "table1.html", title, [note.replace("`", "")], sections, record)
     console.print("\n".join(text), soft_wrap=True, markup=False)
     print_where(out)
 
