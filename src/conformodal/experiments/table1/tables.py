@@ -57,7 +57,7 @@ def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Ta
         ratios = _ratios(records, row, split)
         cells += [spread(ratios["classical"], 2), spread(ratios["classical_smoothed"], 2)]
         others = {m: v for m, v in ratios.items() if m in METHODS and m not in _OURS and not m.startswith("classical")}
-        best = min(others, key=lambda m: float(np.median(others[m])))
+        best = min(others, key=lambda m: float(np.mean(others[m])))
         cells.append(f"{spread(others[best], 2)} {METHODS[best]}")
         cells.append(_of(records, row, split, "smoothed", "region_joint_coverage", 2))
         cells.append(spread([float(np.mean(v)) for v in _values(records, row, split, "smoothed", "region_length")], 2))
