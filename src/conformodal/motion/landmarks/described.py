@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import ThreadpoolController
 
 from conformodal.poses import PinholeCamera
 
@@ -76,7 +78,7 @@ def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     """Pairs (m, 2) of rows that look alike and like nothing else; no row is in two pairs."""
     if len(descriptors) == 0 or len(others) < 2:
         return np.empty((0, 2), np.int64)
-    alike = _signs(descriptors) @ _signs(others).T
+    alike = product(_signs(descriptors), _signs(others).T)
     every = np.arange(len(alike))
     nearest = alike.argmax(axis=1)
     first = alike[every, nearest]
@@ -87,6 +89,17 @@ def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     _, best = np.unique(nearest[rows], return_index=True)
     rows = rows[best]
     return np.column_stack((rows, nearest[rows])).astype(np.int64)
+
+
+def product(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """``a @ b`` in one thread: those of linear algebra spin on, and slow a network beside them several times."""
+    with _threads().limit(limits=1, user_api="blas"):
+        return a @ b
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def _signs(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.poses import PinholeCamera, PoseFix
 
 from ..two_view import poselib_camera
-from .described import Described, match
+from .described import Described, match, product
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -107,7 +107,7 @@ class LandmarkMap:
 
     def _places(self, thumbnail: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
         """Keyframes that look like an image, place by place, the most alike first."""
-        alike = (self._thumbnails @ thumbnail).astype(np.float64)
+        alike = product(self._thumbnails, thumbnail).astype(np.float64)
         alike[~shown | (np.diff(self.starts) < MIN_INLIERS)] = -np.inf
         order = np.argsort(-alike, kind="stable")[:_CROWD]
         order = order[np.isfinite(alike[order])]
