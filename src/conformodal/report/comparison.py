@@ -73,7 +73,7 @@ def error_chart(conditions: Sequence[str], errors: Mapping[str, Sequence[Sequenc
     axis.grid(axis="x", which="both", lw=0.3)
     for line in place[:-1]:
         axis.axhline(line - 0.5, color="#bbbbbb", lw=0.5)
-    figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     return as_svg(figure)
 
 
