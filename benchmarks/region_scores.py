@@ -1,4 +1,4 @@
-"""Regions by score under pixel noise, on redkitchen: coverage, size, and whether size follows the error.
+"""Regions by score under pixel noise, with landmarks and without: coverage, size, and whether size follows the error.
 
 python benchmarks/region_scores.py
 """
@@ -14,13 +14,22 @@ from scipy.stats import spearmanr
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import PixelNoise, read_sevenscenes
-from conformodal.odometry import ModelConfig, VisualOdometry, pose_targets, prepare_training_data, train_model
+from conformodal.odometry import (
+    ModelConfig,
+    VisualOdometry,
+    learn_scene,
+    pose_targets,
+    prepare_training_data,
+    train_model,
+)
+from conformodal.reasoning import fix_cells, pool_fixes
 from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir, extract_features
 
 SEEDS, NOISE = range(3), (0.0, 0.05, 0.1, 0.2)
 SCORES = ("lac", "density", "hpd", "aps")
 ALPHA, USED = 0.1, 0.4
-Results = dict[tuple[str, float | str, str], list[float]]
+WITH, ALONE = "softmax and landmarks", "softmax alone"
+Results = dict[tuple[tuple[str, str, float | str], str], list[float]]
 
 
 def one(seed: int, results: Results) -> None:
@@ -29,17 +38,20 @@ def one(seed: int, results: Results) -> None:
     training = TrainingConfig(seed=seed)
     config = ModelConfig(alpha=ALPHA, calibration=USED / 5, used=USED, seed=seed, training=training)
     data = prepare_training_data(sequence, config, cache)
-    model = train_model(data, config)
+    scene = learn_scene(sequence, data.split)
+    model = train_model(data, config, scene=scene)
     held_out, test = data.split.calibration, data.split.test
     truth = sequence.require_truth()[test]
     targets = pose_targets(truth, model.sign_reference)
     widths = np.array([e[-1] - e[0] for e in model.bins.edges_])
-    scores = {
-        name: SplitConformal(model.bins, ALPHA, name, "bonferroni").calibrate(
-            model.proba(data.features[held_out]), data.targets[held_out]
-        )
-        for name in SCORES
-    }
+    assert scene.calibration_fixes is not None
+    alone, cells = model.proba(data.features[held_out]), fix_cells(model.bins)
+    pooled = pool_fixes(alone, scene.calibration_fixes, model.bins, cells, model.sign_reference)
+    rules = {}
+    for name in SCORES:
+        for what, bins, proba in ((WITH, cells, pooled), (ALONE, model.bins, alone)):
+            rule = SplitConformal(bins, ALPHA, name, "bonferroni")
+            rules[name, what] = rule.calibrate(proba, data.targets[held_out])
     sizes, errors = defaultdict(list), []
     for sigma in NOISE:
         noisy = replace(sequence, noise=PixelNoise(sigma, seed) if sigma else None)
@@ -49,15 +61,15 @@ def one(seed: int, results: Results) -> None:
             extract_features([sequence.image_paths[i] for i in test], model.backbone, cache, noise=noisy.noise)
         )
         errors.append(np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1))
-        for name, calibration in scores.items():
-            regions = calibration.predict(proba)
+        for name, rule in rules.items():
+            regions = model.regions(proba, run.fixes if name[1] == WITH else None, rule)
             length = np.minimum(regions.length, widths)
             sizes[name].append(np.linalg.norm(length[:, :3], axis=1))
-            results[name, sigma, "held"].append(float(regions.contains(targets, joint=True).mean()))
-            results[name, sigma, "length"].append(float((length.mean(axis=0) / targets.std(axis=0)).mean()))
+            results[(*name, sigma), "held"].append(float(regions.contains(targets, joint=True).mean()))
+            results[(*name, sigma), "length"].append(float((length.mean(axis=0) / targets.std(axis=0)).mean()))
     for name, parts in sizes.items():
         rank = spearmanr(np.concatenate(parts), np.concatenate(errors)).statistic
-        results[name, "all", "rank"].append(float(rank))
+        results[(*name, "all"), "rank"].append(float(rank))
 
 
 def main() -> None:
@@ -65,12 +77,13 @@ def main() -> None:
     for seed in SEEDS:
         one(seed, results)
     rows = []
-    for name in SCORES:
-        row = [name]
+    for name in ((score, what) for what in (WITH, ALONE) for score in SCORES):
+        row = list(name)
         for sigma in NOISE:
-            row += [spread(results[name, sigma, "held"], 2), spread(results[name, sigma, "length"], 2)]
-        rows.append([*row, spread(results[name, "all", "rank"], 2)])
-    header = ["score"]
+            at = (*name, sigma)
+            row += [spread(results[at, "held"], 2), spread(results[at, "length"], 2)]
+        rows.append([*row, spread(results[(*name, "all"), "rank"], 2)])
+    header = ["score", "region from"]
     for sigma in NOISE:
         header += [f"held, noise {sigma:g}", "set length"]
     header.append("size against error, all noises")

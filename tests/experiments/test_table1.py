@@ -17,6 +17,7 @@ from conformodal.experiments.table1 import (
     cost_table,
     main_table,
     method_table,
+    region_table,
     rows_of,
     size_table,
     tasks_of,
@@ -66,6 +67,7 @@ def made_up(task):
         "intervals": 1.5,
         "size_error_rank_correlation": None,
     }
+    region["alone"] = {**region, "coverage": 0.93, "length": [0.4] * 7}
     # in a row the larger region has the smaller error; over rows of other noise it has the larger
     frames = {
         s: {"size_m": [1 + s, 2 + s], "error_m": [2 + 9 * s, 1 + 9 * s], "turn_rad_s": [None, 1.0]} for s in task.sigmas
@@ -101,6 +103,9 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
         assert first[13] == "2.5 (0.136 / 0.0534)"
         table = method_table(ROWS, records, split).markdown().splitlines()
         assert len(table) == 2 + len(METHODS)
+        regions = region_table(ROWS, records, split)
+        assert len({len(line) for line in [regions.header, *regions.lines]}) == 1
+        assert regions.lines[0][3:7] == ["0.95 ± 0.00", "0.93 ± 0.00", "0.10 ± 0.00", "0.40 ± 0.00"]
         costs = cost_table(ROWS[1], records, split)
         assert costs.lines == [["classical", "0.0330 ± 0.0030", "5.0 ± 0.0", "0.10 ± 0.00", "0.0"]]
 
@@ -113,7 +118,8 @@ def test_sizes_are_held_against_errors_over_rows_together():
     expected = f"{spearmanr(sizes, errors).statistic:.2f} ± 0.00"
     tasks = tasks_of(ROWS, BOTH, [0, 1], 100, "digest")
     table = size_table(ROWS, tasks, [made_up(t) for t in tasks], "blocks")
-    assert table.lines[0] == ["noise 0 to 0.2", expected, ""]  # one turning rate, which does not vary
+    # one turning rate, which does not vary; from condition to condition, size and error rise together
+    assert table.lines[0] == ["noise 0 to 0.2", expected, "", "1.00 ± 0.00"]
     assert table.lines[1][0] == "all rows"
     assert table.lines[1][1] != expected
 

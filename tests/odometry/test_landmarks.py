@@ -4,21 +4,25 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import make_split
+from conformodal.experiments import coverage_table
 from conformodal.odometry import (
+    Fixes,
     FixScale,
     ModelConfig,
     OdometryError,
+    RegionTally,
     VisualOdometry,
     fit_landmarks,
     learn_scene,
     load_model,
     measure_motions,
+    pose_targets,
     prepare_training_data,
     save_model,
     train_model,
 )
 from conformodal.poses import PoseFix, Trajectory
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.vision import FeatureCache, TrainingConfig, extract_features
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +48,7 @@ def test_fixes_of_held_out_frames_are_about_as_far_off_as_they_claim(sequence, s
     record = measure_motions(sequence, split.test)
     off, claims = [], []
     for i in split.test.tolist():
-        fixes = scene.landmarks.fixes(record.described[i])
+        fixes = scene.landmarks.fixes(record.described[i]).search
         if fixes:
             nearest = min(fixes, key=lambda fix: np.linalg.norm(fix.position_xyz - sequence.truth.positions_xyz[i]))
             off.append(np.linalg.norm(nearest.position_xyz - sequence.truth.positions_xyz[i]))
@@ -54,13 +58,19 @@ def test_fixes_of_held_out_frames_are_about_as_far_off_as_they_claim(sequence, s
     assert 0.4 < np.median(np.divide(off, claims)) < 2.5  # a median of twenty or more ratios whose spread is about one
 
 
+def calibration_places(split):
+    return np.searchsorted(np.sort(np.concatenate((split.train, split.calibration))), split.calibration)
+
+
 def test_a_saved_model_has_the_same_landmarks(model, scene, sequence, split):
     assert model.landmarks.scale == scene.landmarks.scale
     assert model.landmarks.map.camera == scene.landmarks.map.camera
+    np.testing.assert_array_equal(np.flatnonzero(model.landmarks.map.reserved), calibration_places(split))
     image = measure_motions(sequence, split.test[:3]).described[int(split.test[0])]
-    for there, here in zip(model.fixes(image), scene.landmarks.fixes(image), strict=True):
-        np.testing.assert_array_equal(there.position_xyz, here.position_xyz)
-        assert (there.sigma_m, there.sigma_rad, there.trust) == (here.sigma_m, here.sigma_rad, here.trust)
+    there, here = model.fixes(image), scene.landmarks.fixes(image)
+    for a, b in zip(there.search + there.region, here.search + here.region, strict=True):
+        np.testing.assert_array_equal(a.position_xyz, b.position_xyz)
+        assert (a.sigma_m, a.sigma_rad, a.trust) == (b.sigma_m, b.sigma_rad, b.trust)
 
 
 def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, sequence, small_world):
@@ -77,12 +87,12 @@ def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, sequence, s
 
 
 def load_model_without_landmarks(model):
-    return replace(model, landmarks=None)
+    return replace(model, landmarks=None, landmark_calibration=None)
 
 
 def test_a_stream_is_fixed_as_often_as_asked(model, sequence, monkeypatch):
     asked = []
-    monkeypatch.setattr(type(model), "fixes", lambda self, image: asked.append(image) or [])
+    monkeypatch.setattr(type(model), "fixes", lambda self, image: asked.append(image) or Fixes())
     odometry = VisualOdometry(model, fix_every=3)
     for i in range(7):
         odometry.step(sequence.image(i), sequence.timestamps_s[i])
@@ -97,7 +107,9 @@ def test_a_stream_is_fixed_as_often_as_asked(model, sequence, monkeypatch):
 def test_as_many_lists_of_fixes_as_images(model):
     search = model.search(np.zeros((2, len(model.head.offset)), np.float32))
     with pytest.raises(OdometryError, match="2 images"):
-        model.candidates(search, [[]])
+        model.candidates(search, [Fixes()])
+    with pytest.raises(OdometryError, match="2 images"):
+        model.regions(model.proba(np.zeros((2, len(model.head.offset)), np.float32)), [Fixes()])
 
 
 def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):
@@ -120,7 +132,7 @@ def test_poses_of_something_else_give_no_landmarks_or_wide_ones(sequence):
     wrong = Trajectory(true.timestamps_s, true.positions_xyz[shuffled], true.orientations_quat_wxyz[shuffled])
     found = fit_landmarks(described[:60], wrong, np.arange(60), sequence.camera, 3.0)
     assert found is None or all(
-        fix.trust < 0.5 or fix.sigma_m > 0.1 for image in described[60:] for fix in found.fixes(image)
+        fix.trust < 0.5 or fix.sigma_m > 0.1 for image in described[60:] for fix in found.fixes(image).search
     )
 
 
@@ -134,3 +146,74 @@ def test_spreads_and_trust_follow_the_claims():
     assert (small.sigma_rad, large.sigma_rad) == pytest.approx((0.03, 0.12))
     assert small.trust == pytest.approx(1 / (1 + np.exp(3) / 400))
     assert large.trust == pytest.approx(1 / (1 + np.exp(3) / 20))
+
+
+def test_region_fixes_know_nothing_of_the_calibration_frames(sequence):
+    """With other images and other poses in their place, the very same fixes, spreads and trusts."""
+    described = list(measure_motions(sequence, np.arange(90)).described.values())
+    frames = np.arange(80)
+    reserved = frames % 5 == 2
+    rng = np.random.default_rng(0)
+    others = [described[rng.integers(90)] if apart else d for d, apart in zip(described, reserved, strict=False)]
+    truth = sequence.truth[:80]
+    moved = np.where(reserved[:, None], truth.positions_xyz + rng.normal(size=(80, 3)), truth.positions_xyz)
+    elsewhere = Trajectory(truth.timestamps_s, moved, truth.orientations_quat_wxyz)
+    one = fit_landmarks(described[:80], truth, frames, sequence.camera, 3.0, reserved=reserved)
+    other = fit_landmarks(others, elsewhere, frames, sequence.camera, 3.0, reserved=reserved)
+    assert one.scale == other.scale
+    n_fixes, differ = 0, 0
+    for image in described[80:] + described[2:80:5]:
+        here, there = one.fixes(image), other.fixes(image)
+        for a, b in zip(here.region, there.region, strict=True):
+            n_fixes += 1
+            assert (a.sigma_m, a.sigma_rad, a.trust, a.n_inliers) == (b.sigma_m, b.sigma_rad, b.trust, b.n_inliers)
+            np.testing.assert_array_equal(a.position_xyz, b.position_xyz)
+            np.testing.assert_array_equal(a.orientation_quat_wxyz, b.orientation_quat_wxyz)
+        differ += [f.sigma_m for f in here.search] != [f.sigma_m for f in there.search]
+    assert n_fixes > 10
+    assert differ  # the search's do know them
+
+
+def test_regions_with_landmarks_are_smaller_and_as_sure(model, sequence, small_world):
+    cache = FeatureCache(small_world.cache)
+    run = VisualOdometry(model).process(sequence, model.split.test, cache=cache)
+    blind = load_model_without_landmarks(model)
+    plain = VisualOdometry(blind).process(sequence, model.split.test, cache=cache)
+    truth = sequence.truth[model.split.test]
+    with_fixes, without = (RegionTally.of(r.regions, truth, model.sign_reference) for r in (run, plain))
+    assert np.median(with_fixes.length[:, :3].sum(axis=1)) < 0.7 * np.median(without.length[:, :3].sum(axis=1))
+    for tally, which in ((with_fixes, model), (without, blind)):
+        table = coverage_table(tally, which, exchangeable=True)
+        assert all(row["inside_band"] for row in table["targets"].values())
+    # the scores say the same as the sets
+    features = extract_features([sequence.image_paths[i] for i in run.frames], model.backbone, cache)
+    scores = model.scores(model.proba(features), pose_targets(truth, model.sign_reference), run.fixes)
+    np.testing.assert_array_equal(scores <= model.landmark_calibration.thresholds_, with_fixes.inside)
+
+
+def test_frames_without_a_look_for_landmarks_have_the_softmaxs_regions(model, sequence):
+    blind = load_model_without_landmarks(model)
+    frames = range(60, 64)
+
+    def regions(which, **options):
+        odometry = VisualOdometry(which, **options)
+        return [odometry.step(sequence.image(i), sequence.timestamps_s[i]).region for i in frames]
+
+    every, second, none = regions(model), regions(model, fix_every=2), regions(blind)
+    for k in (0, 2):
+        np.testing.assert_array_equal(second[k].length, every[k].length)
+    for k in (1, 3):
+        np.testing.assert_allclose(second[k].length, none[k].length)
+        assert second[k].n_intervals.tolist() == none[k].n_intervals.tolist()
+    assert len(type(every[0]).concatenate(second)) == 4  # one grid for both kinds
+    tally = RegionTally.concatenate([RegionTally.of(r, sequence.truth[60:61], model.sign_reference) for r in second])
+    table = coverage_table(tally, model, exchangeable=True, fixed_all=False)
+    assert "two calibrations" in table["assumption"]
+    assert all("band_99" not in row for row in table["targets"].values())
+
+
+def test_recalibration_reaches_both_kinds_of_regions(model):
+    other = replace(model)
+    other.recalibrate(0.5)
+    assert (other.calibration.thresholds_ <= model.calibration.thresholds_).all()
+    assert (other.landmark_calibration.thresholds_ < model.landmark_calibration.thresholds_).any()

@@ -9,6 +9,7 @@ from conformodal.odometry import (
     ModelConfig,
     ModelFileError,
     OdometryError,
+    RegionTally,
     VisualOdometry,
     data_digest,
     learn_scene,
@@ -74,7 +75,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-6'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-7'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -107,7 +108,8 @@ def test_every_joint_and_score_survives_saving_and_reasoning(
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
     run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
-    table = coverage_table(run.regions, sequence.require_truth()[back.split.test[:15]], back, exchangeable=True)
+    tally = RegionTally.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
+    table = coverage_table(tally, back, exchangeable=True)
     assert (table["joint_band_99"] is not None) == (joint == "max")
     assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
 

@@ -3,8 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
-from conformodal.odometry import Promise, fit_pose_radius, pose_errors, recording_errors
-from conformodal.odometry.estimator import OdometryRun
+from conformodal.odometry import OdometryRun, Promise, fit_pose_radius, pose_errors, recording_errors
 from conformodal.poses import Trajectory
 
 

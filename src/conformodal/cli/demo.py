@@ -14,7 +14,15 @@ import typer
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity, load_classical
-from conformodal.odometry import ModelConfig, OdometryRun, PoseModel, VisualOdometry, write_metrics, write_run
+from conformodal.odometry import (
+    ModelConfig,
+    OdometryRun,
+    PoseModel,
+    RegionTally,
+    VisualOdometry,
+    write_metrics,
+    write_run,
+)
 from conformodal.poses import Trajectory
 from conformodal.report import (
     PageFigure,
@@ -107,14 +115,14 @@ def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> 
     counts = {
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
-        "n_fixed": sum(bool(fixes) for fixes in result.fixes),
+        "n_fixed": sum(bool(fixes.search) for fixes in result.fixes),
         "n_without_image": len(result.unreadable),
         "problems": {str(k): v for k, v in result.unreadable.items()},
         "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
         "stopped": "",
         "seconds": seconds,
     }
-    known = Known(truth, result.regions)
+    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference))
     metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
     return _Outcome(result, truth, metrics)
 

@@ -67,8 +67,11 @@ def draw_figures(
     save("figure6_noise", band_figure(noise))
     save("size_and_error", size_figure(noise))
     region = results[1]["noise"]["0"]["region"]  # 80 % of the data
-    pairs = np.array(region["coverage_at"])
-    save("reliability", reliability_figure([(str(split), pairs)], region["n_calibration"], region["n_test"]))
+    curves = [
+        (f"{split}, {what}", np.array(numbers["coverage_at"]))
+        for what, numbers in (("softmax and landmarks", region), ("softmax alone", region["alone"]))
+    ]
+    save("reliability", reliability_figure(curves, region["n_calibration"], region["n_test"]))
     return written
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
 from conformodal.experiments import (
     ClassicalRegressor,
@@ -18,7 +17,7 @@ from conformodal.experiments import (
     is_exchangeable,
     radius_table,
 )
-from conformodal.odometry import OdometryError, PoseModel, data_digest, provenance
+from conformodal.odometry import OdometryError, PoseModel, RegionTally, data_digest, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors
@@ -35,10 +34,10 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """True poses of the answered frames, and their regions."""
+    """True poses of the answered frames, and what is known of their regions."""
 
     truth: Trajectory
-    regions: Regions
+    regions: RegionTally
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
@@ -68,7 +67,7 @@ def run_metrics(
     counts: dict[str, Any],
     *,
     whole: bool = True,
-    as_calibrated: bool = True,
+    fixed_all: bool = True,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -84,8 +83,8 @@ def run_metrics(
         Numbers of frames and seconds.
     whole
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
-    as_calibrated
-        Whether landmarks were looked for in all of them, as when a radius is calibrated; regions do not depend on it.
+    fixed_all
+        Whether landmarks were looked for in all of them, as when a radius is calibrated.
     """
     metrics: dict[str, Any] = {
         "command": "run",
@@ -100,12 +99,12 @@ def run_metrics(
     if classical is not None:
         metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if whole and as_calibrated and part is Part.ALL else None
+    radius = model.radius if whole and fixed_all and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
         exchangeable = whole and is_exchangeable(model, str(part))
-        metrics["coverage"] = coverage_table(known.regions, known.truth, model, exchangeable=exchangeable)
+        metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, fixed_all=fixed_all)
     return metrics
 
 

@@ -24,6 +24,7 @@ from conformodal.experiments.table1 import (
     cost_table,
     main_table,
     method_table,
+    region_table,
     rows_of,
     size_table,
     tasks_of,
@@ -191,10 +192,11 @@ def _tables(
 ) -> list[tuple[str, Table]]:
     return [
         ("Position and orientation RMSE beside the paper's", main_table(rows, records, split)),
+        ("Regions from softmax and landmarks, and from the softmax alone", region_table(rows, records, split)),
         ("Position RMSE of every method, in metres", method_table(rows, records, split)),
         (f"What they cost, at {rows[1].label}", cost_table(rows[1], records, split)),
         (
-            "Rank correlation of the region's size, frames of several rows together",
+            "Rank correlation of the region's size over several rows together",
             size_table(rows, tasks, results, split),
         ),
     ]
@@ -219,11 +221,12 @@ def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) 
         "for every row; a fifth of the used frames calibrates. The classical regressors are trained on these as well, "
         "with learning rate, dropout and number of components searched for each, and the other networks with learning "
         "rate and dropout. Noise is on the camera's pixels, in [0, 1], at test time only, for network and tracker "
-        "alike. Whole pose covered: at alpha = 0.1 (bonferroni); promised for `interleaved` without noise, "
-        "otherwise an observation. Set length and intervals: a target at "
-        "alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of the position "
-        f"region's size and the smoothed answer's error. Costs: wall time with {workers} trainings at a time on this "
-        "machine, searches for settings included; the other networks but ours start from the classical regressor's, "
+        "alike. Regions are of single frames, from softmax and landmarks. Whole pose covered: at alpha = 0.1 "
+        "(bonferroni); promised for `interleaved` without noise, otherwise an observation. Set length and intervals: a "
+        "target at alpha = 0.1, as in the paper, in standard deviations. Size against error: rank correlation of the "
+        "position region's size and the smoothed answer's error. "
+        f"Costs: wall time with {workers} trainings at a time on this machine, searches for settings "
+        "included; the other networks but ours start from the classical regressor's, "
         "whose search is counted once, as its own; locally linear regression is the part of our search that is one, "
         "alone. An answer is all that follows the features (and, for ours, the motions)."
     )

@@ -121,7 +121,7 @@ def stream_through(
     started = time.perf_counter()
     with ResultsWriter(out) as writer:
         others = None if classical is None else classical.answers
-        runner = StreamRunner(odometry, writer, others, keep_regions=truth is not None)
+        runner = StreamRunner(odometry, writer, others, truth=truth)
         try:
             with _stop_flag() as stop, StatusLine(stream.n_frames) as status:
                 for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
@@ -146,7 +146,7 @@ def stream_through(
         seconds = time.perf_counter() - started
         known = None
         if runner.n_answered and truth is not None:
-            known = Known(truth[np.array(runner.answered)], runner.regions)
+            known = Known(truth[np.array(runner.answered)], runner.tally)
             writer.truth(known.truth)
     if not runner.n_answered:
         first = next(iter(runner.problems.values()), "it holds no frame")
@@ -156,7 +156,7 @@ def stream_through(
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     trajectories = read_trajectories(out) if needed else {}
     metrics = run_metrics(
-        model, classical, part, trajectories, known, counts, whole=whole, as_calibrated=odometry.fix_every == 1
+        model, classical, part, trajectories, known, counts, whole=whole, fixed_all=odometry.fix_every == 1
     )
     write_metrics(out, metrics)
     if find_spec("pyarrow"):  # an extra

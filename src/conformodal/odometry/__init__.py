@@ -1,10 +1,12 @@
 """The estimator: trained models, streams and sequences."""
 
 from .answers import METHODS, OtherMethods, answers, as_trajectory
+from .config import ModelConfig
 from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
-from .estimator import Estimate, OdometryRun, VisualOdometry
-from .landmarks import FixScale, Landmarks, fit_landmarks
+from .estimates import Estimate, OdometryRun
+from .estimator import VisualOdometry
+from .landmarks import Fixes, FixScale, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
 from .parquet import read_region_parquet, write_region_parquet
@@ -16,8 +18,9 @@ from .scene import Scene, learn_scene
 from .selection import calibrate_selection, recording_errors
 from .store import load_model, save_model
 from .streaming import StreamRunner
+from .tally import RegionTally
 from .targets import TARGET_NAMES, pose_targets, target_scale
-from .training import ModelConfig, TrainingData, data_digest, prepare_training_data, train_model
+from .training import TrainingData, data_digest, prepare_training_data, train_model
 from .writer import ResultsWriter
 
 __all__ = [
@@ -26,6 +29,7 @@ __all__ = [
     "TARGET_NAMES",
     "Estimate",
     "FixScale",
+    "Fixes",
     "Landmarks",
     "ModelConfig",
     "ModelFileError",
@@ -36,6 +40,7 @@ __all__ = [
     "PoseModel",
     "PoseRadius",
     "Promise",
+    "RegionTally",
     "ResultsError",
     "ResultsWriter",
     "Scene",

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
-from conformodal.motion import Corners, MotionFrontEnd, describe
-from conformodal.poses import PoseFix, RelativeMotion, Submap, Trajectory
+from conformodal.motion import MotionFrontEnd, describe
+from conformodal.poses import Trajectory
 from conformodal.reasoning import (
     LAG,
-    Candidates,
-    Observations,
     OnlineReasoner,
     interval_candidates,
     online,
@@ -26,111 +22,13 @@ from conformodal.vision import FeatureCache, extract_features
 
 from .answers import METHODS, answers, as_trajectory
 from .errors import OdometryError
-from .model import PoseModel, Search
+from .estimates import Estimate, OdometryRun
+from .landmarks import Fixes
+from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
 from .store import load_model
 
 IntArray = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """Answer to one frame of a stream.
-
-    Attributes
-    ----------
-    timestamp_s
-        Seconds.
-    pose
-        The candidate that the motion so far speaks for, as a trajectory of one, or None without an image. A point
-        estimate: the guarantee is the region's.
-    revised
-        The best path through the last frames, oldest first, this one last; or None without an image. What was said of
-        a frame may change until `lag` frames have followed it.
-    region
-        Calibrated region of this frame alone (length 1), or None without an image.
-    candidates
-        Candidate poses, or None without an image.
-    relative_motion
-        Motion since the last usable frame, or None.
-    tracks
-        Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
-    corners
-        All corners here, or None without an image.
-    fixes
-        Where landmarks have this frame, place by place; empty where none were recognised or looked for.
-    features
-        (F,) of the image, or None without one.
-    proba, search
-        Calibrated head's softmaxes, seven arrays (1, K_j), and what the search starts from; None without an image.
-    reliable
-        False where image or motion could not be used; `problem` says why.
-    """
-
-    timestamp_s: float
-    pose: Trajectory | None
-    revised: Trajectory | None
-    region: Regions | None
-    candidates: Candidates | None
-    relative_motion: RelativeMotion | None
-    reliable: bool
-    problem: str = ""
-    features: npt.NDArray[np.float32] | None = None
-    proba: list[npt.NDArray[Any]] | None = None
-    search: Search | None = None
-    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
-    corners: Corners | None = None
-    fixes: list[PoseFix] = field(default_factory=list)
-
-
-@dataclass(eq=False)
-class OdometryRun:
-    """Everything found out about the frames of a sequence.
-
-    Attributes
-    ----------
-    frames
-        (m,) indices into the sequence that were answered.
-    timestamps_s
-        (m,) seconds.
-    regions, candidates, motions
-        One a frame; ``motions[t]`` leads from the frame before.
-    submaps
-        Of these frames, by their place in `frames`.
-    fixes
-        Where each frame could be by its landmarks.
-    trajectories
-        By method, see :data:`METHODS`; ``smoothed`` is the answer.
-    unreadable
-        Frames that could not be decoded, and why.
-    """
-
-    frames: IntArray
-    timestamps_s: npt.NDArray[np.float64]
-    regions: Regions
-    candidates: list[Candidates]
-    motions: list[RelativeMotion | None]
-    submaps: list[Submap]
-    fixes: list[list[PoseFix]]
-    trajectories: dict[str, Trajectory]
-    unreadable: dict[int, str] = field(default_factory=dict)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The answer."""
-        return self.trajectories[METHODS[0]]
-
-    @property
-    def reliable(self) -> npt.NDArray[np.bool_]:
-        """(m,) whether motion since the frame before could be used; True for the first of a recording."""
-        return np.array([m is None or m.reliable for m in self.motions])
-
-    def observations(self, at: IntArray) -> Observations:
-        """What reasoning is given about the frames of one recording, by their places (m,) in `frames`."""
-        places = {place: k for k, place in enumerate(at.tolist())}
-        submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
-        motions = [self.motions[t] for t in at]
-        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps)
 
 
 class VisualOdometry:
@@ -144,7 +42,7 @@ class VisualOdometry:
         Frames of a stream whose answer may still change, see :attr:`Estimate.revised`. :meth:`run` waits for the end.
     fix_every
         Landmarks are looked for in every so many frames of a stream: it takes time, and motion bridges a few frames.
-        :meth:`run` looks in all.
+        Regions of the others are wider, those of the image's softmax alone. :meth:`run` looks in all.
 
     Raises
     ------
@@ -201,10 +99,10 @@ class VisualOdometry:
         # rounded as the cache rounds, so that a stream and a data set give the same numbers
         features = self.model.backbone.describe(prepared).astype(np.float32)
         proba = self.model.proba(features)
-        region = self.model.calibration.predict(proba)
         search = self.model.search(features)
         fixes = self._fixes(image)
-        here = self.model.candidates(search, [fixes])[0]
+        region = self.model.regions(proba, None if fixes is None else [fixes])
+        here = self.model.candidates(search, None if fixes is None else [fixes])[0]
         motion = self._front_end.measure(image)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
@@ -225,14 +123,14 @@ class VisualOdometry:
             search,
             self._front_end.tracks,
             self._front_end.corners,
-            fixes,
+            [] if fixes is None else fixes.search,
         )
 
-    def _fixes(self, image: npt.NDArray[np.uint8]) -> list[PoseFix]:
+    def _fixes(self, image: npt.NDArray[np.uint8]) -> Fixes | None:
         due = self._n_steps % self.fix_every == 0
         self._n_steps += 1
         if self.model.landmarks is None or not due:
-            return []
+            return None
         return self.model.fixes(describe(image, self.model.camera))
 
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
@@ -294,7 +192,7 @@ class VisualOdometry:
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
-            regions=self.model.calibration.predict(proba),
+            regions=self.model.regions(proba, fixes),
             candidates=self.model.candidates(search, fixes),
             motions=[motions.motions[i] for i in usable.tolist()],
             submaps=[s for submap in motions.submaps if (s := submap.renumbered(places)) is not None],
@@ -313,7 +211,7 @@ class VisualOdometry:
         recording: IntArray,
     ) -> dict[str, Trajectory]:
         mean = softmax_mean(search, self.model.bins)
-        paper = interval_candidates(proba, run.regions)
+        paper = interval_candidates(proba, self.model.calibration.predict(proba))
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         prior = self.model.prior
         for number in np.unique(recording):  # motion is never linked across recordings

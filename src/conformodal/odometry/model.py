@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.datasets import Split
 from conformodal.motion import Described
 from conformodal.poses import PinholeCamera, PoseFix
-from conformodal.reasoning import Candidates, MotionPrior, SpreadScale, add_fixes, mode_candidates
+from conformodal.reasoning import (
+    Candidates,
+    MotionPrior,
+    SpreadScale,
+    add_fixes,
+    mode_candidates,
+    on_cells,
+    pool_fixes,
+)
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
-from .landmarks import Landmarks
+from .landmarks import Fixes, Landmarks
 from .local import LocalFinder
 from .radius import PoseRadius
+
+_FRAMES_AT_A_TIME = 256  # pooled: seven times some sixteen hundred cells each
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +66,10 @@ class PoseModel:
     bins
         Bins of the seven targets.
     calibration
-        Calibrated sets.
+        Calibrated sets from the softmax alone.
+    landmark_calibration
+        Calibrated sets from the softmax and landmarks of the training part, over finer cells
+        (:func:`~conformodal.reasoning.fix_cells`); None without landmarks.
     sign_reference
         (4,) quaternion against which signs are fixed.
     prior, scale
@@ -80,6 +93,7 @@ class PoseModel:
     landmarks: Landmarks | None
     bins: QuantileBins
     calibration: SplitConformal
+    landmark_calibration: SplitConformal | None
     sign_reference: npt.NDArray[np.float64]
     prior: MotionPrior
     scale: SpreadScale
@@ -97,7 +111,7 @@ class PoseModel:
     @property
     def unbounded(self) -> bool:
         """Whether a region is the whole space in some target, for want of calibration frames."""
-        return bool(np.isposinf(self.calibration.thresholds_).any())
+        return bool(np.isposinf(self.calibration_of(with_fixes=True).thresholds_).any())
 
     def proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
         """Softmax of the seven targets for features (n, F)."""
@@ -112,24 +126,96 @@ class PoseModel:
         answers = self.local.regression.predict(features)
         return Search(self.local.blend(mean, answers, self.bins), self.local.strangeness(answers))
 
-    def fixes(self, image: Described) -> list[PoseFix]:
-        """Where an image could have been taken by its landmarks; at most one pose a place. Not calibrated."""
-        return [] if self.landmarks is None else self.landmarks.fixes(image)
+    def fixes(self, image: Described) -> Fixes:
+        """Where an image could have been taken by its landmarks; at most one pose a place."""
+        return Fixes() if self.landmarks is None else self.landmarks.fixes(image)
 
-    def candidates(self, search: Search, fixes: Sequence[Sequence[PoseFix]] | None = None) -> list[Candidates]:
+    def calibration_of(self, *, with_fixes: bool) -> SplitConformal:
+        """What calibrates regions of images in which landmarks were looked for, or were not."""
+        return self.calibration if self.landmark_calibration is None or not with_fixes else self.landmark_calibration
+
+    def regions(
+        self,
+        proba: Sequence[npt.NDArray[np.floating[Any]]],
+        fixes: Sequence[Fixes] | None = None,
+        rule: SplitConformal | None = None,
+    ) -> Regions:
+        """Calibrated regions of n images. All of one model's have the same bins.
+
+        Parameters
+        ----------
+        proba
+            From :meth:`proba`.
+        fixes
+            From :meth:`fixes`, of the same images; None where landmarks were not looked for, which is calibrated by
+            itself.
+        rule
+            In the place of :meth:`calibration_of`: the same at another rate, say.
+
+        Raises
+        ------
+        OdometryError
+            If there are not as many fixes as images.
+        """
+        rule = rule or self.calibration_of(with_fixes=fixes is not None)
+        if self.landmark_calibration is None or fixes is None:
+            alone = rule.predict(list(proba))
+            if self.landmark_calibration is None:
+                return alone
+            masks = [on_cells(np.asarray(mask), self.bins, j) for j, mask in enumerate(alone.masks)]
+            return Regions(self.landmark_calibration.cells, masks, alone.unbounded)
+        return Regions.concatenate([rule.predict(part) for _, part in self._pooled(proba, fixes)])
+
+    def scores(
+        self,
+        proba: Sequence[npt.NDArray[np.floating[Any]]],
+        targets: npt.NDArray[np.float64],
+        fixes: Sequence[Fixes] | None = None,
+    ) -> npt.NDArray[np.floating[Any]]:
+        """Nonconformity scores (n, 7) of `targets` (n, 7): a set holds those that are at most its threshold.
+
+        Parameters
+        ----------
+        proba, fixes
+            As for :meth:`regions`.
+        targets
+            See :func:`~conformodal.odometry.pose_targets`.
+
+        Raises
+        ------
+        OdometryError
+            If there are not as many fixes as images.
+        """
+        if self.landmark_calibration is None or fixes is None:
+            return self.calibration.score_samples(list(proba), targets)
+        rule = self.landmark_calibration
+        return np.concatenate([rule.score_samples(part, targets[rows]) for rows, part in self._pooled(proba, fixes)])
+
+    def _pooled(
+        self, proba: Sequence[npt.NDArray[np.floating[Any]]], fixes: Sequence[Fixes]
+    ) -> Iterator[tuple[slice, list[npt.NDArray[np.float64]]]]:
+        """Probabilities of cells, some frames at a time: there are many cells."""
+        assert self.landmark_calibration is not None
+        cells, n = self.landmark_calibration.bins, len(proba[0])
+        _check_as_many(fixes, n)
+        for start in range(0, max(n, 1), _FRAMES_AT_A_TIME):
+            rows = slice(start, start + _FRAMES_AT_A_TIME)
+            here = [its.region for its in fixes[rows]]
+            yield rows, pool_fixes([p[rows] for p in proba], here, self.bins, cells, self.sign_reference)
+
+    def candidates(self, search: Search, fixes: Sequence[Fixes] | None = None) -> list[Candidates]:
         """Candidate poses of every image, with spreads of the size of their errors; with its fixes, if they are given.
 
         Raises
         ------
         OdometryError
-            If there are not as many lists of fixes as images.
+            If there are not as many fixes as images.
         """
         found = mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
         if fixes is None:
             return found
-        if len(fixes) != len(found):
-            raise OdometryError(f"{len(found)} images need as many lists of fixes, got {len(fixes)}")
-        return [self.with_fixes(here, its) for here, its in zip(found, fixes, strict=True)]
+        _check_as_many(fixes, len(found))
+        return [self.with_fixes(here, its.search) for here, its in zip(found, fixes, strict=True)]
 
     def with_fixes(self, candidates: Candidates, fixes: Sequence[PoseFix]) -> Candidates:
         """Candidates of one image, from wherever, weighed against its fixes."""
@@ -145,6 +231,8 @@ class PoseModel:
             If `alpha` is outside (0, 1).
         """
         self.calibration = self.calibration.at(alpha)
+        if self.landmark_calibration is not None:
+            self.landmark_calibration = self.landmark_calibration.at(alpha)
 
     def check_camera(self, camera: PinholeCamera) -> None:
         """Refuse images of another camera: poses were learnt through this one.
@@ -160,3 +248,8 @@ class PoseModel:
         same = same and np.array_equal(mine.distortion or np.zeros(4), other.distortion or np.zeros(4))
         if not same or any(abs(a - b) > 1e-3 * mine.width for a, b in values):
             raise OdometryError(f"the model was trained with {mine}, the source has {other}")
+
+
+def _check_as_many(fixes: Sequence[Fixes], n_images: int) -> None:
+    if len(fixes) != n_images:
+        raise OdometryError(f"{n_images} images need as many fixes, got {len(fixes)}")

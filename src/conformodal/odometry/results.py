@@ -11,7 +11,7 @@ from conformodal.poses import Trajectory, read_tum
 
 from .answers import METHODS
 from .errors import ResultsError
-from .estimator import OdometryRun
+from .estimates import OdometryRun
 from .records import METRICS, TRAJECTORY
 from .writer import ResultsWriter
 

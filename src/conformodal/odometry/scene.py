@@ -9,6 +9,7 @@ import numpy as np
 
 from conformodal.datasets import Sequence, Split, held_out_together
 from conformodal.motion import describe
+from conformodal.poses import PoseFix
 
 from .depths import measure_depths
 from .landmarks import Landmarks, fit_landmarks
@@ -25,15 +26,18 @@ class Scene:
         Median depth of corners, and the spread of its logarithm; NaN where they are not known.
     landmarks
         None where too few corners can be placed.
+    calibration_fixes
+        Of every calibration frame by landmarks of the training part; None without landmarks.
     """
 
     depth_m: float = math.nan
     depth_spread: float = math.nan
     landmarks: Landmarks | None = None
+    calibration_fixes: list[list[PoseFix]] | None = None
 
 
 def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, progress: Progress | None = None) -> Scene:
-    """Look at the training and the calibration frames; nothing is promised of what they say, as of finders.
+    """Look at the training and the calibration frames; what they say is kept apart, see :class:`Fixes`.
 
     Parameters
     ----------
@@ -65,4 +69,9 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
             progress("corners", len(described), len(frames))
     pieces = held_out_together(sequence.recording, split.kind)[frames]
     stage = None if progress is None else lambda done, total: progress("landmarks", done, total)
-    return Scene(depth, spread, fit_landmarks(described, truth[frames], pieces, sequence.camera, depth, stage))
+    reserved = np.isin(frames, split.calibration)
+    known = fit_landmarks(described, truth[frames], pieces, sequence.camera, depth, stage, reserved)
+    if known is None:
+        return Scene(depth, spread)
+    held_out = [described[k] for k in np.searchsorted(frames, split.calibration)]
+    return Scene(depth, spread, known, [known.region_fixes(image) for image in held_out])

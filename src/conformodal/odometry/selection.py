@@ -17,7 +17,8 @@ from conformodal.vision import FeatureCache
 
 from .answers import METHODS
 from .errors import OdometryError
-from .estimator import OdometryRun, VisualOdometry
+from .estimates import OdometryRun
+from .estimator import VisualOdometry
 from .model import PoseModel
 from .motions import Progress
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors

@@ -25,7 +25,7 @@ from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
 from conformodal.motion import LandmarkMap
 from conformodal.poses import PinholeCamera
-from conformodal.reasoning import MotionPrior, SpreadScale
+from conformodal.reasoning import MotionPrior, SpreadScale, fix_cells
 from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
 
 from .errors import ModelFileError
@@ -34,10 +34,19 @@ from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-6"
+FORMAT = "conformodal-model-7"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
-_MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
+_MAP_ARRAYS = (
+    "T_pose_cam",
+    "poses_se3",
+    "thumbnails",
+    "starts",
+    "points_xyz",
+    "descriptors",
+    "corrections",
+    "reserved",
+)
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 _PRIOR_DEPTHS = ("depth_m", "depth_spread")
@@ -54,6 +63,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays["calibration.scores"] = model.calibration.scores_
+    if model.landmark_calibration is not None:
+        arrays["landmarks.scores"] = model.landmark_calibration.scores_
     if model.calibration.joint == "max":
         arrays["calibration.shift"], arrays["calibration.scale"] = (
             model.calibration.rule.loc_,
@@ -136,10 +147,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     head, *finders = (_head(name, record["head"], arrays) for name in names)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
-    calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
-    if calibration.joint == "max":
-        calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
-    calibration.calibrate_scores(arrays["calibration.scores"])
+    landmarks = _landmarks(record["landmarks"], arrays)
+    calibration = _calibration(bins, how, arrays, "calibration.scores")
     scale = record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
@@ -147,9 +156,12 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         head=head,
         finders=tuple(finders),
         local=_local(record["local"], arrays),
-        landmarks=_landmarks(record["landmarks"], arrays),
+        landmarks=landmarks,
         bins=bins,
         calibration=calibration,
+        landmark_calibration=None
+        if landmarks is None
+        else _calibration(fix_cells(bins), how, arrays, "landmarks.scores"),
         sign_reference=arrays["sign_reference"],
         prior=_prior(record["prior"]),
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
@@ -159,6 +171,15 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
     )
+
+
+def _calibration(
+    bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], scores: str
+) -> SplitConformal:
+    calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
+    if calibration.joint == "max":
+        calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
+    return calibration.calibrate_scores(arrays[scores])
 
 
 def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Head:

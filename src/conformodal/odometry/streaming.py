@@ -16,7 +16,9 @@ from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import Candidates, Observations, interval_candidates, softmax_mean
 
 from .answers import OtherMethods, answers
-from .estimator import Estimate, VisualOdometry
+from .estimates import Estimate
+from .estimator import VisualOdometry
+from .tally import RegionTally
 from .writer import ResultsWriter
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
@@ -52,8 +54,8 @@ class StreamRunner:
         Where results go.
     others
         Methods to compare with, which get the same features and motions; None for none.
-    keep_regions
-        Also keep the regions, to measure coverage at the end.
+    truth
+        Of the whole data set, to measure coverage with; or None.
     window, overlap
         Frames of a window, and how many of them wait for the next one; less than half of it.
 
@@ -62,7 +64,7 @@ class StreamRunner:
     n_answered, n_unreliable, n_fixed
         Frames so far; the last: those in which landmarks were recognised.
     answered
-        Their places in the data set, if regions are kept.
+        Their places in the data set, if the truth is known.
     motion
         How often which motion status.
     problems
@@ -77,7 +79,7 @@ class StreamRunner:
         writer: ResultsWriter,
         others: OtherMethods | None = None,
         *,
-        keep_regions: bool = False,
+        truth: Trajectory | None = None,
         window: int = WINDOW,
         overlap: int = OVERLAP,
     ) -> None:
@@ -88,7 +90,8 @@ class StreamRunner:
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
-        self._regions: list[Regions] | None = [] if keep_regions else None
+        self._truth = truth
+        self._tallies: list[RegionTally] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._lagging: Trajectory | None = None
@@ -99,9 +102,9 @@ class StreamRunner:
         odometry.reset()
 
     @property
-    def regions(self) -> Regions:
-        """Of all frames, if they were kept and there are any."""
-        return Regions.concatenate(self._regions or [])
+    def tally(self) -> RegionTally:
+        """Of the regions of all answered frames, if the truth is known and there are any."""
+        return RegionTally.concatenate(self._tallies)
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer.
@@ -154,8 +157,9 @@ class StreamRunner:
         if motion is not None:
             self.motion[str(motion.status)] += 1
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0))
-        if self._regions is not None:
-            self._regions.append(region)
+        if self._truth is not None:
+            here = self._truth[frame.index : frame.index + 1]
+            self._tallies.append(RegionTally.of(region, here, model.sign_reference))
             self.answered.append(frame.index)
         revised = estimate.revised
         assert revised is not None
@@ -165,7 +169,7 @@ class StreamRunner:
         assert estimate.proba is not None
         assert estimate.search is not None
         assert estimate.corners is not None
-        paper = interval_candidates(estimate.proba, region)[0]
+        paper = interval_candidates(estimate.proba, model.calibration.predict(estimate.proba))[0]
         mean = softmax_mean(estimate.search.proba, model.bins)[0]
         kept = None if self.others is None else features
         self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept, estimate.corners))

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import ConformalError, QuantileBins, SplitConformal
+from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.calibration import as_joint
-from conformodal.conformal.checks import as_alpha
-from conformodal.conformal.scores import resolve_score
-from conformodal.datasets import Sequence, Split, SplitKind, held_out_together, make_split
+from conformodal.datasets import Sequence, Split, held_out_together, make_split
 from conformodal.poses import sign_reference
-from conformodal.reasoning import MotionPrior, fit_motion_prior, fit_spread_scale, mode_candidates
+from conformodal.reasoning import (
+    MotionPrior,
+    fit_motion_prior,
+    fit_spread_scale,
+    fix_cells,
+    mode_candidates,
+    pool_fixes,
+)
 from conformodal.vision import (
     Backbone,
     BackboneConfig,
     FeatureCache,
-    FineTuning,
     Head,
     LocalAnswers,
     Projection,
-    TrainingConfig,
     extract_features,
-    find_network,
     fine_tune,
     fit_head,
     fit_local,
@@ -38,7 +40,7 @@ from conformodal.vision import (
     soft_cross_entropy,
 )
 
-from .errors import OdometryError
+from .config import ModelConfig
 from .local import LocalFinder, make_finder
 from .model import PoseModel
 from .motions import Progress
@@ -46,79 +48,6 @@ from .scene import Scene, learn_scene
 from .targets import pose_targets, target_scale
 
 _SEED_STEP = 1000  # between heads that are averaged
-
-
-@dataclass(frozen=True)
-class ModelConfig:
-    """Settings of a pose model.
-
-    Attributes
-    ----------
-    split
-        ``interleaved`` or ``blocks``.
-    n_bins
-        Bins per target (K).
-    margin
-        Share of the range by which bins reach beyond the training poses.
-    sigma_bins
-        Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
-    alpha, score, joint
-        Of :class:`~conformodal.conformal.SplitConformal`.
-    test, calibration, used
-        Shares of all frames, see :func:`~conformodal.datasets.make_split`.
-    finders
-        Heads that the search for the pose starts from.
-    local
-        Whether it also starts from what the most similar training frames say.
-    landmarks
-        Whether it also starts from corners of training frames that are seen again.
-    network
-        Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
-    fine_tuning
-        Trains the network too, on the training part; None leaves it frozen.
-    device
-        Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
-    seed
-        Of the split and of training.
-    training
-        Of the head.
-
-    Raises
-    ------
-    ConformalError, OdometryError, VisionError
-        If a setting cannot be used; before any frame is read.
-    """
-
-    split: SplitKind = SplitKind.INTERLEAVED
-    n_bins: int = 50
-    margin: float = 0.02
-    sigma_bins: float = 0.7
-    alpha: float = 0.1
-    score: str = "density"
-    joint: str = "bonferroni"
-    test: float = 0.2
-    calibration: float = 0.16
-    used: float | None = None
-    finders: int = 3
-    local: bool = True
-    landmarks: bool = True
-    network: str = "efficientnet_lite0"
-    fine_tuning: FineTuning | None = None
-    device: str = "auto"
-    seed: int = 0
-    training: TrainingConfig = field(default_factory=TrainingConfig)
-
-    def __post_init__(self) -> None:
-        as_alpha(self.alpha)
-        as_joint(self.joint)
-        resolve_score(self.score)
-        QuantileBins(self.n_bins, self.margin)
-        find_network(self.network)
-        pick_device(self.device)
-        if not self.sigma_bins >= 0:
-            raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
-        if self.finders < 1:
-            raise OdometryError(f"finders must be at least 1, got {self.finders}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +158,7 @@ def train_model(
         calibration.fit_scale(predict_proba(head, data.features[train]), data.targets[train])
     proba = predict_proba(head, data.features[held_out])
     calibration.calibrate(proba, data.targets[held_out])
+    with_landmarks = _with_landmarks(calibration, proba, data, scene)
     modes, strangeness, local = mode_candidates(proba, bins), None, None
     found = _local_finder(data, everything, config, progress) if config.local else None
     if found is not None:  # errors of the search, as far as frames that nobody saw can tell of them
@@ -243,6 +173,7 @@ def train_model(
         landmarks=scene.landmarks,
         bins=bins,
         calibration=calibration,
+        landmark_calibration=with_landmarks,
         sign_reference=data.sign_reference,
         prior=_motion_prior(data, scene),
         scale=fit_spread_scale(modes, truth[held_out], strangeness),
@@ -251,6 +182,20 @@ def train_model(
         data_digest=data_digest(data.sequence),
         configuration=_record(config, data.sequence),
     )
+
+
+def _with_landmarks(
+    alone: SplitConformal, proba: list[npt.NDArray[Any]], data: TrainingData, scene: Scene
+) -> SplitConformal | None:
+    """The same promise for the softmax and the landmarks of the training part together."""
+    if scene.calibration_fixes is None:
+        return None
+    cells = fix_cells(alone.bins)
+    rule = SplitConformal(cells, alone.alpha, alone.score, alone.joint)
+    if alone.joint == "max":  # whatever the scale, it balances targets only
+        rule.rule.loc_, rule.rule.scale_ = alone.rule.loc_, alone.rule.scale_
+    pooled = pool_fixes(proba, scene.calibration_fixes, alone.bins, cells, data.sign_reference)
+    return rule.calibrate(pooled, data.targets[data.split.calibration])
 
 
 def _motion_prior(data: TrainingData, scene: Scene) -> MotionPrior:

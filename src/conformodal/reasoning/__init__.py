@@ -17,6 +17,7 @@ from .greedy import greedy
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .orientations import smooth_orientations
+from .pooling import fix_cells, on_cells, pool_fixes
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_positions
 from .spreads import fit_growth, fit_spread_scale
@@ -37,11 +38,14 @@ __all__ = [
     "fit_growth",
     "fit_motion_prior",
     "fit_spread_scale",
+    "fix_cells",
     "greedy",
     "interval_candidates",
     "mode_candidates",
+    "on_cells",
     "online",
     "orientation_cost",
+    "pool_fixes",
     "position_cost",
     "smooth",
     "smooth_orientations",

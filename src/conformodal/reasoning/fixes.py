@@ -41,7 +41,7 @@ def add_fixes(candidates: Candidates, fixes: Sequence[PoseFix], volume_m3: float
     """
     if not fixes:
         return candidates
-    none, log_right = _odds(fixes)
+    none, log_right = odds(fixes)
     old = candidates
     position_mass = old.position_log_mass - logsumexp(old.position_log_mass) + np.log1p(-NOWHERE)
     turn_mass = old.orientation_log_mass - logsumexp(old.orientation_log_mass) + np.log1p(-NOWHERE)
@@ -69,8 +69,8 @@ def add_fixes(candidates: Candidates, fixes: Sequence[PoseFix], volume_m3: float
     )
 
 
-def _odds(fixes: Sequence[PoseFix]) -> tuple[float, FloatArray]:
-    """Log probabilities that no fix is right, and that each is."""
+def odds(fixes: Sequence[PoseFix]) -> tuple[float, FloatArray]:
+    """Log probabilities that no fix of a frame is right, and that each is."""
     trust = np.clip([fix.trust for fix in fixes], NEVER_SURE, 1 - NEVER_SURE)
     odds = trust / (1 - trust)
     total = 1 + odds.sum()

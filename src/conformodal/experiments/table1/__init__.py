@@ -4,7 +4,7 @@ from .bins import bin_runs
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, task_key, tasks_of
 from .sizes import size_table
 from .summary import METHODS, Record, tidy, write_json, write_parquet
-from .tables import Table, cost_table, main_table, method_table
+from .tables import Table, cost_table, main_table, method_table, region_table
 from .work import Table1Worker, run_name
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "cost_table",
     "main_table",
     "method_table",
+    "region_table",
     "rows_of",
     "run_name",
     "size_table",

@@ -38,7 +38,13 @@ def bin_runs(
         place = folder / f"{split}-bins{k}"
         found[k] = place
         config = ModelConfig(
-            split=split, n_bins=k, alpha=ALPHA, score="lac", joint="none", training=TrainingConfig(epochs=epochs)
+            split=split,
+            n_bins=k,
+            alpha=ALPHA,
+            score="lac",
+            joint="none",
+            landmarks=False,
+            training=TrainingConfig(epochs=epochs),
         )
         settings = {"n_bins": k, "epochs": epochs, "data": data_digest(sequence)}
         if (place / METRICS).is_file() and read_metrics(place).get("configuration") == settings:

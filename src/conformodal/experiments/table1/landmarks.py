@@ -27,7 +27,9 @@ def landmark_rows(
     ``landmarks``: each frame's most trusted fix, and our softmax mean where it has none. ``no_landmarks``: ours without
     fixes. ``classical_landmarks``: the classical regressor's answers and the fixes, through our search and smoother.
     """
-    single = [model.with_fixes(own, its) for own, its in zip(_answers(classical, features), run.fixes, strict=True)]
+    single = [
+        model.with_fixes(own, its.search) for own, its in zip(_answers(classical, features), run.fixes, strict=True)
+    ]
     choices = {"no_landmarks": model.candidates(model.search(features)), "classical_landmarks": single}
     found = {"landmarks": _fixes_alone(run)}
     pieces = [np.flatnonzero(recording == number) for number in np.unique(recording)]
@@ -53,7 +55,7 @@ def _fixes_alone(run: OdometryRun) -> Trajectory:
     mean = run.trajectories["softmax_mean"]
     positions, quats = mean.positions_xyz.copy(), mean.orientations_quat_wxyz.copy()
     for t, fixes in enumerate(run.fixes):
-        if fixes:
-            best = max(fixes, key=lambda fix: (fix.trust, fix.n_inliers))
+        if fixes.search:
+            best = max(fixes.search, key=lambda fix: (fix.trust, fix.n_inliers))
             positions[t], quats[t] = best.position_xyz, best.orientation_quat_wxyz
     return Trajectory(run.timestamps_s, positions, quats)

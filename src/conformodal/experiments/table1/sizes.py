@@ -24,7 +24,10 @@ def rank_correlation(one: npt.ArrayLike, other: npt.ArrayLike) -> float:
 
 
 def size_table(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[Record], split: str) -> Table:
-    """Rank correlation of the position region's size with the error and with the turning rate, seed by seed."""
+    """Rank correlation of the position region's size with the error and with the turning rate, seed by seed.
+
+    Frame by frame; and of each condition's mean size with its RMSE, condition by condition.
+    """
     frames = {
         (task.seed, task.used, task.network, sigma): result["noise"][f"{sigma:g}"]["frames"]
         for task, result in zip(tasks, results, strict=True)
@@ -45,5 +48,17 @@ def size_table(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequ
                 size, against = ([v for part in pooled for v in part[key]] for key in ("size_m", other))
                 found.append(rank_correlation(size, against))
             cells.append(spread([v for v in found if np.isfinite(v)], 2))
-        lines.append([name, *cells])
-    return Table(["frames together", "size against error", "size against turning rate"], lines)
+        by_condition = []
+        for seed in seeds:
+            each = [frames[seed, *condition] for condition in conditions]
+            sizes = [np.mean(_known(part["size_m"])) for part in each]
+            by_condition.append(
+                rank_correlation(sizes, [np.sqrt(np.mean(_known(part["error_m"]) ** 2)) for part in each])
+            )
+        lines.append([name, *cells, spread([v for v in by_condition if np.isfinite(v)], 2)])
+    header = ["frames together", "size against error", "size against turning rate"]
+    return Table([*header, "condition by condition: mean size against RMSE"], lines)
+
+
+def _known(values: Sequence[float | None]) -> npt.NDArray[np.float64]:
+    return np.array([v for v in values if v is not None], dtype=np.float64)

@@ -53,10 +53,16 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
                         **{f"frames_{k}": v for k, v in result["frames"].items()},
                         **result["cost"].get(method, {}),
                         "answer_ms": tested["answer_ms"].get(method),
-                        **({f"region_{k}": v for k, v in tested["region"].items()} if method == "smoothed" else {}),
+                        **(_region(tested["region"]) if method == "smoothed" else {}),
                     }
                 )
     return records
+
+
+def _region(found: Record) -> Record:
+    """Flat; ``region_alone_`` is what the softmax alone gives."""
+    own = {f"region_{k}": v for k, v in found.items() if k != "alone"}
+    return {**own, **{f"region_alone_{k}": v for k, v in found["alone"].items()}}
 
 
 def write_json(records: Sequence[Record], path: Path) -> None:

@@ -77,6 +77,27 @@ def method_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> 
     return Table(["method", *(row.label for row in rows)], lines)
 
 
+def region_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Table:
+    """What landmarks are worth to the regions, beside those from the image's softmax alone, of the same training."""
+    names = {
+        "joint_coverage": "whole pose covered",
+        "coverage": "a target covered",
+        "length": "set length",
+        "intervals": "intervals",
+        "size_error_rank_correlation": "size against error",
+    }
+    lines = []
+    for row in rows:
+        cells = [row.label]
+        for key in names:
+            for kind in ("region_", "region_alone_"):
+                values = _values(records, row, split, "smoothed", kind + key)
+                cells.append(spread([float(np.mean(v)) for v in values], 2))
+        lines.append(cells)
+    columns = [column for name in names.values() for column in (name, f"{name}, softmax alone")]
+    return Table(["condition", *columns], lines)
+
+
 def cost_table(row: Row, records: Sequence[Record], split: str) -> Table:
     """What every method costs beside its error, in one row."""
     header = ["method", "RMSE, m", "training, s", "answer, ms a frame", "trained or stored numbers, MB"]

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import SplitConformal
 from conformodal.datasets import PixelNoise, Sequence
 from conformodal.motion import Described
 from conformodal.odometry import (
@@ -48,10 +47,8 @@ from ..baselines import (
 from ..classical import ClassicalRegressor, train_classical
 from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
 from .landmarks import landmark_rows
-from .sizes import rank_correlation
+from .regions import ALPHA, in_deviations, position_error, position_size, region_numbers
 
-ALPHA = 0.1
-RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -113,11 +110,11 @@ class Table1Worker:
         cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
         cost["smoothed"] = {
             "train_s": conformal_s,
-            "n_parameters": sum(_size(head) for head in (model.head, *model.finders))
+            "n_parameters": sum(_n_numbers(head) for head in (model.head, *model.finders))
             + (0 if model.local is None else model.local.regression.size)
             + (0 if model.landmarks is None else model.landmarks.map.size),
         }
-        cost["classical"] = {"train_s": classical_s, "n_parameters": _size(classical.head)}
+        cost["classical"] = {"train_s": classical_s, "n_parameters": _n_numbers(classical.head)}
         trained = _Trained(task, data, model, classical, baselines, quantiles)
         parts = {name: len(data.split.part(name)) for name in ("train", "calibration", "test")}
         return {
@@ -157,11 +154,11 @@ class Table1Worker:
         lower, upper = trained.quantiles.interval(features)
         return {
             "errors": {name: trajectory_errors(t, truth) for name, t in found.items()},
-            "region": _regions(run, model, features, targets, truth),
+            "region": region_numbers(run, model, features, truth),
             "frames": _sizes(run, model, truth, recording),
             "quantile_regression": {
                 "coverage": float(((targets >= lower) & (targets <= upper)).mean()),
-                "length": _in_deviations(upper - lower, targets),
+                "length": in_deviations(upper - lower, targets),
             },
             "answer_ms": answer_ms,
             "n_unreliable": int(np.sum(~run.reliable)),
@@ -220,65 +217,27 @@ def _answer(
     recording: npt.NDArray[np.int64],
 ) -> None:
     """All that leads from features, corners and motions to regions and the smoothed answer, and nothing else."""
-    proba = model.proba(features)
-    model.calibration.predict(proba)
-    candidates = model.candidates(model.search(features), [model.fixes(image) for image in described])
+    fixes = [model.fixes(image) for image in described]
+    model.regions(model.proba(features), fixes)
+    candidates = model.candidates(model.search(features), fixes)
     for number in np.unique(recording):
         at = np.flatnonzero(recording == number)
         seen = replace(run.observations(at), candidates=[candidates[t] for t in at])
         smooth(viterbi(seen, model.prior), seen, model.prior)
 
 
-def _size(head: Head) -> int:
+def _n_numbers(head: Head) -> int:
     return sum(p.numel() for p in head.parameters())
-
-
-def _regions(
-    run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], targets: FloatArray, truth: Trajectory
-) -> dict[str, Any]:
-    """Coverage and size: of the whole pose at alpha, and of each target at alpha as in the paper."""
-    single = SplitConformal(model.bins, ALPHA, model.calibration.score, "none")
-    single.calibrate_scores(model.calibration.scores_)
-    proba = model.proba(features)
-    alone = single.predict(proba)
-    rank = rank_correlation(*_size_and_error(run, model, truth))
-    return {
-        "joint_coverage": float(run.regions.contains(targets, joint=True).mean()),
-        "coverage": float(alone.contains(targets).mean()),
-        "length": _in_deviations(np.minimum(alone.length, _widths(model)), targets),
-        "intervals": float(alone.n_intervals.mean()),
-        "size_error_rank_correlation": rank if np.isfinite(rank) else None,
-        "n_calibration": model.n_calibration,
-        "n_test": len(targets),
-        # per target, mean over the seven: what the reliability figure shows
-        "coverage_at": [[a, float(single.at(a).predict(proba).contains(targets).mean())] for a in RELIABILITY_ALPHAS],
-    }
-
-
-def _widths(model: PoseModel) -> FloatArray:
-    """Ranges of the bins: what stands for the whole line."""
-    return np.array([e[-1] - e[0] for e in model.bins.edges_])
-
-
-def _size_and_error(run: OdometryRun, model: PoseModel, truth: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Size of the position's region and error of the smoothed answer, metres, a frame."""
-    size = np.linalg.norm(np.minimum(run.regions.length, _widths(model))[:, :3], axis=1)
-    return size, np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
 
 
 def _sizes(
     run: OdometryRun, model: PoseModel, truth: Trajectory, recording: npt.NDArray[np.int64]
 ) -> dict[str, list[float | None]]:
     """The same beside the turning rate since the tested frame before, rad/s; None where there is none."""
-    size, error = _size_and_error(run, model, truth)
+    size, error = position_size(run.regions, model), position_error(run, truth)
     quats = truth.orientations_quat_wxyz
     turn = np.full(len(truth), np.nan)
     turn[1:] = angle_between_quats(quats[1:], quats[:-1]) / np.diff(truth.timestamps_s)
     turn[1:][np.diff(recording) != 0] = np.nan
     found = {"size_m": size, "error_m": error, "turn_rad_s": turn}
     return {k: [float(f"{v:.4g}") if np.isfinite(v) else None for v in values] for k, values in found.items()}
-
-
-def _in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:
-    """Mean lengths of the targets' sets, in standard deviations of the test targets."""
-    return list((length.mean(axis=0) / targets.std(axis=0)).tolist())

@@ -1,0 +1,78 @@
+"""Coverage and size of a run's regions, with landmarks and without."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import Regions, SplitConformal
+from conformodal.odometry import Fixes, OdometryRun, PoseModel, pose_targets
+from conformodal.poses import Trajectory
+
+from .sizes import rank_correlation
+
+ALPHA = 0.1
+RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+FloatArray = npt.NDArray[np.float64]
+
+
+def region_numbers(
+    run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], truth: Trajectory
+) -> dict[str, Any]:
+    """Coverage and size of the answer's regions and, under ``alone``, of those from the image's softmax only."""
+    proba, targets = model.proba(features), pose_targets(truth, model.sign_reference)
+    plain = model.regions(proba)
+    error = position_error(run, truth)
+    return {
+        **_numbers(run.regions, model, proba, run.fixes, targets, error),
+        "alone": _numbers(plain, model, proba, None, targets, error),
+        "n_calibration": model.n_calibration,
+        "n_test": len(targets),
+    }
+
+
+def _numbers(
+    regions: Regions,
+    model: PoseModel,
+    proba: list[npt.NDArray[np.floating[Any]]],
+    fixes: list[Fixes] | None,
+    targets: FloatArray,
+    error: FloatArray,
+) -> dict[str, Any]:
+    """Of the whole pose at alpha, and of each target at alpha as in the paper."""
+    rule = model.calibration_of(with_fixes=fixes is not None)
+    single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_)
+    each = model.regions(proba, fixes, single)
+    scores = model.scores(proba, targets, fixes)
+    rank = rank_correlation(position_size(regions, model), error)
+    return {
+        "joint_coverage": float(regions.contains(targets, joint=True).mean()),
+        "coverage": float(each.contains(targets).mean()),
+        "length": in_deviations(np.minimum(each.length, _widths(model)), targets),
+        "intervals": float(each.n_intervals.mean()),
+        "size_error_rank_correlation": rank if np.isfinite(rank) else None,
+        # per target, mean over the seven: what the reliability figure shows
+        "coverage_at": [[a, float((scores <= single.at(a).thresholds_).mean())] for a in RELIABILITY_ALPHAS],
+    }
+
+
+def position_size(regions: Regions, model: PoseModel) -> FloatArray:
+    """Size of the position's region, metres, a frame."""
+    return np.asarray(np.linalg.norm(np.minimum(regions.length, _widths(model))[:, :3], axis=1))
+
+
+def position_error(run: OdometryRun, truth: Trajectory) -> FloatArray:
+    """Error of the smoothed answer, metres, a frame."""
+    return np.asarray(np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1))
+
+
+def in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:
+    """Mean lengths of the targets' sets, in standard deviations of the test targets."""
+    return list((length.mean(axis=0) / targets.std(axis=0)).tolist())
+
+
+def _widths(model: PoseModel) -> FloatArray:
+    """Ranges of the bins: what stands for the whole line."""
+    return np.array([e[-1] - e[0] for e in model.bins.edges_])

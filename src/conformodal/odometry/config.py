@@ -1,0 +1,87 @@
+"""Settings of a pose model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from conformodal.conformal import ConformalError, QuantileBins
+from conformodal.conformal.calibration import as_joint
+from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.scores import resolve_score
+from conformodal.datasets import SplitKind
+from conformodal.vision import FineTuning, TrainingConfig, find_network, pick_device
+
+from .errors import OdometryError
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Settings of a pose model.
+
+    Attributes
+    ----------
+    split
+        ``interleaved`` or ``blocks``.
+    n_bins
+        Bins per target (K).
+    margin
+        Share of the range by which bins reach beyond the training poses.
+    sigma_bins
+        Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
+    alpha, score, joint
+        Of :class:`~conformodal.conformal.SplitConformal`.
+    test, calibration, used
+        Shares of all frames, see :func:`~conformodal.datasets.make_split`.
+    finders
+        Heads that the search for the pose starts from.
+    local
+        Whether it also starts from what the most similar training frames say.
+    landmarks
+        Whether it also starts from corners of training frames that are seen again.
+    network
+        Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
+    fine_tuning
+        Trains the network too, on the training part; None leaves it frozen.
+    device
+        Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
+    seed
+        Of the split and of training.
+    training
+        Of the head.
+
+    Raises
+    ------
+    ConformalError, OdometryError, VisionError
+        If a setting cannot be used; before any frame is read.
+    """
+
+    split: SplitKind = SplitKind.INTERLEAVED
+    n_bins: int = 50
+    margin: float = 0.02
+    sigma_bins: float = 0.7
+    alpha: float = 0.1
+    score: str = "density"
+    joint: str = "bonferroni"
+    test: float = 0.2
+    calibration: float = 0.16
+    used: float | None = None
+    finders: int = 3
+    local: bool = True
+    landmarks: bool = True
+    network: str = "efficientnet_lite0"
+    fine_tuning: FineTuning | None = None
+    device: str = "auto"
+    seed: int = 0
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+
+    def __post_init__(self) -> None:
+        as_alpha(self.alpha)
+        as_joint(self.joint)
+        resolve_score(self.score)
+        QuantileBins(self.n_bins, self.margin)
+        find_network(self.network)
+        pick_device(self.device)
+        if not self.sigma_bins >= 0:
+            raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
+        if self.finders < 1:
+            raise OdometryError(f"finders must be at least 1, got {self.finders}")

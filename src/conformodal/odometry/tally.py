@@ -1,0 +1,59 @@
+"""What coverage and size need of regions: a few numbers a frame, so that long streams need not keep the regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import Regions
+from conformodal.poses import Trajectory
+
+from .errors import OdometryError
+from .targets import pose_targets
+
+
+@dataclass(frozen=True, eq=False)
+class RegionTally:
+    """Of n frames, target by target, (n, 7) each.
+
+    Attributes
+    ----------
+    inside
+        Whether the set holds the truth.
+    length
+        Of the set, in the target's unit; infinite for the whole line.
+    n_intervals
+        It falls into.
+    unbounded
+        Whether it is the whole line.
+    """
+
+    inside: npt.NDArray[np.bool_]
+    length: npt.NDArray[np.float64]
+    n_intervals: npt.NDArray[np.int64]
+    unbounded: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.inside)
+
+    @classmethod
+    def of(cls, regions: Regions, truth: Trajectory, sign_reference: npt.NDArray[np.float64]) -> RegionTally:
+        """Of the regions of frames whose poses are known."""
+        inside = regions.contains(pose_targets(truth, sign_reference))
+        return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[RegionTally]) -> RegionTally:
+        """Of the frames of all parts, in order.
+
+        Raises
+        ------
+        OdometryError
+            If there are no parts.
+        """
+        if not parts:
+            raise OdometryError("parts must hold at least one tally, got none")
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
