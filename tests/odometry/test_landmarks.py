@@ -48,7 +48,7 @@ def test_fixes_of_held_out_frames_are_about_as_far_off_as_they_claim(sequence, s
     record = measure_motions(sequence, split.test)
     off, claims = [], []
     for i in split.test.tolist():
-        fixes = scene.landmarks.fixes(record.described[i]).search
+        fixes = scene.landmarks.fixes(record.described[i])
         if fixes:
             nearest = min(fixes, key=lambda fix: np.linalg.norm(fix.position_xyz - sequence.truth.positions_xyz[i]))
             off.append(np.linalg.norm(nearest.position_xyz - sequence.truth.positions_xyz[i]))
@@ -58,17 +58,14 @@ def test_fixes_of_held_out_frames_are_about_as_far_off_as_they_claim(sequence, s
     assert 0.4 < np.median(np.divide(off, claims)) < 2.5  # a median of twenty or more ratios whose spread is about one
 
 
-def calibration_places(split):
-    return np.searchsorted(np.sort(np.concatenate((split.train, split.calibration))), split.calibration)
-
-
 def test_a_saved_model_has_the_same_landmarks(model, scene, sequence, split):
     assert model.landmarks.scale == scene.landmarks.scale
     assert model.landmarks.map.camera == scene.landmarks.map.camera
-    np.testing.assert_array_equal(np.flatnonzero(model.landmarks.map.reserved), calibration_places(split))
     image = measure_motions(sequence, split.test[:3]).described[int(split.test[0])]
-    there, here = model.fixes(image), scene.landmarks.fixes(image)
-    for a, b in zip(there.search + there.region, here.search + here.region, strict=True):
+    there = model.fixes(image)
+    here = scene.landmarks.fixes(image), scene.region_landmarks.fixes(image)
+    assert here[0] or here[1]
+    for a, b in zip(there.search + there.region, here[0] + here[1], strict=True):
         np.testing.assert_array_equal(a.position_xyz, b.position_xyz)
         assert (a.sigma_m, a.sigma_rad, a.trust) == (b.sigma_m, b.sigma_rad, b.trust)
 
@@ -87,7 +84,7 @@ def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, sequence, s
 
 
 def load_model_without_landmarks(model):
-    return replace(model, landmarks=None, landmark_calibration=None)
+    return replace(model, landmarks=None, landmark_regions=None)
 
 
 def test_a_stream_is_fixed_as_often_as_asked(model, sequence, monkeypatch):
@@ -132,7 +129,7 @@ def test_poses_of_something_else_give_no_landmarks_or_wide_ones(sequence):
     wrong = Trajectory(true.timestamps_s, true.positions_xyz[shuffled], true.orientations_quat_wxyz[shuffled])
     found = fit_landmarks(described[:60], wrong, np.arange(60), sequence.camera, 3.0)
     assert found is None or all(
-        fix.trust < 0.5 or fix.sigma_m > 0.1 for image in described[60:] for fix in found.fixes(image).search
+        fix.trust < 0.5 or fix.sigma_m > 0.1 for image in described[60:] for fix in found.fixes(image)
     )
 
 
@@ -148,30 +145,11 @@ def test_spreads_and_trust_follow_the_claims():
     assert large.trust == pytest.approx(1 / (1 + np.exp(3) / 20))
 
 
-def test_region_fixes_know_nothing_of_the_calibration_frames(sequence):
-    """With other images and other poses in their place, the very same fixes, spreads and trusts."""
-    described = list(measure_motions(sequence, np.arange(90)).described.values())
-    frames = np.arange(80)
-    reserved = frames % 5 == 2
-    rng = np.random.default_rng(0)
-    others = [described[rng.integers(90)] if apart else d for d, apart in zip(described, reserved, strict=False)]
-    truth = sequence.truth[:80]
-    moved = np.where(reserved[:, None], truth.positions_xyz + rng.normal(size=(80, 3)), truth.positions_xyz)
-    elsewhere = Trajectory(truth.timestamps_s, moved, truth.orientations_quat_wxyz)
-    one = fit_landmarks(described[:80], truth, frames, sequence.camera, 3.0, reserved=reserved)
-    other = fit_landmarks(others, elsewhere, frames, sequence.camera, 3.0, reserved=reserved)
-    assert one.scale == other.scale
-    n_fixes, differ = 0, 0
-    for image in described[80:] + described[2:80:5]:
-        here, there = one.fixes(image), other.fixes(image)
-        for a, b in zip(here.region, there.region, strict=True):
-            n_fixes += 1
-            assert (a.sigma_m, a.sigma_rad, a.trust, a.n_inliers) == (b.sigma_m, b.sigma_rad, b.trust, b.n_inliers)
-            np.testing.assert_array_equal(a.position_xyz, b.position_xyz)
-            np.testing.assert_array_equal(a.orientation_quat_wxyz, b.orientation_quat_wxyz)
-        differ += [f.sigma_m for f in here.search] != [f.sigma_m for f in there.search]
-    assert n_fixes > 10
-    assert differ  # the search's do know them
+def test_regions_know_landmarks_of_the_training_part_alone(sequence, split, scene):
+    both = np.sort(np.concatenate((split.train, split.calibration)))
+    for known, frames in ((scene.region_landmarks, split.train), (scene.landmarks, both)):
+        np.testing.assert_allclose(known.map.poses_se3, sequence.truth[frames].poses_se3, atol=1e-12)
+    assert len(scene.calibration_fixes) == len(split.calibration)
 
 
 def test_regions_with_landmarks_are_smaller_and_as_sure(model, sequence, small_world):
@@ -188,7 +166,7 @@ def test_regions_with_landmarks_are_smaller_and_as_sure(model, sequence, small_w
     # the scores say the same as the sets
     features = extract_features([sequence.image_paths[i] for i in run.frames], model.backbone, cache)
     scores = model.scores(model.proba(features), pose_targets(truth, model.sign_reference), run.fixes)
-    np.testing.assert_array_equal(scores <= model.landmark_calibration.thresholds_, with_fixes.inside)
+    np.testing.assert_array_equal(scores <= model.landmark_regions.calibration.thresholds_, with_fixes.inside)
 
 
 def test_frames_without_a_look_for_landmarks_have_the_softmaxs_regions(model, sequence):
@@ -216,4 +194,19 @@ def test_recalibration_reaches_both_kinds_of_regions(model):
     other = replace(model)
     other.recalibrate(0.5)
     assert (other.calibration.thresholds_ <= model.calibration.thresholds_).all()
-    assert (other.landmark_calibration.thresholds_ < model.landmark_calibration.thresholds_).any()
+    assert (other.landmark_regions.calibration.thresholds_ < model.landmark_regions.calibration.thresholds_).any()
+
+
+def test_one_threshold_for_all_targets_survives_saving(sequence, scene, small_world, tmp_path):
+    config = ModelConfig(joint="max", score="linear_density", finders=1, training=TrainingConfig(epochs=1))
+    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
+    trained = train_model(data, config, scene=scene)
+    save_model(trained, tmp_path)
+    back = load_model(tmp_path)
+    thresholds = trained.landmark_regions.calibration.thresholds_
+    np.testing.assert_array_equal(back.landmark_regions.calibration.thresholds_, thresholds)
+    proba, image = trained.proba(data.features[:3]), measure_motions(sequence, np.arange(3)).described
+    fixes = [trained.fixes(image[i]) for i in range(3)]
+    one, other = trained.regions(proba, fixes), back.regions(proba, fixes)
+    np.testing.assert_array_equal(one.length, other.length)
+    assert trained.regions(proba).bins.sizes == one.bins.sizes

@@ -35,6 +35,9 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
         reach = np.ptp(edges)
         assert fine[0] == pytest.approx(edges[0] - reach / 2)
         assert fine[-1] == pytest.approx(edges[-1] + reach / 2)
+        assert len(fine) - 1 == 2 * 800
+    many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
+    assert fix_cells(many).sizes == [2 * 900]
 
 
 def test_regions_over_bins_are_the_same_over_cells(bins):

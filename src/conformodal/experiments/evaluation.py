@@ -50,7 +50,7 @@ def coverage_table(
     """
     inside = tally.inside
     calibration = model.calibration_of(with_fixes=fixed_all)
-    one_law = exchangeable and (fixed_all or model.landmarks is None)
+    one_law = exchangeable and (fixed_all or model.landmark_regions is None)
     targets: dict[str, Any] = {}
     for j, name in enumerate(TARGET_NAMES):
         row: dict[str, Any] = {
@@ -107,7 +107,7 @@ def is_exchangeable(model: PoseModel, part: str | None) -> bool:
 
 def _regions_from(model: PoseModel, *, fixed_all: bool) -> str:
     """What the regions rest on, for people."""
-    if model.landmarks is None:
+    if model.landmark_regions is None:
         return "the image's softmax"
     where = "" if fixed_all else " in those frames where they were looked for"
     return f"the image's softmax, and landmarks of the training part{where}"

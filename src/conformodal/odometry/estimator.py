@@ -129,7 +129,7 @@ class VisualOdometry:
     def _fixes(self, image: npt.NDArray[np.uint8]) -> Fixes | None:
         due = self._n_steps % self.fix_every == 0
         self._n_steps += 1
-        if self.model.landmarks is None or not due:
+        if not due or (self.model.landmarks is None and self.model.landmark_regions is None):
             return None
         return self.model.fixes(describe(image, self.model.camera))
 

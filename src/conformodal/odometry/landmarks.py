@@ -10,13 +10,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LogisticRegression
 
-from conformodal.motion import Described, Found, LandmarkMap, build_map
+from conformodal.conformal import SplitConformal
+from conformodal.motion import Described, LandmarkMap, build_map
 from conformodal.poses import PinholeCamera, PoseFix, Trajectory, angle_between_quats
 from conformodal.reasoning import fit_growth
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 MAX_KEYFRAMES = 1000
@@ -62,25 +62,8 @@ class FixScale:
 
 
 @dataclass(frozen=True, eq=False)
-class Fixes:
-    """Where an image could have been taken, place by place.
-
-    Attributes
-    ----------
-    search
-        By all landmarks; nothing is promised of what follows from them.
-    region
-        By those of the training part alone: calibration frames are as new to them as any other, so regions may use
-        them.
-    """
-
-    search: list[PoseFix] = field(default_factory=list)
-    region: list[PoseFix] = field(default_factory=list)
-
-
-@dataclass(frozen=True, eq=False)
 class Landmarks:
-    """A map and the scale of its fixes. The map's reserved keyframes are the calibration frames."""
+    """A map and the scale of its fixes."""
 
     map: LandmarkMap
     scale: FixScale
@@ -94,15 +77,43 @@ class Landmarks:
             "focal_px": round(self.map.camera.fx, 2),
         }
 
-    def fixes(self, image: Described) -> Fixes:
-        """Where an image could have been taken, by all landmarks and by those of the training part."""
-        found = Found()
-        search, region = (self.map.fixes(image, hidden, found=found) for hidden in (None, self.map.reserved))
-        return Fixes([self.scale.apply(fix) for fix in search], [self.scale.apply(fix) for fix in region])
+    def fixes(self, image: Described) -> list[PoseFix]:
+        """Where an image could have been taken, place by place."""
+        return [self.scale.apply(fix) for fix in self.map.fixes(image)]
 
-    def region_fixes(self, image: Described) -> list[PoseFix]:
-        """The same by landmarks of the training part alone."""
-        return [self.scale.apply(fix) for fix in self.map.fixes(image, self.map.reserved)]
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """Where an image could have been taken, place by place, by two maps.
+
+    Attributes
+    ----------
+    search
+        By landmarks of all frames with known poses; nothing is promised of what follows from them.
+    region
+        By those of the training part alone: calibration frames are as new to them as any other, so regions may use
+        them.
+    """
+
+    search: list[PoseFix] = field(default_factory=list)
+    region: list[PoseFix] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkRegions:
+    """What regions need to know of landmarks.
+
+    Attributes
+    ----------
+    landmarks
+        Of the training part alone.
+    calibration
+        Calibrated sets from the softmax and these landmarks together, over finer cells than bins
+        (:func:`~conformodal.reasoning.fix_cells`).
+    """
+
+    landmarks: Landmarks
+    calibration: SplitConformal
 
 
 def fit_landmarks(
@@ -112,11 +123,8 @@ def fit_landmarks(
     camera: PinholeCamera,
     depth_m: float,
     progress: Progress | None = None,
-    reserved: BoolArray | None = None,
 ) -> Landmarks | None:
     """Map frames with known poses, and learn from themselves how far fixes are off.
-
-    Fixes that leave out the reserved frames know nothing of them: no landmark of others, no correction, no scale does.
 
     Parameters
     ----------
@@ -131,38 +139,27 @@ def fit_landmarks(
         Median depth of what is in view; NaN where it is not known.
     progress
         Called with frames done and frames in all.
-    reserved
-        (n,) the calibration frames; none by default.
 
     Returns
     -------
     Landmarks, or None where depths are not known or too few frames can be placed
     """
-    apart = np.zeros(len(described), dtype=bool) if reserved is None else reserved
-    if not np.isfinite(depth_m) or (~apart).sum() < _LEAST_FIXES:
+    n = len(described)
+    if not np.isfinite(depth_m) or n < _LEAST_FIXES:
         return None
-    # each by itself, so that which training frames are taken does not depend on the others
-    most = [round(MAX_KEYFRAMES * share) for share in (1 - apart.mean(), apart.mean())]
-    parts = [_spread_out(np.flatnonzero(part), m) for part, m in zip((~apart, apart), most, strict=True)]
-    chosen = np.sort(np.concatenate(parts))
-    described, truth, pieces, apart = [described[i] for i in chosen], truth[chosen], pieces[chosen], apart[chosen]
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MAX_KEYFRAMES)).round().astype(np.int64))
+    described, truth, pieces = [described[i] for i in chosen], truth[chosen], pieces[chosen]
     n = len(chosen)
-    left_out = _spread_out(np.flatnonzero(~apart), _N_LEFT_OUT)
+    left_out = np.unique(np.linspace(0, n - 1, min(n, _N_LEFT_OUT)).round().astype(np.int64))
     total = 2 * n + len(left_out)
 
     def done(before: int) -> Progress | None:
         return None if progress is None else lambda count, _: progress(before + count, total)
 
-    plain = build_map(described, truth.poses_se3, camera, depth_m, done(0), apart)
+    plain = build_map(described, truth.poses_se3, camera, depth_m, done(0))
     corrected = plain.corrected(_corrections(plain, described, truth, done(n)))
     scale = _fit_scale(corrected, described, truth, pieces, left_out, done(2 * n))
     return None if scale is None else Landmarks(corrected, scale)
-
-
-def _spread_out(frames: IntArray, most: int) -> IntArray:
-    """At most so many of the frames, evenly spaced."""
-    at = np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(np.int64)
-    return frames[np.unique(at)]
 
 
 def _corrections(
@@ -170,7 +167,7 @@ def _corrections(
 ) -> FloatArray:
     found = np.full((len(described), 6), np.nan)
     for i, image in enumerate(described):
-        hidden = np.zeros(len(described), dtype=bool) if plain.reserved[i] else plain.reserved.copy()
+        hidden = np.zeros(len(described), dtype=bool)
         hidden[i] = True
         for fix in plain.fixes(image, hidden, most=1):
             off = fix.position_xyz - truth.positions_xyz[i]
@@ -195,7 +192,7 @@ def _fit_scale(
 ) -> FixScale | None:
     rows = []
     for k, i in enumerate(left_out.tolist()):
-        for fix in landmarks.fixes(described[i], (pieces == pieces[i]) | landmarks.reserved):
+        for fix in landmarks.fixes(described[i], pieces == pieces[i]):
             off = float(np.linalg.norm(fix.position_xyz - truth.positions_xyz[i]))
             turned = float(angle_between_quats(fix.orientation_quat_wxyz, truth.orientations_quat_wxyz[i]))
             rows.append((off, fix.sigma_m, turned, fix.sigma_rad, fix.n_inliers))

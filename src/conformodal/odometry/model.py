@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from conformodal.reasoning import (
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
-from .landmarks import Fixes, Landmarks
+from .landmarks import Fixes, LandmarkRegions, Landmarks
 from .local import LocalFinder
 from .radius import PoseRadius
 
@@ -67,9 +67,8 @@ class PoseModel:
         Bins of the seven targets.
     calibration
         Calibrated sets from the softmax alone.
-    landmark_calibration
-        Calibrated sets from the softmax and landmarks of the training part, over finer cells
-        (:func:`~conformodal.reasoning.fix_cells`); None without landmarks.
+    landmark_regions
+        What regions need to know of landmarks; or None.
     sign_reference
         (4,) quaternion against which signs are fixed.
     prior, scale
@@ -93,7 +92,7 @@ class PoseModel:
     landmarks: Landmarks | None
     bins: QuantileBins
     calibration: SplitConformal
-    landmark_calibration: SplitConformal | None
+    landmark_regions: LandmarkRegions | None
     sign_reference: npt.NDArray[np.float64]
     prior: MotionPrior
     scale: SpreadScale
@@ -127,12 +126,18 @@ class PoseModel:
         return Search(self.local.blend(mean, answers, self.bins), self.local.strangeness(answers))
 
     def fixes(self, image: Described) -> Fixes:
-        """Where an image could have been taken by its landmarks; at most one pose a place."""
-        return Fixes() if self.landmarks is None else self.landmarks.fixes(image)
+        """Where an image could have been taken by its landmarks; at most one pose a place and map."""
+        own = None if self.landmark_regions is None else self.landmark_regions.landmarks
+        search, region = ([] if known is None else known.fixes(image) for known in (self.landmarks, own))
+        return Fixes(search, region)
 
     def calibration_of(self, *, with_fixes: bool) -> SplitConformal:
         """What calibrates regions of images in which landmarks were looked for, or were not."""
-        return self.calibration if self.landmark_calibration is None or not with_fixes else self.landmark_calibration
+        return self._pooled_rule if with_fixes and self._pooled_rule is not None else self.calibration
+
+    @property
+    def _pooled_rule(self) -> SplitConformal | None:
+        return None if self.landmark_regions is None else self.landmark_regions.calibration
 
     def regions(
         self,
@@ -158,13 +163,14 @@ class PoseModel:
             If there are not as many fixes as images.
         """
         rule = rule or self.calibration_of(with_fixes=fixes is not None)
-        if self.landmark_calibration is None or fixes is None:
-            alone = rule.predict(list(proba))
-            if self.landmark_calibration is None:
-                return alone
-            masks = [on_cells(np.asarray(mask), self.bins, j) for j, mask in enumerate(alone.masks)]
-            return Regions(self.landmark_calibration.cells, masks, alone.unbounded)
-        return Regions.concatenate([rule.predict(part) for _, part in self._pooled(proba, fixes)])
+        pooled = self._pooled_rule
+        if pooled is not None and fixes is not None:
+            return Regions.concatenate([rule.predict(part) for _, part in self._pooled(proba, fixes, pooled)])
+        alone = rule.predict(list(proba))
+        if pooled is None:
+            return alone
+        masks = [on_cells(np.asarray(mask), self.bins, j) for j, mask in enumerate(alone.masks)]
+        return Regions(pooled.cells, masks, alone.unbounded)
 
     def scores(
         self,
@@ -186,17 +192,17 @@ class PoseModel:
         OdometryError
             If there are not as many fixes as images.
         """
-        if self.landmark_calibration is None or fixes is None:
+        rule = self._pooled_rule
+        if rule is None or fixes is None:
             return self.calibration.score_samples(list(proba), targets)
-        rule = self.landmark_calibration
-        return np.concatenate([rule.score_samples(part, targets[rows]) for rows, part in self._pooled(proba, fixes)])
+        parts = self._pooled(proba, fixes, rule)
+        return np.concatenate([rule.score_samples(part, targets[rows]) for rows, part in parts])
 
     def _pooled(
-        self, proba: Sequence[npt.NDArray[np.floating[Any]]], fixes: Sequence[Fixes]
+        self, proba: Sequence[npt.NDArray[np.floating[Any]]], fixes: Sequence[Fixes], rule: SplitConformal
     ) -> Iterator[tuple[slice, list[npt.NDArray[np.float64]]]]:
         """Probabilities of cells, some frames at a time: there are many cells."""
-        assert self.landmark_calibration is not None
-        cells, n = self.landmark_calibration.bins, len(proba[0])
+        cells, n = rule.bins, len(proba[0])
         _check_as_many(fixes, n)
         for start in range(0, max(n, 1), _FRAMES_AT_A_TIME):
             rows = slice(start, start + _FRAMES_AT_A_TIME)
@@ -231,8 +237,9 @@ class PoseModel:
             If `alpha` is outside (0, 1).
         """
         self.calibration = self.calibration.at(alpha)
-        if self.landmark_calibration is not None:
-            self.landmark_calibration = self.landmark_calibration.at(alpha)
+        if self.landmark_regions is not None:
+            regions = self.landmark_regions
+            self.landmark_regions = replace(regions, calibration=regions.calibration.at(alpha))
 
     def check_camera(self, camera: PinholeCamera) -> None:
         """Refuse images of another camera: poses were learnt through this one.

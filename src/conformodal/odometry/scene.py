@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from conformodal.datasets import Sequence, Split, held_out_together
-from conformodal.motion import describe
+from conformodal.motion import Described, describe
 from conformodal.poses import PoseFix
 
 from .depths import measure_depths
 from .landmarks import Landmarks, fit_landmarks
 from .motions import Progress
+
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,19 +28,24 @@ class Scene:
     depth_m, depth_spread
         Median depth of corners, and the spread of its logarithm; NaN where they are not known.
     landmarks
-        None where too few corners can be placed.
+        Of training and calibration frames; None where too few corners can be placed.
+    region_landmarks
+        Of the training frames alone.
     calibration_fixes
-        Of every calibration frame by landmarks of the training part; None without landmarks.
+        Of every calibration frame, by these; empty without them.
     """
 
     depth_m: float = math.nan
     depth_spread: float = math.nan
     landmarks: Landmarks | None = None
-    calibration_fixes: list[list[PoseFix]] | None = None
+    region_landmarks: Landmarks | None = None
+    calibration_fixes: list[list[PoseFix]] = field(default_factory=list)
 
 
 def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, progress: Progress | None = None) -> Scene:
-    """Look at the training and the calibration frames; what they say is kept apart, see :class:`Fixes`.
+    """Look at the training and the calibration frames.
+
+    Two maps are made of them: one of all, for the search, and one that knows nothing of the calibration frames.
 
     Parameters
     ----------
@@ -62,16 +70,18 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
     frames = np.sort(np.concatenate((split.train, split.calibration)))
     if not (landmarks and np.isfinite(depth)):
         return Scene(depth, spread)
-    described = []
+    described: dict[int, Described] = {}
     for i in frames.tolist():
-        described.append(describe(sequence.image(i), sequence.camera))
+        described[i] = describe(sequence.image(i), sequence.camera)
         if progress is not None:
             progress("corners", len(described), len(frames))
-    pieces = held_out_together(sequence.recording, split.kind)[frames]
-    stage = None if progress is None else lambda done, total: progress("landmarks", done, total)
-    reserved = np.isin(frames, split.calibration)
-    known = fit_landmarks(described, truth[frames], pieces, sequence.camera, depth, stage, reserved)
-    if known is None:
-        return Scene(depth, spread)
-    held_out = [described[k] for k in np.searchsorted(frames, split.calibration)]
-    return Scene(depth, spread, known, [known.region_fixes(image) for image in held_out])
+    pieces = held_out_together(sequence.recording, split.kind)
+
+    def fit(known: IntArray, stage: str) -> Landmarks | None:
+        report = None if progress is None else lambda done, total: progress(stage, done, total)
+        images = [described[i] for i in known.tolist()]
+        return fit_landmarks(images, truth[known], pieces[known], sequence.camera, depth, report)
+
+    regions = fit(split.train, "landmarks of the training part")
+    fixes = [] if regions is None else [regions.fixes(described[i]) for i in split.calibration.tolist()]
+    return Scene(depth, spread, fit(frames, "landmarks"), regions, fixes)

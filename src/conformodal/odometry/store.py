@@ -29,7 +29,7 @@ from conformodal.reasoning import MotionPrior, SpreadScale, fix_cells
 from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
 
 from .errors import ModelFileError
-from .landmarks import FixScale, Landmarks
+from .landmarks import FixScale, LandmarkRegions, Landmarks
 from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
@@ -37,16 +37,7 @@ from .radius import PoseRadius, Promise
 FORMAT = "conformodal-model-7"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
-_MAP_ARRAYS = (
-    "T_pose_cam",
-    "poses_se3",
-    "thumbnails",
-    "starts",
-    "points_xyz",
-    "descriptors",
-    "corrections",
-    "reserved",
-)
+_MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 _PRIOR_DEPTHS = ("depth_m", "depth_spread")
@@ -63,8 +54,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays["calibration.scores"] = model.calibration.scores_
-    if model.landmark_calibration is not None:
-        arrays["landmarks.scores"] = model.landmark_calibration.scores_
     if model.calibration.joint == "max":
         arrays["calibration.shift"], arrays["calibration.scale"] = (
             model.calibration.rule.loc_,
@@ -76,8 +65,13 @@ def save_model(model: PoseModel, folder: Path) -> None:
         arrays |= {"local.offset": own.projection.offset, "local.components": own.projection.components}
         arrays |= {"local.references": own.references, "local.targets": own.targets}
         arrays["local.target_scale"] = own.target_scale
-    if model.landmarks is not None:
-        arrays |= {f"landmarks.{k}": getattr(model.landmarks.map, k) for k in _MAP_ARRAYS}
+    maps = {"landmarks": model.landmarks, "region_landmarks": None}
+    if model.landmark_regions is not None:
+        maps["region_landmarks"] = model.landmark_regions.landmarks
+        arrays["region_landmarks.scores"] = model.landmark_regions.calibration.scores_
+    for name, known in maps.items():
+        if known is not None:
+            arrays |= {f"{name}.{k}": getattr(known.map, k) for k in _MAP_ARRAYS}
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
         "format": FORMAT,
@@ -85,7 +79,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "backbone_fingerprint": model.backbone.fingerprint,
         "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs, "finders": len(model.finders)},
         "local": _local_record(model.local),
-        "landmarks": _landmarks_record(model.landmarks),
+        **{name: _landmarks_record(known) for name, known in maps.items()},
         "calibration": {
             "alpha": str(model.calibration.alpha),
             "score": model.calibration.score.name,
@@ -147,7 +141,6 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     head, *finders = (_head(name, record["head"], arrays) for name in names)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
-    landmarks = _landmarks(record["landmarks"], arrays)
     calibration = _calibration(bins, how, arrays, "calibration.scores")
     scale = record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
@@ -156,12 +149,10 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         head=head,
         finders=tuple(finders),
         local=_local(record["local"], arrays),
-        landmarks=landmarks,
+        landmarks=_landmarks("landmarks", record, arrays),
         bins=bins,
         calibration=calibration,
-        landmark_calibration=None
-        if landmarks is None
-        else _calibration(fix_cells(bins), how, arrays, "landmarks.scores"),
+        landmark_regions=_landmark_regions(bins, record, arrays),
         sign_reference=arrays["sign_reference"],
         prior=_prior(record["prior"]),
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
@@ -213,12 +204,22 @@ def _landmarks_record(landmarks: Landmarks | None) -> dict[str, Any] | None:
     return {"camera": asdict(own.camera), "depth_m": own.depth_m, "scale": asdict(landmarks.scale)}
 
 
-def _landmarks(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -> Landmarks | None:
-    if record is None:
+def _landmarks(name: str, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Landmarks | None:
+    if record[name] is None:
         return None
-    its = {k: arrays[f"landmarks.{k}"] for k in _MAP_ARRAYS}
-    own = LandmarkMap(camera=_camera(record["camera"]), depth_m=record["depth_m"], **its)
-    return Landmarks(own, FixScale(**record["scale"]))
+    its = {k: arrays[f"{name}.{k}"] for k in _MAP_ARRAYS}
+    own = LandmarkMap(camera=_camera(record[name]["camera"]), depth_m=record[name]["depth_m"], **its)
+    return Landmarks(own, FixScale(**record[name]["scale"]))
+
+
+def _landmark_regions(
+    bins: QuantileBins, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]
+) -> LandmarkRegions | None:
+    known = _landmarks("region_landmarks", record, arrays)
+    if known is None:
+        return None
+    scores = "region_landmarks.scores"
+    return LandmarkRegions(known, _calibration(fix_cells(bins), record["calibration"], arrays, scores))
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:

@@ -41,6 +41,7 @@ from conformodal.vision import (
 )
 
 from .config import ModelConfig
+from .landmarks import LandmarkRegions
 from .local import LocalFinder, make_finder
 from .model import PoseModel
 from .motions import Progress
@@ -173,7 +174,7 @@ def train_model(
         landmarks=scene.landmarks,
         bins=bins,
         calibration=calibration,
-        landmark_calibration=with_landmarks,
+        landmark_regions=with_landmarks,
         sign_reference=data.sign_reference,
         prior=_motion_prior(data, scene),
         scale=fit_spread_scale(modes, truth[held_out], strangeness),
@@ -186,16 +187,16 @@ def train_model(
 
 def _with_landmarks(
     alone: SplitConformal, proba: list[npt.NDArray[Any]], data: TrainingData, scene: Scene
-) -> SplitConformal | None:
+) -> LandmarkRegions | None:
     """The same promise for the softmax and the landmarks of the training part together."""
-    if scene.calibration_fixes is None:
+    if scene.region_landmarks is None:
         return None
     cells = fix_cells(alone.bins)
     rule = SplitConformal(cells, alone.alpha, alone.score, alone.joint)
     if alone.joint == "max":  # whatever the scale, it balances targets only
         rule.rule.loc_, rule.rule.scale_ = alone.rule.loc_, alone.rule.scale_
     pooled = pool_fixes(proba, scene.calibration_fixes, alone.bins, cells, data.sign_reference)
-    return rule.calibrate(pooled, data.targets[data.split.calibration])
+    return LandmarkRegions(scene.region_landmarks, rule.calibrate(pooled, data.targets[data.split.calibration]))
 
 
 def _motion_prior(data: TrainingData, scene: Scene) -> MotionPrior:

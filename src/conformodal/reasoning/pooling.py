@@ -17,9 +17,9 @@ from .fixes import odds
 FloatArray = npt.NDArray[np.float64]
 Kind = TypeVar("Kind", bound=np.generic)
 
-# Fixes are finer than bins: so many cells a bin. They may also be where no training frame was, so cells reach beyond
-# the bins by this share of their number on either side.
-CELLS, BEYOND = 16, 0.5
+# Fixes are finer than bins, which are cut into so many cells at least. They may also be where no training frame was, so
+# cells reach beyond the bins by this share of their number on either side.
+CELLS, BEYOND = 800, 0.5
 _FREEDOM = 3  # of Student's t: fixes are off by many of their spreads more often than a normal law has it
 _LEAST_TURNED = 1e-4
 
@@ -27,7 +27,7 @@ _LEAST_TURNED = 1e-4
 def fix_cells(bins: QuantileBins) -> QuantileBins:
     """Cells within the bins and, as wide as their mean, beyond them; edges of bins are edges of cells."""
     edges = []
-    for fine, n in zip(bins.refine(CELLS).edges_, _cells_beyond(bins), strict=True):
+    for fine, n in zip(bins.refine(_cells_a_bin(bins)).edges_, _cells_beyond(bins), strict=True):
         steps = (fine[-1] - fine[0]) / (fine.size - 1) * np.arange(1, n + 1)
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)
@@ -40,7 +40,7 @@ def on_cells(values: npt.NDArray[Kind], bins: QuantileBins, target: int) -> npt.
     """
     parts = values.shape[1] // bins.sizes[target]
     beyond = parts * _cells_beyond(bins)[target]
-    return np.pad(np.repeat(values, CELLS, axis=1), ((0, 0), (beyond, beyond)))
+    return np.pad(np.repeat(values, _cells_a_bin(bins), axis=1), ((0, 0), (beyond, beyond)))
 
 
 def pool_fixes(
@@ -78,15 +78,19 @@ def pool_fixes(
     places, spreads = _targets([fix for of_frame in fixes for fix in of_frame], sign_reference)
     pooled = []
     for j, edges in enumerate(cells.edges_):
-        pool = on_cells(proba[j].astype(np.float64) / CELLS, bins, j) * alone[:, None]
+        pool = on_cells(proba[j].astype(np.float64) / _cells_a_bin(bins), bins, j) * alone[:, None]
         away = (edges - places[:, j, None]) / spreads[:, j, None]
         np.add.at(pool, frame, right[:, None] * np.diff(stdtr(_FREEDOM, away), axis=1))
         pooled.append(pool / pool.sum(axis=1, keepdims=True))
     return pooled
 
 
+def _cells_a_bin(bins: QuantileBins) -> int:
+    return max(1, -(-CELLS // max(bins.sizes)))
+
+
 def _cells_beyond(bins: QuantileBins) -> list[int]:
-    return [round(BEYOND * CELLS * k) for k in bins.sizes]
+    return [round(BEYOND * _cells_a_bin(bins) * k) for k in bins.sizes]
 
 
 def _targets(fixes: Sequence[PoseFix], sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -112,7 +112,8 @@ class Table1Worker:
             "train_s": conformal_s,
             "n_parameters": sum(_n_numbers(head) for head in (model.head, *model.finders))
             + (0 if model.local is None else model.local.regression.size)
-            + (0 if model.landmarks is None else model.landmarks.map.size),
+            + (0 if model.landmarks is None else model.landmarks.map.size)
+            + (0 if model.landmark_regions is None else model.landmark_regions.landmarks.map.size),
         }
         cost["classical"] = {"train_s": classical_s, "n_parameters": _n_numbers(classical.head)}
         trained = _Trained(task, data, model, classical, baselines, quantiles)

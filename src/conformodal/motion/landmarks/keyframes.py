@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -37,31 +37,6 @@ _LEAST_RESIDUAL_PX = 0.5
 _MEDIAN_OF_NORM2 = 1.177
 
 
-class _Located(NamedTuple):
-    """A pose of an image before it is corrected, and how sure it is."""
-
-    T_world_pose: FloatArray
-    sigma_m: float
-    sigma_rad: float
-    n_inliers: int
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What one image and a map have in common, kept for when the same is asked with other keyframes hidden.
-
-    Attributes
-    ----------
-    matched
-        By keyframe: pixels (m, 2) of the image and the landmarks (m, 3) that they match.
-    located
-        By keyframes.
-    """
-
-    matched: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
-    located: dict[tuple[int, ...], _Located | None] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
     """Keyframes: frames with known poses, whose corners have places in the world.
@@ -86,8 +61,6 @@ class LandmarkMap:
         (n, 6) by how much each keyframe's own fix is off when its landmarks are hidden: metres and a rotation vector,
         world; NaN where there is none. Fixes nearby are off the same way (rolling shutters, clocks and reference
         poses err together), so their weighted mean is taken off.
-    reserved
-        (n,) keyframes that nothing else in the map was made with: hide these, and it knows nothing of them.
     """
 
     camera: PinholeCamera
@@ -99,7 +72,6 @@ class LandmarkMap:
     descriptors: npt.NDArray[np.uint8]
     depth_m: float
     corrections: FloatArray
-    reserved: BoolArray
 
     @cached_property
     def _thumbnails(self) -> npt.NDArray[np.float32]:
@@ -115,9 +87,7 @@ class LandmarkMap:
         """The same map with other corrections."""
         return replace(self, corrections=corrections)
 
-    def fixes(
-        self, image: Described, hidden: BoolArray | None = None, most: int = PLACES, found: Found | None = None
-    ) -> list[PoseFix]:
+    def fixes(self, image: Described, hidden: BoolArray | None = None, most: int = PLACES) -> list[PoseFix]:
         """Poses of an image: at most one a place that looks like it.
 
         Spreads are what the corners' residuals make of the pose, smaller than its error.
@@ -130,14 +100,10 @@ class LandmarkMap:
             (n,) keyframes to leave out.
         most
             Places to look at, the one most like the image first.
-        found
-            From earlier calls with the same image, to save time; added to.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
-        known = Found() if found is None else found
-        places = self._places(image.thumbnail, shown)[:most]
-        located = (self._located(image, tuple(near.tolist()), known) for near in places)
-        return [self._fix(here, shown) for here in located if here is not None]
+        found = (self._fix(image, near, shown) for near in self._places(image.thumbnail, shown)[:most])
+        return [fix for fix in found if fix is not None]
 
     def _places(self, thumbnail: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
         """Keyframes that look like an image, place by place, the most alike first."""
@@ -155,18 +121,8 @@ class LandmarkMap:
             order = order[~here]
         return found
 
-    def _fix(self, here: _Located, shown: BoolArray) -> PoseFix:
-        off = self._correction(here.T_world_pose, shown)
-        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(here.T_world_pose[:3, :3])
-        place = here.T_world_pose[:3, 3] - off[:3]
-        return PoseFix(place, turn.as_quat(scalar_first=True), here.sigma_m, here.sigma_rad, here.n_inliers)
-
-    def _located(self, image: Described, near: tuple[int, ...], found: Found) -> _Located | None:
-        if near not in found.located:
-            found.located[near] = self._locate(*self._matched(image, near, found))
-        return found.located[near]
-
-    def _locate(self, pixels: FloatArray, points: FloatArray) -> _Located | None:
+    def _fix(self, image: Described, near: IntArray, shown: BoolArray) -> PoseFix | None:
+        pixels, points = self._matched(image, near)
         if len(pixels) < MIN_INLIERS:
             return None
         pose, info = poselib.estimate_absolute_pose(pixels, points, poselib_camera(self.camera), _ABSOLUTE, _REFINEMENT)
@@ -180,17 +136,19 @@ class LandmarkMap:
             return None
         T_world_cam = np.eye(4)
         T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, centre
-        return _Located(T_world_cam @ np.linalg.inv(self.T_pose_cam), *sigmas, int(inliers.sum()))
+        T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
+        off = self._correction(T_world_pose, shown)
+        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
+        return PoseFix(T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True), *sigmas, int(inliers.sum()))
 
-    def _matched(self, image: Described, near: tuple[int, ...], found: Found) -> tuple[FloatArray, FloatArray]:
-        for frame in near:
-            if frame not in found.matched:
-                mine = slice(self.starts[frame], self.starts[frame + 1])
-                pairs = match(image.descriptors, self.descriptors[mine])
-                points = self.points_xyz[mine][pairs[:, 1]].astype(np.float64)
-                found.matched[frame] = (image.pixels[pairs[:, 0]], points)
-        pairs_of = [found.matched[frame] for frame in near]
-        return np.concatenate([pixels for pixels, _ in pairs_of]), np.concatenate([points for _, points in pairs_of])
+    def _matched(self, image: Described, near: IntArray) -> tuple[FloatArray, FloatArray]:
+        pixels, points = [np.empty((0, 2))], [np.empty((0, 3))]
+        for frame in near.tolist():
+            mine = slice(self.starts[frame], self.starts[frame + 1])
+            pairs = match(image.descriptors, self.descriptors[mine])
+            pixels.append(image.pixels[pairs[:, 0]])
+            points.append(self.points_xyz[mine][pairs[:, 1]].astype(np.float64))
+        return np.concatenate(pixels), np.concatenate(points)
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> FloatArray:
         known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))

@@ -16,7 +16,6 @@ from .triangulation import Rays, triangulate
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 # A frame's corners are looked for in so many others, which look the same way from another place; pairs serve both.
@@ -35,7 +34,6 @@ def build_map(
     camera: PinholeCamera,
     depth_m: float,
     progress: Progress | None = None,
-    reserved: BoolArray | None = None,
 ) -> LandmarkMap:
     """Place the corners of frames with known poses in the world.
 
@@ -51,13 +49,9 @@ def build_map(
         Median depth of the corners in view.
     progress
         Called with frames done and frames in all.
-    reserved
-        (n,) frames that nothing but their own landmarks may be made with; none by default.
     """
-    apart = np.zeros(len(described), dtype=bool) if reserved is None else reserved
-    pairs = _matched(described, _partners(poses_se3, depth_m, apart), apart, progress)
-    open_pairs = [[] if its_own else found for its_own, found in zip(apart.tolist(), pairs, strict=True)]
-    mounted = fit_camera(_some_matches(described, open_pairs), poses_se3, camera, depth_m)
+    pairs = _matched(described, _partners(poses_se3, depth_m), progress)
+    mounted = fit_camera(_some_matches(described, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
     tolerance = 2 * _TOLERANCE_PX / (mounted.camera.fx + mounted.camera.fy)
     points, kept = [np.empty((0, 3))], [np.empty((0, DESCRIPTOR_BYTES), np.uint8)]
@@ -77,19 +71,17 @@ def build_map(
         descriptors=np.concatenate(kept),
         depth_m=depth_m,
         corrections=np.full((len(described), 6), np.nan),
-        reserved=apart,
     )
 
 
-def _partners(poses_se3: FloatArray, depth_m: float, reserved: BoolArray) -> list[IntArray]:
-    """For each frame, others that see the same things from elsewhere and are not reserved; the best first."""
+def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
+    """For each frame, others that see the same things from elsewhere; the best first."""
     centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
     found = []
     for centre, ahead in zip(centres, forward, strict=True):
         turned = np.arccos(np.clip(forward @ ahead, -1, 1))
         apart = np.linalg.norm(centres - centre, axis=1) / depth_m
-        near = (turned < _MOST_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST)
-        others = np.flatnonzero(near & ~reserved)
+        others = np.flatnonzero((turned < _MOST_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST))
         cost = np.abs(np.log(apart[others] / _BEST)) + turned[others] / _USUAL_TURN_RAD
         others = others[np.argsort(cost, kind="stable")[: 5 * PARTNERS]]
         # neighbours in time say the same: take one of every few
@@ -98,12 +90,9 @@ def _partners(poses_se3: FloatArray, depth_m: float, reserved: BoolArray) -> lis
 
 
 def _matched(
-    described: Sequence[Described], partners: Sequence[IntArray], reserved: BoolArray, progress: Progress | None
+    described: Sequence[Described], partners: Sequence[IntArray], progress: Progress | None
 ) -> list[list[tuple[int, IntArray]]]:
-    """For each frame, its partners and those whose partner it is, each with the corners that both see.
-
-    A reserved frame is nobody's partner, and those that are its own know nothing of it.
-    """
+    """For each frame, its partners and those whose partner it is, each with the corners that both see."""
     found: list[list[tuple[int, IntArray]]] = [[] for _ in described]
     done: set[tuple[int, int]] = set()
     for i, others in enumerate(partners):
@@ -112,8 +101,7 @@ def _matched(
                 done.add((i, j))
                 pairs = match(described[i].descriptors, described[j].descriptors)
                 found[i].append((j, pairs))
-                if not reserved[i]:
-                    found[j].append((i, pairs[:, ::-1]))
+                found[j].append((i, pairs[:, ::-1]))
         if progress is not None:
             progress(i + 1, len(described))
     return found
