@@ -107,3 +107,8 @@ def test_of_several_fixes_one_at_most_is_right(bins):
     # odds of 4 : 1 : 1 for the first, the second, and neither
     without = [plain[np.abs(centers - x) < 0.3].sum() / 6 for x in (0.5, 3.0)]
     assert shares == pytest.approx([4 / 6 + without[0], 1 / 6 + without[1]], abs=0.01)
+
+
+def test_no_images_have_no_rows(bins):
+    cells = fix_cells(bins)
+    assert [p.shape for p in pool_fixes(softmaxes(bins, 0), [], bins, cells, SIGN)] == [(0, k) for k in cells.sizes]

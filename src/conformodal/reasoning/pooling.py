@@ -74,7 +74,7 @@ def pool_fixes(
     chances = [odds(of_frame) for of_frame in fixes]
     frame = np.repeat(np.arange(len(fixes)), [len(of_frame) for of_frame in fixes])
     alone = np.exp([none for none, _ in chances])
-    right = np.exp(np.concatenate([log_right for _, log_right in chances]))
+    right = np.exp(np.concatenate([np.empty(0), *(log_right for _, log_right in chances)]))
     places, spreads = _targets([fix for of_frame in fixes for fix in of_frame], sign_reference)
     pooled = []
     for j, edges in enumerate(cells.edges_):
