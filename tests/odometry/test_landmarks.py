@@ -210,3 +210,18 @@ def test_one_threshold_for_all_targets_survives_saving(sequence, scene, small_wo
     one, other = trained.regions(proba, fixes), back.regions(proba, fixes)
     np.testing.assert_array_equal(one.length, other.length)
     assert trained.regions(proba).bins.sizes == one.bins.sizes
+
+
+def test_regions_do_not_depend_on_how_many_are_worked_out_at_a_time(model, sequence, small_world, monkeypatch):
+    frames = model.split.test[:20]
+    cache = FeatureCache(small_world.cache)
+    proba = model.proba(extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache))
+    described = measure_motions(sequence, frames).described
+    fixes = [model.fixes(described[i]) for i in frames.tolist()]
+    targets = pose_targets(sequence.truth[frames], model.sign_reference)
+    at_once = model.regions(proba, fixes), model.scores(proba, targets, fixes)
+    monkeypatch.setattr("conformodal.odometry.model._FRAMES_AT_A_TIME", 7)
+    in_parts = model.regions(proba, fixes), model.scores(proba, targets, fixes)
+    for one, other in zip(at_once[0].masks, in_parts[0].masks, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(at_once[1], in_parts[1])
