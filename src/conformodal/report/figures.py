@@ -28,6 +28,7 @@ COLOURS = {
     "wall": "#888888",
 }
 _BAND_ALPHA = 0.6
+_RING, _LEAST_BOX = 16, 2.5  # points: across a mark, and the width of a box's own line
 _LONGEST_CELL_S = 2.0
 
 
@@ -91,14 +92,16 @@ def plan_figure(
     edges = run.regions.bins.edges_
     clip = [np.clip(parts[a], edges[a][0], edges[a][-1]) for a in axes]
     for (a, b), (c, d) in product(*clip):
-        axis.add_patch(Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], alpha=0.5, ec=COLOURS["smoothed"], lw=1))
+        box = Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_LEAST_BOX)
+        axis.add_patch(box)
+    # rings and frames, so that a region no larger than a mark is seen in it
     if alike is not None and len(alike):
-        axis.plot(*alike[:, axes].T, "s", ms=9, mfc="none", mew=1.6, color=COLOURS["alike"])
-    _marker(axis, run.trajectory, index, axes, "o", COLOURS["smoothed"], 9)
+        axis.plot(*alike[:, axes].T, "s", ms=_RING, mfc="none", mew=1.6, color=COLOURS["alike"])
+    _marker(axis, run.trajectory, index, axes, "o", COLOURS["smoothed"], _RING)
     if classical is not None:
         _marker(axis, classical, index, axes, "X", COLOURS["classical"], 9)
     if truth is not None:
-        _marker(axis, truth, index, axes, "+", COLOURS["truth"], 14)
+        _marker(axis, truth, index, axes, "+", COLOURS["truth"], 7)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
     axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
@@ -141,18 +144,19 @@ def _marker(
     axis: Axes, path: Trajectory, index: int, axes: tuple[int, int], shape: str, colour: str, size: int
 ) -> None:
     x, y = path.positions_xyz[index, axes]
-    axis.plot([x], [y], shape, ms=size, mew=2, color=colour, zorder=5)
+    fill = "none" if shape == "o" else colour
+    axis.plot([x], [y], shape, ms=size, mew=1.6, mfc=fill, color=colour, zorder=5)
 
 
 def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, points: bool = False) -> None:
-    entries = [Rectangle((0, 0), 1, 1, color=COLOURS["region"], alpha=0.5)]
+    entries = [Rectangle((0, 0), 1, 1, color=COLOURS["region"], alpha=1 if points else _BAND_ALPHA)]
     labels = ["calibrated region"]
     lines = [("smoothed", "conformal, after reasoning", "o", "-", True), ("truth", "truth", "+", "--", truth)]
     lines.append(("classical", "classical regressor", "X" if points else ".", "", classical))
     lines.append(("alike", "places that look the same", "s", "", alike))
     for key, label, shape, line, shown in lines:
         if shown:
-            fill = "none" if key == "alike" else COLOURS[key]
+            fill = "none" if key == "alike" or (points and key == "smoothed") else COLOURS[key]
             style = {"marker": shape, "ls": "", "mfc": fill, "ms": 8} if points or not line else {"ls": line}
             entries.append(mpl.lines.Line2D([], [], color=COLOURS[key], **style))  # type: ignore[arg-type]
             labels.append(label)
