@@ -44,7 +44,7 @@ def one(seed: int, results: Results) -> None:
     truth = sequence.require_truth()[test]
     targets = pose_targets(truth, model.sign_reference)
     widths = np.array([e[-1] - e[0] for e in model.bins.edges_])
-    assert scene.calibration_fixes is not None
+    assert scene.region_landmarks is not None
     alone, cells = model.proba(data.features[held_out]), fix_cells(model.bins)
     pooled = pool_fixes(alone, scene.calibration_fixes, model.bins, cells, model.sign_reference)
     rules = {}

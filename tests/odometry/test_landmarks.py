@@ -5,6 +5,7 @@ import pytest
 
 from conformodal.datasets import make_split
 from conformodal.experiments import coverage_table
+from conformodal.motion import describe
 from conformodal.odometry import (
     Fixes,
     FixScale,
@@ -150,6 +151,9 @@ def test_regions_know_landmarks_of_the_training_part_alone(sequence, split, scen
     for known, frames in ((scene.region_landmarks, split.train), (scene.landmarks, both)):
         np.testing.assert_allclose(known.map.poses_se3, sequence.truth[frames].poses_se3, atol=1e-12)
     assert len(scene.calibration_fixes) == len(split.calibration)
+    described = describe(sequence.image(int(split.calibration[3])), sequence.camera)
+    for one, other in zip(scene.calibration_fixes[3], scene.region_landmarks.fixes(described), strict=True):
+        np.testing.assert_array_equal(one.position_xyz, other.position_xyz)
 
 
 def test_regions_with_landmarks_are_smaller_and_as_sure(model, sequence, small_world):

@@ -72,7 +72,7 @@ def train(
     ),
     landmarks: Annotated[
         bool,
-        typer.Option(help="Whether the search for the pose also starts from corners of training frames seen again."),
+        typer.Option(help="Whether search and regions also rest on corners of training frames that are seen again."),
     ] = _DEFAULT.landmarks,
     device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
@@ -121,7 +121,7 @@ def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
 def said_of(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
     """What a user should know of the landmarks."""
     if landmarks is None:
-        return "no landmarks: too few corners of the training frames could be placed; the search does without"
+        return "no landmarks: too few corners of the training frames could be placed; search and regions do without"
     said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:

@@ -37,7 +37,7 @@ class ModelConfig:
     local
         Whether it also starts from what the most similar training frames say.
     landmarks
-        Whether it also starts from corners of training frames that are seen again.
+        Whether search and regions also rest on corners of training frames that are seen again.
     network
         Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
     fine_tuning

@@ -32,7 +32,7 @@ MIN_INLIERS = 12
 # units of the scene's depth count alike, and no keyframe is nearer than the least.
 _CORRECTED_BY, _LEAST_APART = 6, 0.01
 _ABSOLUTE = {"max_reproj_error": 6.0, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
-# more steps move a pose by hundredths of a millimetre and take as long as all the rest
+# more steps take long and hardly move a pose
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}
 _LEAST_RESIDUAL_PX = 0.5
 _MEDIAN_OF_NORM2 = 1.177
