@@ -13,9 +13,11 @@ from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence, read_image
 from .sevenscenes import read_sevenscenes
 from .splits import Split, SplitKind, held_out_together, make_split
+from .thumbnails import THUMBNAIL, thumbnail
 from .tum import read_tum_rgbd
 
 __all__ = [
+    "THUMBNAIL",
     "DatasetCheck",
     "DatasetError",
     "Finding",
@@ -40,4 +42,5 @@ __all__ = [
     "read_sevenscenes",
     "read_tum_rgbd",
     "recognise",
+    "thumbnail",
 ]

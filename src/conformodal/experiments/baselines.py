@@ -28,6 +28,7 @@ from conformodal.vision import (
     LocalSettings,
     Projection,
     TrainingConfig,
+    feature_views,
     fit_head,
     fit_local,
     fit_projection,
@@ -35,7 +36,7 @@ from conformodal.vision import (
     predict_values,
 )
 
-from .classical import START_DROPOUT, ClassicalRegressor, root_mean_square
+from .classical import START_DROPOUT, ClassicalRegressor, root_mean_square, train_classical
 from .losses import (
     N_COMPONENTS,
     N_POSITION,
@@ -56,7 +57,7 @@ _LEAST_DROPOUT = 0.03  # of MC dropout
 _JUDGED = 5  # one piece of the training part in so many judges the settings of quantile regression
 _LOCAL = tuple(
     LocalSettings(components, neighbours, ridge, None)
-    for components, neighbours, ridge in product((16, 64, 256), (10, 20, 40), (0.01, 0.1))
+    for components, neighbours, ridge in product((16, 64, 256), (10, 20, 40), (0.001, 0.01, 0.1))
 )
 
 
@@ -106,6 +107,13 @@ class Problem:
     def metric(self, standard: FloatArray) -> FloatArray:
         """Back from standardised targets."""
         return np.asarray(standard * self.scale + self.mean)
+
+
+def with_thumbnail(problem: Problem) -> Baseline:
+    """The classical regressor that sees the thumbnail too, with settings searched anew."""
+    started = time.perf_counter()
+    head = train_classical(problem.data, problem.config, thumbnail=True).head
+    return _trained(problem, [head], started, lambda features: predict_values(head, features))
 
 
 def learnt_weights(problem: Problem) -> Baseline:
@@ -213,7 +221,9 @@ def local_regression(problem: Problem) -> Baseline:
     pieces = held_out_together(data.sequence.recording, data.split.kind)[known]
     started = time.perf_counter()
     targets = data.targets[known]
-    regression, _ = fit_local(data.features[known], targets, target_scale(targets), pieces, choices=_LOCAL)
+    features = data.features[known]
+    views = feature_views(features.shape[1])
+    regression, _ = fit_local(features, targets, target_scale(targets), pieces, choices=_LOCAL, views=views)
     seconds = time.perf_counter() - started
     return Baseline(lambda features: regression.predict(features).best, seconds, regression.size)
 
@@ -251,7 +261,8 @@ def _searched(
 ) -> Head:
     """Trained on everything, with the rate and dropout that did best on `judge` when trained on `rows`."""
     data, components = problem.data, problem.config.components
-    part, whole = (fit_projection(data.features[at], components) for at in (rows, everything))
+    view = feature_views(data.features.shape[1]).network
+    part, whole = (fit_projection(data.features[at], components, view) for at in (rows, everything))
 
     def error(head: Head) -> float:
         miss = problem.metric(kind.answer(head, data.features[judge])) - data.targets[judge]

@@ -29,6 +29,7 @@ from conformodal.vision import (
     Head,
     Projection,
     TrainingConfig,
+    feature_views,
     fit_head,
     fit_projection,
     mean_squared_error,
@@ -98,6 +99,8 @@ def train_classical(
     data: TrainingData,
     config: TrainingConfig,
     progress: Callable[[str, int, int], None] | None = None,
+    *,
+    thumbnail: bool = False,
 ) -> ClassicalRegressor:
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
@@ -113,7 +116,11 @@ def train_classical(
         What it was trained with; only learning rate, dropout and components change.
     progress
         Called with stage, trainings done and trainings in all (as far as known).
+    thumbnail
+        Whether to look at the thumbnail too; by default it sees what the conformal heads see.
     """
+    views = feature_views(data.features.shape[1])
+    view = views.both if thumbnail else views.network
     train, check = data.split.train, data.split.calibration
     everything = np.sort(np.concatenate((train, check)))
     mean = data.targets[everything].mean(axis=0)
@@ -126,7 +133,7 @@ def train_classical(
         outputs = [1] * standard.shape[1]
         at = len(rows), settings.components
         if at not in through:
-            through[at] = fit_projection(data.features[rows], settings.components)
+            through[at] = fit_projection(data.features[rows], settings.components, view)
         return fit_head(
             data.features[rows], standard[rows], outputs, mean_squared_error, settings, projection=through[at]
         )

@@ -6,7 +6,8 @@ from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .landmarks import Fixes, FixScale, LandmarkRegions, Landmarks, fit_landmarks
+from .fix_scale import FixScale
+from .landmarks import Fixes, LandmarkRegions, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
 from .parquet import read_region_parquet, write_region_parquet

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
-from sklearn.linear_model import LogisticRegression
 
 from conformodal.conformal import SplitConformal
 from conformodal.motion import Described, LandmarkMap, build_map
 from conformodal.poses import PinholeCamera, PoseFix, Trajectory, angle_between_quats
-from conformodal.reasoning import fit_growth
+
+from .fix_scale import FixErrors, FixScale, fit_fix_scale
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -22,43 +22,9 @@ Progress = Callable[[int, int], None]
 MAX_KEYFRAMES = 1000
 _N_LEFT_OUT = 200  # frames that tell how far fixes are off
 _LEAST_FIXES = 20
-_MEDIAN_OF_NORM3 = 1.5382
 # A fix further off than this share of the depth is wrong, and nobody's correction.
 _CORRECTABLE = 0.05
 _SAME_PLACE = 0.5  # of the depth
-_WRONG = 5.0  # a fix off by more spreads than that is altogether wrong
-
-
-@dataclass(frozen=True)
-class FixScale:
-    """How errors of fixes depend on their claims, learnt from frames whose own landmarks were hidden.
-
-    Attributes
-    ----------
-    position, position_growth
-        Spread in metres: the first, times the claim to the power of the second.
-    rotation, rotation_growth
-        The same in radians.
-    trust_offset, trust_slope
-        Log odds that a fix is right: the first, plus the second times the logarithm of its inliers.
-    """
-
-    position: float
-    position_growth: float
-    rotation: float
-    rotation_growth: float
-    trust_offset: float
-    trust_slope: float
-
-    def apply(self, fix: PoseFix) -> PoseFix:
-        """The fix with spreads of the size of its errors."""
-        odds = self.trust_offset + self.trust_slope * float(np.log(fix.n_inliers))
-        return replace(
-            fix,
-            sigma_m=self.position * fix.sigma_m**self.position_growth,
-            sigma_rad=self.rotation * fix.sigma_rad**self.rotation_growth,
-            trust=float(1 / (1 + np.exp(-odds))),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +45,7 @@ class Landmarks:
 
     def fixes(self, image: Described) -> list[PoseFix]:
         """Where an image could have been taken, place by place."""
-        return [self.scale.apply(fix) for fix in self.map.fixes(image)]
+        return [self.scale.apply(fix, fix.n_inliers) for fix in self.map.fixes(image)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,25 +166,4 @@ def _fit_scale(
             progress(k + 1, len(left_out))
     if len(rows) < _LEAST_FIXES:
         return None
-    off, claim, turned, turn_claim, inliers = np.array(rows).T
-    here = off < _SAME_PLACE * landmarks.depth_m  # elsewhere the error is the distance between two places
-    if here.sum() < _LEAST_FIXES:
-        return None
-    position, growth = _scale(off[here], claim[here])
-    rotation, turn_growth = _scale(turned[here], turn_claim[here])
-    right = here & (off < _WRONG * _MEDIAN_OF_NORM3 * position * claim**growth)
-    offset, slope = _trust(np.log(inliers), right)
-    return FixScale(position, growth, rotation, turn_growth, offset, slope)
-
-
-def _scale(errors: FloatArray, claims: FloatArray) -> tuple[float, float]:
-    growth = fit_growth(errors, claims)
-    return max(float(np.median(errors / claims**growth)) / _MEDIAN_OF_NORM3, 1e-6), growth
-
-
-def _trust(log_inliers: FloatArray, right: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Offset and slope of the log odds of being right; one more of each kind, so that neither is certain."""
-    middle = float(np.median(log_inliers))
-    x = np.concatenate((log_inliers, [middle, middle]))[:, None]
-    found = LogisticRegression().fit(x, np.concatenate((right, [True, False])))
-    return float(found.intercept_[0]), float(found.coef_[0, 0])
+    return fit_fix_scale(FixErrors(*np.array(rows).T), _SAME_PLACE * landmarks.depth_m)

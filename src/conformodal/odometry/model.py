@@ -39,13 +39,16 @@ class Search:
     Attributes
     ----------
     proba
-        Seven arrays (n, K_j).
+        Seven arrays (n, K_j): the mean of the finders' softmaxes.
     strangeness
         (n,) how little the model has seen that looks like each image, 1 where that is typical; None where nothing says.
+    fixes
+        Of each image, by the training frames most like it; empty where there is no such finder.
     """
 
     proba: list[npt.NDArray[np.floating[Any]]]
     strangeness: npt.NDArray[np.float64] | None
+    fixes: list[list[PoseFix]]
 
 
 @dataclass(eq=False)
@@ -60,7 +63,7 @@ class PoseModel:
         The same with other starts, trained on the calibration frames as well. Nothing is promised of them: the search
         for the pose starts from their mean.
     local
-        A finder without a network that has a say in that mean; or None.
+        A finder without a network, which the search starts from as well; or None.
     landmarks
         A map of corners, which the search starts from as well; or None.
     bins
@@ -117,13 +120,13 @@ class PoseModel:
         return predict_proba(self.head, features)
 
     def search(self, features: npt.NDArray[np.float32]) -> Search:
-        """What reasoning starts from, for features (n, F): the mean of all finders' softmaxes. Not calibrated."""
+        """What reasoning starts from, for features (n, F). Not calibrated."""
         found = [predict_proba(finder, features) for finder in self.finders]
         mean = [np.mean(blocks, axis=0) for blocks in zip(*found, strict=True)]
         if self.local is None:
-            return Search(mean, None)
+            return Search(mean, None, [[] for _ in features])
         answers = self.local.regression.predict(features)
-        return Search(self.local.blend(mean, answers, self.bins), self.local.strangeness(answers))
+        return Search(mean, self.local.strangeness(answers), self.local.fixes(answers))
 
     def fixes(self, image: Described) -> Fixes:
         """Where an image could have been taken by its landmarks; at most one pose a place and map."""
@@ -210,7 +213,10 @@ class PoseModel:
             yield rows, pool_fixes([p[rows] for p in proba], here, self.bins, cells, self.sign_reference)
 
     def candidates(self, search: Search, fixes: Sequence[Fixes] | None = None) -> list[Candidates]:
-        """Candidate poses of every image, with spreads of the size of their errors; with its fixes, if they are given.
+        """Candidate poses of every image, with spreads of the size of their errors.
+
+        Modes of the softmax, weighed against what similar frames say and, if they are given, against fixes by
+        landmarks.
 
         Raises
         ------
@@ -218,6 +224,7 @@ class PoseModel:
             If there are not as many fixes as images.
         """
         found = mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
+        found = [self.with_fixes(here, its) for here, its in zip(found, search.fixes, strict=True)]
         if fixes is None:
             return found
         _check_as_many(fixes, len(found))

@@ -29,14 +29,15 @@ from conformodal.reasoning import MotionPrior, SpreadScale, fix_cells
 from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
 
 from .errors import ModelFileError
-from .landmarks import FixScale, LandmarkRegions, Landmarks
+from .fix_scale import FixScale
+from .landmarks import LandmarkRegions, Landmarks
 from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-7"
+FORMAT = "conformodal-model-8"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
-_LOCAL_NUMBERS = ("typical", "limit", "growth", "sigma_bins")
+_LOCAL_NUMBERS = ("typical", "limit")
 _MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
@@ -184,7 +185,8 @@ def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]])
 def _local_record(local: LocalFinder | None) -> dict[str, Any] | None:
     if local is None:
         return None
-    return {"settings": asdict(local.regression.settings), **{k: getattr(local, k) for k in _LOCAL_NUMBERS}}
+    numbers = {k: getattr(local, k) for k in _LOCAL_NUMBERS}
+    return {"settings": asdict(local.regression.settings), "scale": asdict(local.scale), **numbers}
 
 
 def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -> LocalFinder | None:
@@ -194,7 +196,7 @@ def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -
     through = Projection(its["offset"], its["components"])
     settings = LocalSettings(**record["settings"])
     regression = LocalRegression(through, its["references"], its["targets"], its["target_scale"], settings)
-    return LocalFinder(regression, **{k: record[k] for k in _LOCAL_NUMBERS})
+    return LocalFinder(regression, scale=FixScale(**record["scale"]), **{k: record[k] for k in _LOCAL_NUMBERS})
 
 
 def _landmarks_record(landmarks: Landmarks | None) -> dict[str, Any] | None:

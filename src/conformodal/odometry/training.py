@@ -31,6 +31,7 @@ from conformodal.vision import (
     LocalAnswers,
     Projection,
     extract_features,
+    feature_views,
     fine_tune,
     fit_head,
     fit_local,
@@ -148,9 +149,9 @@ def train_model(
             progress=_stage(progress, stage),
         )
 
-    components = config.training.components
-    head = fit(train, "training", config.training.seed, fit_projection(data.features[train], components))
-    through = fit_projection(data.features[everything], components)
+    components, view = config.training.components, feature_views(data.features.shape[1]).network
+    head = fit(train, "training", config.training.seed, fit_projection(data.features[train], components, view))
+    through = fit_projection(data.features[everything], components, view)
     finders = tuple(
         fit(everything, f"finder {k + 1}", config.training.seed + _SEED_STEP * k, through)
         for k in range(config.finders)
@@ -164,7 +165,7 @@ def train_model(
     found = _local_finder(data, everything, config, progress) if config.local else None
     if found is not None:  # errors of the search, as far as frames that nobody saw can tell of them
         local, answers = found
-        modes, strangeness = mode_candidates(local.blend(proba, answers, bins), bins), local.strangeness(answers)
+        strangeness = local.strangeness(answers)
     truth = data.sequence.require_truth()
     return PoseModel(
         backbone=data.backbone,
@@ -220,9 +221,16 @@ def _local_finder(
     if len(np.unique(pieces[frames])) < 2 or not np.ptp(features, axis=0).any():
         return None
     regression, left_out = fit_local(
-        features, targets, target_scale(targets), pieces[frames], progress=_stage(progress, "neighbours")
+        features,
+        targets,
+        target_scale(targets),
+        pieces[frames],
+        views=feature_views(features.shape[1]),
+        progress=_stage(progress, "neighbours"),
     )
-    finder = make_finder(regression, left_out, config.sigma_bins)
+    finder = make_finder(regression, left_out)
+    if finder is None:
+        return None
     queries = regression.references[np.searchsorted(frames, calibration)]
     return finder, regression.predict_projected(queries, (pieces[calibration], pieces[frames]))
 

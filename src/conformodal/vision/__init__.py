@@ -1,6 +1,6 @@
 """Images to probabilities: frozen features, trained heads (torch)."""
 
-from .backbone import Backbone, BackboneConfig, pick_device
+from .backbone import Backbone, BackboneConfig, FeatureViews, feature_views, pick_device
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .finetuning import FineTuning, fine_tune
@@ -17,6 +17,7 @@ __all__ = [
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
+    "FeatureViews",
     "FineTuning",
     "Head",
     "LeftOut",
@@ -28,6 +29,7 @@ __all__ = [
     "VisionError",
     "default_cache_dir",
     "extract_features",
+    "feature_views",
     "find_network",
     "fine_tune",
     "fit_head",

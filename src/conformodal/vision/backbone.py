@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,11 +13,34 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
+from conformodal.datasets import THUMBNAIL, thumbnail
+
 from .errors import VisionError
 from .networks import find_network
 
 # Images are not enlarged, and reduced to at most this width.
 MAX_WIDTH = 320
+_PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
+
+
+class FeatureViews(NamedTuple):
+    """Parts of features that can be looked at alone.
+
+    Attributes
+    ----------
+    network, thumbnail, both
+        Which of the F features.
+    """
+
+    network: slice
+    thumbnail: slice
+    both: slice
+
+
+def feature_views(n_features: int) -> FeatureViews:
+    """The parts of a :class:`Backbone`'s features."""
+    cut = n_features - _PICTURE
+    return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
 @dataclass(frozen=True)
@@ -113,6 +137,7 @@ class Backbone(nn.Module):
     def fingerprint(self) -> str:
         """Digest of the weights, the configuration and the versions that decide the features."""
         digest = hashlib.sha256(self._identity)
+        digest.update(repr(THUMBNAIL).encode())
         digest.update(repr(sorted(asdict(self.config).items())).encode())
         if self.tuned is not None:
             digest.update(self.tuned.encode())
@@ -147,9 +172,14 @@ class Backbone(nn.Module):
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
-        """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them."""
+        """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
+
+        The network's map, then the thumbnail: see :func:`feature_views`.
+        """
         with torch.inference_mode():
-            return np.asarray(self(torch.tensor(images, device=self.device)).cpu().numpy().astype(np.float16))
+            found = self(torch.tensor(images, device=self.device)).cpu().numpy()
+        pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
+        return np.concatenate((found, pictures), axis=1).astype(np.float16)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""

@@ -16,8 +16,8 @@ from .projection import fit_projection
 FloatArray = npt.NDArray[np.float64]
 # Few components far from the references, many close to them.
 LOCAL_CHOICES = tuple(
-    LocalSettings(components, neighbours, 0.03, radius)
-    for components, neighbours, radius in product((16, 64, 256), (10, 20), (None, 0.5))
+    LocalSettings(components, neighbours, ridge, radius)
+    for components, neighbours, ridge, radius in product((16, 64, 256), (10, 20), (0.003, 0.03), (None, 0.5))
 )
 _MAX_QUERIES = 800
 
@@ -45,6 +45,7 @@ def fit_local(
     groups: npt.NDArray[np.int64],
     *,
     choices: Sequence[LocalSettings] = LOCAL_CHOICES,
+    views: Sequence[slice] = (slice(None),),
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LocalRegression, LeftOut]:
     """The settings under which samples are most probable when their group is left out.
@@ -73,21 +74,23 @@ def fit_local(
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2 or not choices:
         raise VisionError(f"needs two groups and one choice or more, got {len(names)} and {len(choices)}")
-    projection = fit_projection(features, max(how.components for how in choices))
-    if projection.components.ndim != 2:
-        raise VisionError("features are all the same")
-    projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
     rows = np.unique(np.linspace(0, len(features) - 1, min(len(features), _MAX_QUERIES)).round().astype(np.int64))
     found: list[tuple[float, LocalRegression, LeftOut]] = []
-    for done, how in enumerate(choices):
-        if progress is not None:
-            progress(done, len(choices))
-        regression = LocalRegression(projection, projected, targets, target_scale, how)
-        answers = regression.predict_projected(projected[rows], (group[rows], group))
-        found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
+    for view in views:
+        projection = fit_projection(features, max(how.components for how in choices), view)
+        if projection.components.ndim != 2:
+            raise VisionError("features are all the same")
+        projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
+        for how in choices:
+            if progress is not None:
+                progress(len(found), len(choices) * len(views))
+            regression = LocalRegression(projection, projected, targets, target_scale, how)
+            answers = regression.predict_projected(projected[rows], (group[rows], group))
+            found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
     if progress is not None:
-        progress(len(choices), len(choices))
+        progress(len(found), len(found))
     _, regression, left_out = max(found, key=lambda each: each[0])
+    projection, projected = regression.projection, regression.references
     k = min(regression.settings.components, projected.shape[1])
     slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
     return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k])), left_out

@@ -32,7 +32,7 @@ class Projection:
         return int(self.components.shape[-1])
 
 
-def fit_projection(features: FloatArray, n_components: int | None) -> Projection:
+def fit_projection(features: FloatArray, n_components: int | None, view: slice = slice(None)) -> Projection:
     """Principal components of standardised features, all on one scale: their mean variance is one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
@@ -44,8 +44,16 @@ def fit_projection(features: FloatArray, n_components: int | None) -> Projection
         (n, F) of the training part only.
     n_components
         Number of directions, at most n - 1 and F are there; None standardises and keeps all features.
+    view
+        Features that are looked at; the others count nothing.
     """
     offset = features.mean(axis=0)
+    if view != slice(None):
+        part = fit_projection(features[:, view], n_components)
+        shape = (features.shape[1], *part.components.shape[1:])
+        components = np.zeros(shape, dtype=np.float32)
+        components[view] = part.components
+        return Projection(offset, components)
     # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
     scale = features.std(axis=0) + 1e-3
     n, n_features = features.shape

@@ -20,6 +20,7 @@ METHODS = {
     "classical_smoothed": "classical, same smoother",
     "classical_landmarks": "classical, our landmarks, search and smoother",
     "landmarks": "landmarks alone",
+    "classical_thumbnail": "classical, sees the thumbnail too",
     "learnt_weights": "classical, learnt loss weights",
     "mixture_density": "mixture density network",
     "dropout_passes": "MC dropout, 30 passes",

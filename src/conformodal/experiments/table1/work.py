@@ -43,6 +43,7 @@ from ..baselines import (
     local_regression,
     mixture_density,
     quantile_regression,
+    with_thumbnail,
 )
 from ..classical import ClassicalRegressor, train_classical
 from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
@@ -100,6 +101,7 @@ class Table1Worker:
         problem = Problem.of(data, classical)
         quantiles = quantile_regression(problem, ALPHA)
         baselines = {
+            "classical_thumbnail": with_thumbnail(problem),
             "learnt_weights": learnt_weights(problem),
             "mixture_density": mixture_density(problem),
             "dropout_passes": dropout_passes(problem, classical),

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import ThreadpoolController
 
+from conformodal.datasets import thumbnail
 from conformodal.poses import PinholeCamera
 
 from ..tracker import grey_image
@@ -27,8 +28,6 @@ _SIGNS_OF_BYTE = 2 * np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis
 BLUR_PX = 1.2
 # Descriptors look at 31 pixels around a corner: smaller images are enlarged to so many pixels across.
 LEAST_WIDTH = 320
-THUMBNAIL = (32, 24)
-_BEFORE_BLUR = 128  # pixels across
 # The nearest descriptor must be nearer than this share of the second nearest (Lowe 2004).
 RATIO = 0.85
 
@@ -43,7 +42,7 @@ class Described(NamedTuple):
     descriptors
         (n, 32) bytes.
     thumbnail
-        (768,) a small blurry picture of zero mean and unit length; zero for an image without contrast.
+        (768,) see :func:`~conformodal.datasets.thumbnail`.
     """
 
     pixels: FloatArray
@@ -54,13 +53,8 @@ class Described(NamedTuple):
 def describe(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> Described:
     """Corners and thumbnail of an image (height, width[, 3])."""
     grey = grey_image(image)
-    width = grey.shape[1]
-    before = (_BEFORE_BLUR, max(1, round(grey.shape[0] * _BEFORE_BLUR / width)))
-    small = cv2.GaussianBlur(cv2.resize(grey, before, interpolation=cv2.INTER_AREA), (0, 0), 1.0)
-    thumbnail = cv2.resize(small, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
-    thumbnail -= thumbnail.mean()
-    thumbnail /= max(float(np.linalg.norm(thumbnail)), 1e-6)
-    enlarged = -(-LEAST_WIDTH // width)
+    picture = thumbnail(grey)
+    enlarged = -(-LEAST_WIDTH // grey.shape[1])
     if enlarged > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
     grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), BLUR_PX), np.uint8)
@@ -68,10 +62,10 @@ def describe(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> Described:
         grey, None
     )
     if descriptors is None:
-        return Described(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), thumbnail)
+        return Described(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture)
     # pixel centres are whole numbers, so that enlarging moves them by half a pixel
     pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
-    return Described(undistort(pixels, camera), np.asarray(descriptors, np.uint8), thumbnail)
+    return Described(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture)
 
 
 def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:
