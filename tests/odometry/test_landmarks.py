@@ -137,7 +137,7 @@ def test_poses_of_something_else_give_no_landmarks_or_wide_ones(sequence):
 def test_spreads_and_trust_follow_the_claims():
     scale = FixScale(2.0, 0.5, 3.0, 1.0, -3.0, 1.0)
     small, large = (
-        scale.apply(PoseFix(np.zeros(3), np.array([1.0, 0, 0, 0]), s, s, n)) for s, n in ((0.01, 400), (0.04, 20))
+        scale.apply(PoseFix(np.zeros(3), np.array([1.0, 0, 0, 0]), s, s, n), n) for s, n in ((0.01, 400), (0.04, 20))
     )
     assert small.sigma_m == pytest.approx(0.2)
     assert large.sigma_m == pytest.approx(0.4)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -224,6 +225,20 @@ def test_smoothing_keeps_what_is_exact_and_short():
     assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], motions[:2], t[:2], PRIOR).shape == (2, 3)
     with pytest.raises(ReasoningError, match="positive"):
         smooth_positions(positions, np.zeros((30, 3)), quats, motions, t, PRIOR)
+
+
+def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
+    t, positions, rotations = path(60)
+    quats = rotations.as_quat(scalar_first=True)
+    calm = replace(PRIOR, acceleration_density=(0.005, 0.005))
+    off, spreads = positions.copy(), np.full((60, 3), 0.001)
+    off[20, 0] += 0.02  # a jerk: twenty times the claim, but little beside a depth of two metres
+    off[40, 0] += 0.5
+    found, blind = (
+        smooth_positions(off, spreads, quats, [None] * 60, t, prior) for prior in (replace(calm, depth_m=2.0), calm)
+    )
+    assert blind[20, 0] - positions[20, 0] < 0.01 < 0.015 < found[20, 0] - positions[20, 0]
+    assert abs(found[40, 0] - positions[40, 0]) < 0.01
 
 
 def test_a_path_is_smoothed_orientations_first():

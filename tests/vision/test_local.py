@@ -125,6 +125,18 @@ def test_a_group_that_is_left_out_sees_nothing_of_itself():
     assert np.abs(single.answers.best - y[single.rows]).max() < 1e-3 < np.abs(apart.answers.best - y[apart.rows]).mean()
 
 
+def test_the_view_that_knows_is_chosen():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(200, 9)).astype(np.float32), rng.normal(size=(200, 2))
+    x[:, 4:6] = y
+    settings = [LocalSettings(2, 12, 0.01, None)]
+    views = [slice(0, 4), slice(4, 6), slice(6, 9)]
+    found, left_out = fit_local(x, y, np.ones(2), np.arange(200), choices=settings, views=views)
+    assert np.flatnonzero(found.projection.components.any(axis=1)).tolist() == [4, 5]
+    assert np.abs(left_out.answers.best - y[left_out.rows]).max() < 0.2
+    np.testing.assert_allclose(found.predict(x).best, y, atol=0.2)
+
+
 def test_the_chosen_regression_keeps_only_the_components_it_needs():
     rng = np.random.default_rng(6)
     x = rng.normal(size=(60, 30)).astype(np.float32)

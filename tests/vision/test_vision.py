@@ -3,7 +3,7 @@ import pytest
 import torch
 from PIL import Image
 
-from conformodal.datasets import ImageError, PixelNoise
+from conformodal.datasets import ImageError, PixelNoise, thumbnail
 from conformodal.vision import (
     NETWORKS,
     Backbone,
@@ -14,6 +14,7 @@ from conformodal.vision import (
     TrainingConfig,
     VisionError,
     extract_features,
+    feature_views,
     fit_head,
     fit_projection,
     mean_squared_error,
@@ -84,9 +85,7 @@ def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backb
     np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
     np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
     shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
-    with torch.inference_mode():
-        direct = backbone(torch.from_numpy(shown[None])).numpy()[0]
-    np.testing.assert_allclose(noisy[0], direct, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(noisy[0], backbone.describe(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3)
 
 
 def test_features_know_where_things_are(backbone):
@@ -99,11 +98,25 @@ def test_features_know_where_things_are(backbone):
     assert np.abs(a - b[:, :, ::-1]).mean() < 0.5 * np.abs(a - b).mean()
 
 
+def test_features_are_the_networks_map_and_the_thumbnail(backbone):
+    images = np.random.default_rng(0).integers(0, 255, (2, 64, 96, 3), dtype=np.uint8)
+    features = backbone.describe(images).astype(np.float32)
+    views = feature_views(features.shape[1])
+    with torch.inference_mode():
+        network = backbone(torch.from_numpy(images)).numpy()
+    np.testing.assert_allclose(features[:, views.network], network, rtol=1e-3, atol=1e-3)
+    pictures = np.stack([thumbnail(image) for image in images])
+    np.testing.assert_allclose(
+        features[:, views.thumbnail], pictures * np.sqrt(pictures.shape[1]), rtol=1e-3, atol=1e-3
+    )
+    assert features[:, views.both].shape == features.shape
+
+
 def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_path, monkeypatch):
     cache = FeatureCache(tmp_path / "cache")
     seen = []
     first = extract_features(images, backbone, cache, lambda done, total: seen.append((done, total)))
-    assert first.shape == (5, 480)
+    assert first.shape == (5, 480 + 768)  # the network's map and the thumbnail
     assert seen[-1] == (5, 5)
     np.testing.assert_array_equal(extract_features(images, backbone, FeatureCache(None)), first)
     monkeypatch.setattr(Backbone, "forward", lambda *_: pytest.fail("the network was run again"))
@@ -236,6 +249,15 @@ def test_projected_features_are_centred_uncorrelated_and_of_one_scale():
     standard = (x - x.mean(axis=0)) / (x.std(axis=0) + 1e-3)
     values = np.sort(np.linalg.eigvalsh(np.cov(standard.T)))[::-1][:4]
     np.testing.assert_allclose(np.diag(covariance) / np.trace(covariance), values / values.sum(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("components", [4, None])
+def test_a_view_looks_at_some_features_and_no_others(components):
+    x = np.random.default_rng(0).normal(size=(30, 10)).astype(np.float32)
+    through, part = fit_projection(x, components, slice(2, 8)), fit_projection(x[:, 2:8], components)
+    assert through.size == (10 if components is None else 4)
+    np.testing.assert_allclose(through.components[2:8], part.components)
+    np.testing.assert_array_equal(through.components[[0, 1, 8, 9]], 0)
 
 
 @pytest.mark.parametrize(("n", "components", "size"), [(3, 256, 2), (50, 256, 6), (50, None, 6)])

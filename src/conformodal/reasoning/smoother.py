@@ -27,9 +27,9 @@ from .robust import cauchy
 FloatArray = npt.NDArray[np.float64]
 
 _ITERATIONS = 12
-# An answer that claims to be finer than this share of the scene's depth is not given up for being missed by its claim:
-# claims leave out what several finders and the given poses have in common.
-_FINEST = 0.003
+# An answer missed by less than this share of the scene's depth is not doubted, however finely it claims to know: claims
+# leave out what several finders and the given poses have in common.
+_NEAR = 0.01
 
 
 def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
@@ -95,11 +95,12 @@ def smooth_positions(
     differences = sparse.kron(first, sparse.eye_array(3)).tocsr()
     bends = sparse.kron(second, sparse.eye_array(3)).tocsr()
     placing = Placing(submaps, quats_wxyz, prior) if submaps and np.isfinite(prior.depth_m) else None
-    plausible = np.maximum(spreads, _FINEST * prior.depth_m) if np.isfinite(prior.depth_m) else spreads
+    near = _NEAR * prior.depth_m if np.isfinite(prior.depth_m) else 0.0
     now = positions_xyz.copy()
     for turn in range(_ITERATIONS):
-        miss = (now - positions_xyz) / plausible
-        w_own = cauchy(np.linalg.norm(miss, axis=1) / np.sqrt(3))[:, None] / spreads**2
+        miss = now - positions_xyz
+        doubt = np.linalg.norm(miss / spreads, axis=1) * _beyond(np.linalg.norm(miss, axis=1), near)
+        w_own = cauchy(doubt / np.sqrt(3))[:, None] / spreads**2
         bend = np.linalg.norm((second @ now), axis=1) * np.sqrt(w_smooth / 3)
         # at the start nothing is missed yet, so a wrong answer would pass for a sharp turn: hold bends stiff once
         w_bend = w_smooth * (cauchy(bend / 2) if turn else 1.0)
@@ -122,6 +123,11 @@ def smooth_positions(
         if change < 1e-6:
             break
     return now
+
+
+def _beyond(off: FloatArray, near: float) -> FloatArray:
+    """(n,) shares of distances that lie beyond `near`: 0 up to there, and 1 far away."""
+    return np.sqrt(np.maximum(1 - (near / np.maximum(off, 1e-12)) ** 2, 0))
 
 
 def _second_differences(dt: FloatArray) -> sparse.csr_array:
