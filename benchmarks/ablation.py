@@ -19,6 +19,7 @@ from conformodal.vision import (
     FeatureCache,
     TrainingConfig,
     default_cache_dir,
+    feature_views,
     fit_head,
     predict_proba,
     soft_cross_entropy,
@@ -47,10 +48,16 @@ def rmse(positions: npt.NDArray[np.float64], data: TrainingData) -> float:
 
 
 def one(
-    data: TrainingData, seed: int, sigma: float, centred: bool, grid: bool, components: int | None = 256
+    data: TrainingData,
+    seed: int,
+    sigma: float,
+    centred: bool,
+    grid: bool,
+    components: int | None = 256,
+    view: str = "network",
 ) -> dict[str, float]:
     bins = QuantileBins(50, margin=0.02).fit(data.targets[data.split.train])
-    features = data.features
+    features = np.ascontiguousarray(data.features[:, getattr(feature_views(data.features.shape[1]), view)])
     if not grid:  # what a global average of the same map would leave
         features = features.reshape(len(features), 80, -1).mean(axis=2)
     train, held_out, test = data.split.train, data.split.calibration, data.split.test
@@ -88,9 +95,11 @@ def main() -> None:
         "all 3840 features": (0.7, False, True, None),
         "128 components": (0.7, False, True, 128),
         "64 components": (0.7, False, True, 64),
+        "the thumbnail alone": (0.7, False, True, 256, "thumbnail"),
+        "the network's map and the thumbnail": (0.7, False, True, 256, "both"),
     }
     variants = {("interleaved", name): settings for name, settings in labels_and_grid.items()}
-    for name in ("256 components, Gaussian 0.7 bins around the value", *list(labels_and_grid)[-3:]):
+    for name in ("256 components, Gaussian 0.7 bins around the value", *list(labels_and_grid)[-5:]):
         variants["blocks", name] = labels_and_grid[name]
     variants["blocks", "64 components, Gaussian 2 bins around the value"] = (2.0, False, True, 64)
     keys = ("metres", "bins", "interval", "mode", "length", "intervals")

@@ -79,7 +79,7 @@ def methods(
     turns = zip(seen.candidates, truth.orientations_quat_wxyz, strict=True)
     best_turn = [int(angle_between_quats(c.orientations_quat_wxyz, q).argmin()) for c, q in turns]
     halves = mode_candidates(search.proba, model.bins, scale=model.scale, strangeness=search.strangeness, mode_bins=0)
-    rough = replace(seen, candidates=halves)
+    rough = replace(seen, candidates=[model.with_fixes(c, f) for c, f in zip(halves, search.fixes, strict=True)])
     heads_only.scale = fit_spread_scale(
         mode_candidates(model.proba(data.features[model.split.calibration]), model.bins),
         sequence.require_truth()[model.split.calibration],
@@ -205,7 +205,7 @@ def main() -> None:
         f"{seeds[0]} to {seeds[-1]}. Neighbours: locally linear regression among the most similar training frames. "
         f"Right mode: less than half a module ({MODULE_LENGTH / 2:.1f} m) from the truth.\n\n"
         "On redkitchen, `interleaved`, the heads' softmax mean and the neighbours, two methods that share nothing but "
-        "features and training poses, have errors in common (root of the mean product) of "
+        "images and training poses, have errors in common (root of the mean product) of "
         f"{spread(shared['redkitchen'])} m: noise of the poses themselves, most likely.\n\n{notes}"
     )
     header = ["data", "method", "rmse_m", "of the best candidate's", "rmse_deg", "right mode"]
