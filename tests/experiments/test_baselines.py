@@ -12,6 +12,7 @@ from conformodal.experiments.baselines import (
     learnt_weights,
     mixture_density,
     quantile_regression,
+    with_thumbnail,
 )
 from conformodal.experiments.classical import train_classical
 from conformodal.experiments.losses import (
@@ -28,11 +29,13 @@ from conformodal.vision import Projection, TrainingConfig, fit_projection
 CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=1)
 
 
-def make_data(two_answers=False, n=900):
-    """Targets that are smooth functions of the features; or +-1 at random, which no feature tells apart."""
+def make_data(two_answers=False, told_by="network", n=900):
+    """Targets that are smooth functions of some features; or +-1 at random, which no feature tells apart."""
     rng = np.random.default_rng(0)
-    features = rng.normal(size=(n, 6)).astype(np.float32)
-    targets = np.tanh(features @ rng.normal(size=(6, 7))) + 0.05 * rng.normal(size=(n, 7))
+    seen = {"network": rng.normal(size=(n, 6)), "thumbnail": rng.normal(size=(n, 6))}
+    pictures = seen["thumbnail"] @ rng.normal(size=(6, 768))
+    features = np.column_stack((seen["network"], pictures)).astype(np.float32)
+    targets = np.tanh(seen[told_by] @ rng.normal(size=(6, 7))) + 0.05 * rng.normal(size=(n, 7))
     if two_answers:
         targets[:, :] = np.where(rng.random(n) < 0.6, 1.0, -1.0)[:, None] + 0.05 * rng.normal(size=(n, 7))
     order = rng.permutation(n)
@@ -68,6 +71,17 @@ def test_all_learn_what_can_be_learnt(trained):
     errors = {name: rmse(values, data) for name, values in found.items()}
     assert max(errors.values()) < 0.5 * nothing, errors
     assert errors["ensemble"] < 1.05 * errors["classical"]
+
+
+def test_networks_see_a_thumbnail_only_if_they_are_shown_it():
+    data = make_data(told_by="thumbnail")
+    classical = train_classical(data, CONFIG)
+    shown = with_thumbnail(Problem.of(data, classical))
+    x = data.features[data.split.test]
+    assert rmse(classical.predict(x), data) > 0.95 * data.targets.std()
+    assert rmse(shown.answer(x), data) < 0.5 * data.targets.std()
+    assert shown.train_s > 0
+    assert shown.n_parameters > 0
 
 
 def test_an_ensemble_is_the_mean_of_five_and_knows_its_size(trained):

@@ -110,6 +110,8 @@ def test_features_are_the_networks_map_and_the_thumbnail(backbone):
         features[:, views.thumbnail], pictures * np.sqrt(pictures.shape[1]), rtol=1e-3, atol=1e-3
     )
     assert features[:, views.both].shape == features.shape
+    with pytest.raises(VisionError, match="768 numbers, got 768"):
+        feature_views(768)
 
 
 def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_path, monkeypatch):

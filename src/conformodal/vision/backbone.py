@@ -38,8 +38,16 @@ class FeatureViews(NamedTuple):
 
 
 def feature_views(n_features: int) -> FeatureViews:
-    """The parts of a :class:`Backbone`'s features."""
+    """The parts of a :class:`Backbone`'s features.
+
+    Raises
+    ------
+    VisionError
+        If there are too few to end in a thumbnail.
+    """
     cut = n_features - _PICTURE
+    if cut < 1:
+        raise VisionError(f"features end in a thumbnail of {_PICTURE} numbers, got {n_features} in all")
     return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
