@@ -32,8 +32,9 @@ CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=
 def make_data(two_answers=False, told_by="network", n=900):
     """Targets that are smooth functions of some features; or +-1 at random, which no feature tells apart."""
     rng = np.random.default_rng(0)
-    seen = {"network": rng.normal(size=(n, 6)), "thumbnail": rng.normal(size=(n, 6))}
-    pictures = seen["thumbnail"] @ rng.normal(size=(6, 768))
+    other = np.random.default_rng(1)
+    seen = {"network": rng.normal(size=(n, 6)), "thumbnail": other.normal(size=(n, 6))}
+    pictures = seen["thumbnail"] @ other.normal(size=(6, 768))
     features = np.column_stack((seen["network"], pictures)).astype(np.float32)
     targets = np.tanh(seen[told_by] @ rng.normal(size=(6, 7))) + 0.05 * rng.normal(size=(n, 7))
     if two_answers:
