@@ -135,6 +135,9 @@ def test_the_view_that_knows_is_chosen():
     assert np.flatnonzero(found.projection.components.any(axis=1)).tolist() == [4, 5]
     assert np.abs(left_out.answers.best - y[left_out.rows]).max() < 0.2
     np.testing.assert_allclose(found.predict(x).best, y, atol=0.2)
+    x[:, 6:] = 1.0  # a view that says nothing is passed over
+    again, _ = fit_local(x, y, np.ones(2), np.arange(200), choices=settings, views=views)
+    np.testing.assert_array_equal(again.predict(x).best, found.predict(x).best)
 
 
 def test_the_chosen_regression_keeps_only_the_components_it_needs():

@@ -63,13 +63,15 @@ def fit_local(
         (n,) samples of one group are new together.
     choices
         Settings to choose from.
+    views
+        Features that may be looked at, each choice with each view; by default all.
     progress
-        Called with choices tried and choices in all.
+        Called with choices tried and choices in all, of all views.
 
     Raises
     ------
     VisionError
-        If there are fewer than two groups, or no choices.
+        If there are fewer than two groups, no choices, or features are all the same in every view.
     """
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2 or not choices:
@@ -78,8 +80,8 @@ def fit_local(
     found: list[tuple[float, LocalRegression, LeftOut]] = []
     for view in views:
         projection = fit_projection(features, max(how.components for how in choices), view)
-        if projection.components.ndim != 2:
-            raise VisionError("features are all the same")
+        if projection.components.ndim != 2:  # all the same in this view
+            continue
         projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
         for how in choices:
             if progress is not None:
@@ -87,6 +89,8 @@ def fit_local(
             regression = LocalRegression(projection, projected, targets, target_scale, how)
             answers = regression.predict_projected(projected[rows], (group[rows], group))
             found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
+    if not found:
+        raise VisionError("features are all the same")
     if progress is not None:
         progress(len(found), len(found))
     _, regression, left_out = max(found, key=lambda each: each[0])
