@@ -35,7 +35,7 @@ from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-8"
+FORMAT = "conformodal-model-9"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit")
 _MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")

@@ -61,7 +61,7 @@ class LandmarkMap:
     corrections
         (n, 6) by how much each keyframe's own fix is off when its landmarks are hidden: metres and a rotation vector,
         world; NaN where there is none. Fixes nearby are off the same way (rolling shutters, clocks and reference
-        poses err together), so their weighted mean is taken off.
+        poses err together), so their weighted mean is taken off, and a fix is as uncertain as they differ.
     """
 
     camera: PinholeCamera
@@ -91,7 +91,8 @@ class LandmarkMap:
     def fixes(self, image: Described, hidden: BoolArray | None = None, most: int = PLACES) -> list[PoseFix]:
         """Poses of an image: at most one a place that looks like it.
 
-        Spreads are what the corners' residuals make of the pose, smaller than its error.
+        Spreads are what the corners' residuals make of the pose, and how much corrections nearby differ: about as large
+        as its error, but for a factor.
 
         Parameters
         ----------
@@ -138,9 +139,11 @@ class LandmarkMap:
         T_world_cam = np.eye(4)
         T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, centre
         T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
-        off = self._correction(T_world_pose, shown)
+        off, scatter = self._correction(T_world_pose, shown)
+        sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
-        return PoseFix(T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True), *sigmas, int(inliers.sum()))
+        position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
+        return PoseFix(position, quat, sigma_m, sigma_rad, int(inliers.sum()))
 
     def _matched(self, image: Described, near: IntArray) -> tuple[FloatArray, FloatArray]:
         pixels, points = [np.empty((0, 2))], [np.empty((0, 3))]
@@ -151,15 +154,19 @@ class LandmarkMap:
             points.append(self.points_xyz[mine][pairs[:, 1]].astype(np.float64))
         return np.concatenate(pixels), np.concatenate(points)
 
-    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> FloatArray:
+    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """By how much fixes nearby are off: (6,), and its spread between keyframes an axis, (2,) in m and rad."""
         known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
         if known.size == 0:
-            return np.zeros(6)
+            return np.zeros(6), np.zeros(2)
         poses = self.poses_se3[known]
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         apart += np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
         nearest = np.argsort(apart, kind="stable")[:_CORRECTED_BY]
-        return np.average(self.corrections[known[nearest]], axis=0, weights=1 / (apart[nearest] + _LEAST_APART))
+        found, weights = self.corrections[known[nearest]], 1 / (apart[nearest] + _LEAST_APART)
+        mean = np.average(found, axis=0, weights=weights)
+        variance = np.average((found - mean) ** 2, axis=0, weights=weights)
+        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()])
 
     def _spreads(
         self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray
