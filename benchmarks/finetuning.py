@@ -16,7 +16,7 @@ from typing import Any
 from common import DATA, spread, write_table
 
 from conformodal.datasets import Sequence, SplitKind, read_sevenscenes
-from conformodal.experiments import train_classical
+from conformodal.experiments import opponents_training, train_classical
 from conformodal.odometry import (
     ModelConfig,
     MotionRecord,
@@ -40,7 +40,7 @@ def one(
     data = prepare_training_data(sequence, config, cache)
     seconds = time.perf_counter() - started
     model = train_model(data, config)
-    classical = train_classical(data, config.training)
+    classical = train_classical(data, opponents_training(config.training))
     motions = motions or measure_motions(sequence, data.split.test)
     run = VisualOdometry(model).process(sequence, data.split.test, cache=cache, motions=motions)
     recording, truth = sequence.recording[run.frames], sequence.require_truth()[run.frames]

@@ -21,7 +21,7 @@ from conformodal.cli.demo import ALPHA, N_LAPS, N_MODULES, TRAINING
 from conformodal.datasets import Sequence, SplitKind, read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
 from conformodal.datasets.corridor.world import MODULE_LENGTH
-from conformodal.experiments import train_classical
+from conformodal.experiments import opponents_training, train_classical
 from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
 from conformodal.poses import RelativeMotion, angle_between_quats, normalise_quat
 from conformodal.reasoning import (
@@ -114,7 +114,7 @@ def methods(
         "viterbi, with landmarks": viterbi(fixed, prior),
         "smoother": smooth(viterbi(fixed, prior), fixed, prior),
     }
-    regressor = train_classical(data, config.training)
+    regressor = train_classical(data, opponents_training(config.training))
     for name, trajectory in regressor.trajectories(features, run, sequence.recording[run.frames], prior).items():
         label = {"classical": "classical regressor", "classical_smoothed": "classical regressor, same smoother"}[name]
         found[label] = bare(trajectory.positions_xyz, trajectory.orientations_quat_wxyz)

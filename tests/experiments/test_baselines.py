@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +25,7 @@ from conformodal.experiments.losses import (
     split_mixture,
 )
 from conformodal.odometry import TrainingData
-from conformodal.vision import Projection, TrainingConfig, fit_projection
+from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
 CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=1)
 
@@ -50,6 +51,21 @@ def trained():
     data = make_data()
     classical = train_classical(data, CONFIG)
     return data, classical, Problem.of(data, classical)
+
+
+@pytest.mark.parametrize("thumbnail", [False, True])
+def test_projections_are_of_the_rows_asked_for_and_fitted_once(thumbnail):
+    data = make_data(n=200)
+    views = feature_views(data.features.shape[1])
+    for rows in (data.split.train, data.split.calibration):
+        found = data.projection(rows, 4, thumbnail=thumbnail)
+        true = fit_projection(data.features[rows], 4, views.both if thumbnail else views.network)
+        np.testing.assert_array_equal(found.components, true.components)
+        np.testing.assert_array_equal(found.offset, true.offset)
+        assert data.projection(rows.copy(), 4, thumbnail=thumbnail) is found
+        assert data.projection(rows, 3, thumbnail=thumbnail) is not found
+    other = replace(data, features=2 * data.features)
+    assert not np.array_equal(other.projection(rows, 4).offset, data.projection(rows, 4).offset)
 
 
 def rmse(values, data):

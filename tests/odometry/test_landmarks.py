@@ -146,6 +146,14 @@ def test_spreads_and_trust_follow_the_claims():
     assert large.trust == pytest.approx(1 / (1 + np.exp(3) / 20))
 
 
+def test_fixes_less_sure_than_a_place_is_wide_are_none(scene, sequence, split):
+    described = measure_motions(sequence, split.test[:20]).described
+    images = [described[i] for i in split.test[:20].tolist()]
+    unsure = replace(scene.landmarks, scale=replace(scene.landmarks.scale, position=1e4))
+    assert any(scene.landmarks.fixes(image) for image in images)
+    assert not any(unsure.fixes(image) for image in images)
+
+
 def test_regions_know_landmarks_of_the_training_part_alone(sequence, split, scene):
     both = np.sort(np.concatenate((split.train, split.calibration)))
     for known, frames in ((scene.region_landmarks, split.train), (scene.landmarks, both)):

@@ -101,6 +101,30 @@ def test_viterbi_is_the_best_of_all_sequences():
     assert total(move) == pytest.approx(total(best))
 
 
+def two_rooms(vague_m):
+    """Ten frames at 0; from the fifth on 5 m away is likelier by 2 nats a frame, and the fifth may be anywhere."""
+    one = np.array([[1.0, 0, 0, 0]]), np.array([0.02]), np.zeros(1)
+    places, spreads = np.zeros((2, 3)), np.full((2, 3), 0.05)
+    places[1, 0] = 5
+    early = Candidates(places, spreads, np.array([0.0, -9.0]), *one)
+    late = Candidates(places, spreads, np.array([-2.0, 0.0]), *one)
+    anywhere = np.concatenate((spreads, np.full((1, 3), vague_m)))
+    between = Candidates(np.vstack((places, [2.5, 0, 0])), anywhere, np.array([-2.0, -2.0, 0.0]), *one)
+    candidates = [*[early] * 4, between, *[late] * 5]
+    return Observations(candidates, [None] * 10, np.arange(10) * 0.1)
+
+
+@pytest.mark.parametrize("vague_m", [1.0, 3.0, 100.0])
+def test_a_vague_candidate_is_no_bridge_between_places_out_of_reach(vague_m):
+    seen = two_rooms(vague_m)
+    still = replace(PRIOR, top_speed_mps=(0.2, 0.2))
+    for found in (viterbi(seen, still), online(seen, still, 9)):
+        assert (np.delete(found.positions_xyz[:, 0], 4) == 0).all()
+    # where a camera is quick enough for the way, it may well have gone
+    quick = replace(PRIOR, top_speed_mps=(40.0, 40.0))
+    assert (viterbi(seen, quick).positions_xyz[5:, 0] == 5).all()
+
+
 def test_viterbi_mends_a_wrong_start_and_greedy_does_not():
     t, positions, rotations = path()
     candidates = ambiguous(positions, rotations)
@@ -273,6 +297,8 @@ def test_the_online_path_with_a_long_lag_is_that_of_the_whole_search(seed):
     motions = exact_motions(positions, rotations)
     motions[12] = None
     candidates = ambiguous(positions, rotations, seed=seed, favour=0.05)
+    for k in (5, 6, 13):
+        candidates[k] = replace(candidates[k], position_spreads=np.full((3, 3), 2.0))
     seen = Observations(candidates, motions, t)
     whole = viterbi(seen, PRIOR)
     for lag in (29, 50):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.stats import binomtest
 
 from conformodal.datasets import ImageError, PixelNoise, thumbnail
 from conformodal.vision import (
@@ -176,6 +177,37 @@ def test_training_learns_and_is_seeded():
     np.testing.assert_allclose(proba.sum(axis=1), 1)
     assert ((proba[:, 0] > 0.5) == (y[:, 0] > 0.5)).mean() > 0.95
     np.testing.assert_array_equal(predict_proba(fit_head(x, y, [2], soft_cross_entropy, CONFIG), x)[0], proba)
+
+
+def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes():
+    rng = np.random.default_rng(0)
+    for sizes in ([3, 3], [2, 4]):
+        head = Head(fit_projection(rng.normal(size=(20, 5)).astype(np.float32), None), sizes)
+        raw = torch.from_numpy(rng.normal(size=(8, 6)))
+        labels = torch.cat([torch.from_numpy(rng.dirichlet(np.ones(k), 8)) for k in sizes], dim=1)
+        each = [
+            -(t * torch.log(torch.softmax(r, dim=1))).sum(dim=1).mean()
+            for r, t in zip(torch.split(raw, sizes, dim=1), torch.split(labels, sizes, dim=1), strict=True)
+        ]
+        assert float(soft_cross_entropy(head, raw, labels)) == pytest.approx(float(sum(each) / 2))
+
+
+def test_dropout_drops_its_share_keeps_the_mean_and_rests_outside_training():
+    through = Projection(np.zeros(4, np.float32), np.ones(4, np.float32))
+    head = Head(through, [1], hidden=8, dropout=0.25, input_dropout=0.4)
+    x = torch.ones(500, 200)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        for layer, share in ((head.trunk[0], 0.4), (head.trunk[4], 0.25)):
+            dropped = layer(x)
+            n_zero = int((dropped == 0).sum())
+            assert binomtest(n_zero, x.numel(), share).pvalue > 1e-3
+            np.testing.assert_allclose(dropped[dropped != 0].numpy(), 1 / (1 - share), rtol=1e-6)
+    head.eval()
+    assert (head.trunk[0](x) == x).all()
+    for share in (-0.1, 1.0, float("nan")):
+        with pytest.raises(VisionError, match="dropout must be at least 0 and less than 1"):
+            Head(through, [1], dropout=share)
 
 
 def test_regression_shares_the_trunk():

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.experiments import save_classical, train_classical
+from conformodal.experiments import opponents_training, save_classical, train_classical
 from conformodal.odometry import (
     Landmarks,
     ModelConfig,
@@ -141,7 +141,7 @@ def train_on(
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
     save_model(model, out)
     if classical:
-        save_classical(train_classical(data, config.training, report), out)
+        save_classical(train_classical(data, opponents_training(config.training), report), out)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     metrics = {

@@ -31,7 +31,6 @@ from conformodal.vision import (
     feature_views,
     fit_head,
     fit_local,
-    fit_projection,
     mean_squared_error,
     predict_values,
 )
@@ -261,8 +260,7 @@ def _searched(
 ) -> Head:
     """Trained on everything, with the rate and dropout that did best on `judge` when trained on `rows`."""
     data, components = problem.data, problem.config.components
-    view = feature_views(data.features.shape[1]).network
-    part, whole = (fit_projection(data.features[at], components, view) for at in (rows, everything))
+    part, whole = (data.projection(at, components) for at in (rows, everything))
 
     def error(head: Head) -> float:
         miss = problem.metric(kind.answer(head, data.features[judge])) - data.targets[judge]

@@ -1,7 +1,7 @@
 """Motion between frames: corners, flow, two-view geometry, submaps and landmarks (OpenCV, PoseLib)."""
 
 from .frontend import MotionFrontEnd
-from .landmarks import Described, LandmarkMap, build_map, describe, match
+from .landmarks import Described, LandmarkMap, Matcher, build_map, describe, match
 from .relative_pose import estimate_relative_motion
 from .submaps import build_submaps
 from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
@@ -13,6 +13,7 @@ __all__ = [
     "Corners",
     "Described",
     "LandmarkMap",
+    "Matcher",
     "MotionFrontEnd",
     "TrackerConfig",
     "TwoView",

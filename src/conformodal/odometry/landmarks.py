@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import SplitConformal
-from conformodal.motion import Described, LandmarkMap, build_map
+from conformodal.motion import Described, LandmarkMap, Matcher, build_map
 from conformodal.poses import PinholeCamera, PoseFix, Trajectory, angle_between_quats
 
 from .fix_scale import FixErrors, FixScale, fit_fix_scale
@@ -44,8 +44,9 @@ class Landmarks:
         }
 
     def fixes(self, image: Described) -> list[PoseFix]:
-        """Where an image could have been taken, place by place."""
-        return [self.scale.apply(fix, fix.n_inliers) for fix in self.map.fixes(image)]
+        """Where an image could have been taken, place by place; fixes that are surer than a place is wide."""
+        fixes = (self.scale.apply(fix, fix.n_inliers) for fix in self.map.fixes(image))
+        return [fix for fix in fixes if fix.sigma_m < _SAME_PLACE * self.map.depth_m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,7 @@ def fit_landmarks(
     camera: PinholeCamera,
     depth_m: float,
     progress: Progress | None = None,
+    matcher: Matcher | None = None,
 ) -> Landmarks | None:
     """Map frames with known poses, and learn from themselves how far fixes are off.
 
@@ -105,6 +107,8 @@ def fit_landmarks(
         Median depth of what is in view; NaN where it is not known.
     progress
         Called with frames done and frames in all.
+    matcher
+        See :func:`~conformodal.motion.build_map`.
 
     Returns
     -------
@@ -122,7 +126,7 @@ def fit_landmarks(
     def done(before: int) -> Progress | None:
         return None if progress is None else lambda count, _: progress(before + count, total)
 
-    plain = build_map(described, truth.poses_se3, camera, depth_m, done(0))
+    plain = build_map(described, truth.poses_se3, camera, depth_m, done(0), matcher)
     corrected = plain.corrected(_corrections(plain, described, truth, done(n)))
     scale = _fit_scale(corrected, described, truth, pieces, left_out, done(2 * n))
     return None if scale is None else Landmarks(corrected, scale)

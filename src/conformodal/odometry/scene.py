@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import Sequence, Split, held_out_together
-from conformodal.motion import Described, describe
+from conformodal.motion import Described, Matcher, describe
 from conformodal.poses import PoseFix
 
 from .depths import measure_depths
@@ -75,12 +75,12 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
         described[i] = describe(sequence.image(i), sequence.camera)
         if progress is not None:
             progress("corners", len(described), len(frames))
-    pieces = held_out_together(sequence.recording, split.kind)
+    pieces, matcher = held_out_together(sequence.recording, split.kind), Matcher()
 
     def fit(known: IntArray, stage: str) -> Landmarks | None:
         report = None if progress is None else lambda done, total: progress(stage, done, total)
         images = [described[i] for i in known.tolist()]
-        return fit_landmarks(images, truth[known], pieces[known], sequence.camera, depth, report)
+        return fit_landmarks(images, truth[known], pieces[known], sequence.camera, depth, report, matcher)
 
     regions = fit(split.train, "landmarks of the training part")
     fixes = [] if regions is None else [regions.fixes(described[i]) for i in split.calibration.tolist()]

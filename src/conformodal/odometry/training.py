@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,24 @@ class TrainingData:
     features: npt.NDArray[np.float32]
     targets: npt.NDArray[np.float64]
     sign_reference: npt.NDArray[np.float64]
+    _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict, init=False, repr=False)
+
+    def projection(self, rows: npt.NDArray[np.int64], components: int | None, *, thumbnail: bool = False) -> Projection:
+        """Of some frames' features, fitted once; with or without their thumbnails.
+
+        Parameters
+        ----------
+        rows
+            Frames that it may know.
+        components, thumbnail
+            See :func:`~conformodal.vision.fit_projection`, and :func:`~conformodal.vision.feature_views`.
+        """
+        key = (rows.tobytes(), components, thumbnail)
+        if key not in self._projections:
+            views = feature_views(self.features.shape[1])
+            view = views.both if thumbnail else views.network
+            self._projections[key] = fit_projection(self.features[rows], components, view)
+        return self._projections[key]
 
 
 def prepare_training_data(
@@ -149,9 +167,9 @@ def train_model(
             progress=_stage(progress, stage),
         )
 
-    components, view = config.training.components, feature_views(data.features.shape[1]).network
-    head = fit(train, "training", config.training.seed, fit_projection(data.features[train], components, view))
-    through = fit_projection(data.features[everything], components, view)
+    components = config.training.components
+    head = fit(train, "training", config.training.seed, data.projection(train, components))
+    through = data.projection(everything, components)
     finders = tuple(
         fit(everything, f"finder {k + 1}", config.training.seed + _SEED_STEP * k, through)
         for k in range(config.finders)

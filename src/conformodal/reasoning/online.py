@@ -18,7 +18,7 @@ from .candidates import Candidates
 from .errors import ReasoningError
 from .observations import Observations, PosePath
 from .prior import MotionPrior
-from .viterbi import best_step, orientation_cost, position_cost, way_back
+from .viterbi import best_step, orientation_cost, position_cost, survivors, way_back
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -45,6 +45,7 @@ class _Frame:
     timestamp_s: float
     turn: _Search
     move: _Search
+    start: Candidates  # where the next frame's candidates are reached from
     turn_used: int = 0  # the orientation that this frame's directions were turned by, when the next was scored
 
 
@@ -92,7 +93,7 @@ class OnlineReasoner:
             If the timestamp is not later than the one before.
         """
         turn, move = _Search.start(candidates.orientation_log_mass), _Search.start(candidates.position_log_mass)
-        new = _Frame(candidates, motion, timestamp_s, turn, move)
+        new = _Frame(candidates, motion, timestamp_s, turn, move, start=candidates)
         if self._frames:
             before = self._frames[-1]
             if not timestamp_s > before.timestamp_s:
@@ -119,8 +120,9 @@ class OnlineReasoner:
             before.turn_used = int(turns[i - 1])
             q_prev = before.candidates.orientations_quat_wxyz[before.turn_used]
             step = here.timestamp_s - before.timestamp_s
-            cost = position_cost(before.candidates, here.candidates, q_prev, here.motion, step, self.prior)
+            cost = position_cost(before.start, here.candidates, q_prev, here.motion, step, self.prior)
             here.move = _Search(*best_step(before.move.score, -cost, here.candidates.position_log_mass))
+            here.start = survivors(before.start, here.candidates, here.move.back, cost, self.prior.reach_m(step))
 
 
 def _path(search: list[_Search]) -> IntArray:

@@ -3,11 +3,16 @@
 Orientation and position are searched one after the other: relative rotations are trusted always, and the chosen
 orientations turn relative directions into the world. No mistake is final, because every candidate of every frame
 stays in play until the end; a jump, as at a cut, costs a bounded price.
+
+A vague candidate is near everything, so that a path could pass through it from one end of the scene to the other for
+next to nothing. Its best path therefore goes on from where it can have come to, not from the candidate's mean
+(per-survivor processing: Raheli, Polydoros and Tzou 1995).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +61,11 @@ class Decoder:
         """Index of the best last candidate."""
         return int(np.argmax(self._score))
 
+    @property
+    def origin(self) -> IntArray:
+        """The best predecessor of each last candidate."""
+        return self._back[-1]
+
     def path(self) -> IntArray:
         """Indices of the best sequence, one a frame."""
         return way_back(self._back, self.best)
@@ -93,12 +103,13 @@ def viterbi(seen: Observations, prior: MotionPrior) -> PosePath:
         cost = orientation_cost(candidates[t - 1], candidates[t], motions[t], steps[t - 1], prior)
         turn.push(candidates[t].orientation_log_mass, -cost)
     turns = turn.path()
-    move = Decoder()
+    move, start = Decoder(), candidates[0]
     move.push(candidates[0].position_log_mass)
     for t in range(1, len(candidates)):
         q_prev = candidates[t - 1].orientations_quat_wxyz[turns[t - 1]]
-        cost = position_cost(candidates[t - 1], candidates[t], q_prev, motions[t], steps[t - 1], prior)
+        cost = position_cost(start, candidates[t], q_prev, motions[t], steps[t - 1], prior)
         move.push(candidates[t].position_log_mass, -cost)
+        start = survivors(start, candidates[t], move.origin, cost, prior.reach_m(steps[t - 1]))
     return PosePath.choose(candidates, seen.timestamps_s, move.path(), turns)
 
 
@@ -150,3 +161,35 @@ def position_cost(
         sideways2 = spread2 + (motion.direction_sigma_rad * along) ** 2
         total = np.minimum(0.5 * np.sum(miss**2 / sideways2, axis=2), total + MISLED_COST)
     return np.asarray(np.minimum(total, JUMP_COST))
+
+
+def survivors(start: Candidates, after: Candidates, origin: IntArray, cost: FloatArray, reach_m: float) -> Candidates:
+    """The candidates of a frame, each where its best path can have come to: what the next frame's are reached from.
+
+    A candidate that is vaguer than where the path was and how far the camera can have moved since has its position
+    from these; all others, and those that a path jumped to, have their own.
+
+    Parameters
+    ----------
+    start
+        The frame before, as this function gave it.
+    after
+        The frame's candidates.
+    origin
+        (m,) the best predecessor of each.
+    cost
+        (m_before, m) from :func:`position_cost`, of `start` and `after`.
+    reach_m
+        How far the camera can have moved between the two.
+    """
+    came, spread = start.positions_xyz[origin], np.hypot(start.position_spreads[origin], reach_m)
+    step = after.positions_xyz - came
+    length = np.linalg.norm(step, axis=1, keepdims=True)
+    led = came + step * np.minimum(1, reach_m / np.maximum(length, 1e-9))
+    vaguer = np.sum(after.position_spreads**2, axis=1) > np.sum(spread**2, axis=1)
+    vaguer &= cost[origin, np.arange(len(origin))] < JUMP_COST
+    return replace(
+        after,
+        positions_xyz=np.where(vaguer[:, None], led, after.positions_xyz),
+        position_spreads=np.where(vaguer[:, None], spread, after.position_spreads),
+    )

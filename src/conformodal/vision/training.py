@@ -36,8 +36,8 @@ class TrainingConfig:
     """
 
     epochs: int = 100
-    batch_size: int = 32
-    learning_rate: float = 2e-3
+    batch_size: int = 64
+    learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     hidden: int = 256
     dropout: float = 0.3
@@ -49,9 +49,11 @@ class TrainingConfig:
 def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     """Mean over targets of the cross-entropy with order-aware labels; `targets` is (n, sum of K_j)."""
     _same_shape(raw, targets)
+    if len(set(head.outputs)) == 1:  # one call for all targets: a third of a training's time less
+        k = head.outputs[0]
+        return torch.nn.functional.cross_entropy(raw.reshape(-1, k), targets.reshape(-1, k))
     blocks = zip(head.split(raw), torch.split(targets, head.outputs, dim=1), strict=True)
-    losses = [-(t * torch.log_softmax(r, dim=1)).sum(dim=1).mean() for r, t in blocks]
-    return torch.stack(losses).mean()
+    return torch.stack([torch.nn.functional.cross_entropy(r, t) for r, t in blocks]).mean()
 
 
 def mean_squared_error(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.motion import build_map
+from conformodal.motion import Matcher, build_map, match
+from conformodal.motion.landmarks import described as described_module
 from conformodal.motion.landmarks.camera_fit import Matches, fit_camera
 from conformodal.motion.landmarks.keyframes import MIN_INLIERS
 from conformodal.motion.landmarks.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
@@ -152,3 +153,21 @@ def test_points_without_parallax_or_behind_are_not_sound():
     assert sound.tolist() == [True, False]
     behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
     assert not triangulate(behind, 0.005)[1].any()
+
+
+def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, stated_camera, depth_m, monkeypatch):
+    world = world_of(n=40)
+    described, part = world.described(), slice(None, None, 2)
+    alone = build_map(described[part], world.poses_se3[part], stated_camera, depth_m)
+    asked = []
+    monkeypatch.setattr(described_module, "match", lambda *pair: asked.append(1) or match(*pair))
+    matcher = Matcher()
+    build_map(described, world.poses_se3, stated_camera, depth_m, matcher=matcher)
+    first = len(asked)
+    shared = build_map(described[part], world.poses_se3[part], stated_camera, depth_m, matcher=matcher)
+    second = len(asked) - first
+    np.testing.assert_array_equal(shared.points_xyz, alone.points_xyz)
+    np.testing.assert_array_equal(shared.descriptors, alone.descriptors)
+    asked.clear()
+    build_map(described[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
+    assert second < 0.9 * len(asked)

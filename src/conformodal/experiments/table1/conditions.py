@@ -16,7 +16,7 @@ TEST = 0.2
 CALIBRATION_SHARE = 0.2  # of the used frames
 NETWORKS = ("efficientnet_lite0", "efficientnet_lite1", "efficientnet_lite2")
 NOISE = (0.0, 0.05, 0.1, 0.2)
-_RESULTS = 8  # of results of tasks; older ones are worked out again
+_RESULTS = 9  # of results of tasks; older ones are worked out again
 
 
 @dataclass(frozen=True)

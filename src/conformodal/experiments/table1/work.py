@@ -45,7 +45,7 @@ from ..baselines import (
     quantile_regression,
     with_thumbnail,
 )
-from ..classical import ClassicalRegressor, train_classical
+from ..classical import ClassicalRegressor, opponents_training, train_classical
 from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
 from .landmarks import landmark_rows
 from .regions import ALPHA, in_deviations, position_error, position_size, region_numbers
@@ -96,7 +96,7 @@ class Table1Worker:
         model = train_model(data, config, scene=scene)
         conformal_s = time.perf_counter() - started + scene_s
         started = time.perf_counter()
-        classical = train_classical(data, training)
+        classical = train_classical(data, opponents_training(training))
         classical_s = time.perf_counter() - started
         problem = Problem.of(data, classical)
         quantiles = quantile_regression(problem, ALPHA)
@@ -140,14 +140,11 @@ class Table1Worker:
             **classical.trajectories(features, run, recording, model.prior),
             **landmark_rows(model, features, run, recording, classical),
         }
-        described = [motions.described[i] for i in run.frames.tolist()]
         answer_ms = {}
-        started = time.perf_counter()
-        _answer(model, features, described, run, recording)  # once: all of it has just been done before
-        answer_ms["smoothed"] = 1e3 * (time.perf_counter() - started) / len(features)
-        answer_ms["classical"] = _ms_a_frame(lambda: classical.predict(features), len(features))
+        if not sigma:  # noise costs nothing
+            described = [motions.described[i] for i in run.frames.tolist()]
+            answer_ms = _answer_times(trained, features, described, run, recording)
         for name, baseline in trained.baselines.items():
-            answer_ms[name] = _ms_a_frame(partial(baseline.answer, features), len(features))
             values = baseline.answer(features)
             found[name] = Trajectory(run.timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
         run.trajectories = found
@@ -190,7 +187,7 @@ def run_name(key: str, sigma: float) -> str:
 
 
 def model_training(task: TrainingTask) -> TrainingConfig:
-    """Settings that every network of a task is trained with, but for learning rates."""
+    """Settings of the conformal network."""
     return TrainingConfig(epochs=task.epochs, seed=task.seed)
 
 
@@ -202,6 +199,21 @@ class _Trained:
     classical: ClassicalRegressor
     baselines: dict[str, Baseline]
     quantiles: QuantileIntervals
+
+
+def _answer_times(
+    trained: _Trained,
+    features: npt.NDArray[np.float32],
+    described: list[Described],
+    run: OdometryRun,
+    recording: npt.NDArray[np.int64],
+) -> dict[str, float]:
+    """Milliseconds a frame of every method's answers, once the features are there."""
+    started = time.perf_counter()
+    _answer(trained.model, features, described, run, recording)  # once: all of it has just been done before
+    found = {"smoothed": 1e3 * (time.perf_counter() - started) / len(features)}
+    answers = {"classical": trained.classical.predict, **{k: b.answer for k, b in trained.baselines.items()}}
+    return found | {name: _ms_a_frame(partial(answer, features), len(features)) for name, answer in answers.items()}
 
 
 def _ms_a_frame(answer: Callable[[], object], n_frames: int) -> float:

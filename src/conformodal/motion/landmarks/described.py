@@ -85,6 +85,20 @@ def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     return np.column_stack((rows, nearest[rows])).astype(np.int64)
 
 
+class Matcher:
+    """Pairs of rows that look alike in two images, kept: maps that share frames ask for the same."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, int], tuple[Described, Described, IntArray]] = {}
+
+    def __call__(self, one: Described, other: Described) -> IntArray:
+        """As :func:`match` of their descriptors."""
+        key = id(one), id(other)  # which stay theirs, since the images are kept too
+        if key not in self._known:
+            self._known[key] = one, other, match(one.descriptors, other.descriptors)
+        return self._known[key][2]
+
+
 def product(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """``a @ b`` in one thread: those of linear algebra spin on, and slow a network beside them several times."""
     with _threads().limit(limits=1, user_api="blas"):

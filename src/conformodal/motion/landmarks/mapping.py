@@ -10,7 +10,7 @@ import numpy.typing as npt
 from conformodal.poses import PinholeCamera
 
 from .camera_fit import Matches, fit_camera
-from .described import DESCRIPTOR_BYTES, Described, match
+from .described import DESCRIPTOR_BYTES, Described, Matcher
 from .keyframes import LandmarkMap
 from .triangulation import Rays, triangulate
 
@@ -34,6 +34,7 @@ def build_map(
     camera: PinholeCamera,
     depth_m: float,
     progress: Progress | None = None,
+    matcher: Matcher | None = None,
 ) -> LandmarkMap:
     """Place the corners of frames with known poses in the world.
 
@@ -49,8 +50,10 @@ def build_map(
         Median depth of the corners in view.
     progress
         Called with frames done and frames in all.
+    matcher
+        Of another map with some of these frames, whose pairs need not be looked for again.
     """
-    pairs = _matched(described, _partners(poses_se3, depth_m), progress)
+    pairs = _matched(described, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
     mounted = fit_camera(_some_matches(described, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
     tolerance = 2 * _TOLERANCE_PX / (mounted.camera.fx + mounted.camera.fy)
@@ -90,18 +93,19 @@ def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
 
 
 def _matched(
-    described: Sequence[Described], partners: Sequence[IntArray], progress: Progress | None
+    described: Sequence[Described], partners: Sequence[IntArray], matcher: Matcher, progress: Progress | None
 ) -> list[list[tuple[int, IntArray]]]:
     """For each frame, its partners and those whose partner it is, each with the corners that both see."""
     found: list[list[tuple[int, IntArray]]] = [[] for _ in described]
     done: set[tuple[int, int]] = set()
     for i, others in enumerate(partners):
         for j in others.tolist():
-            if (j, i) not in done:
-                done.add((i, j))
-                pairs = match(described[i].descriptors, described[j].descriptors)
-                found[i].append((j, pairs))
-                found[j].append((i, pairs[:, ::-1]))
+            first, second = min(i, j), max(i, j)
+            if (first, second) not in done:
+                done.add((first, second))
+                pairs = matcher(described[first], described[second])
+                found[first].append((second, pairs))
+                found[second].append((first, pairs[:, ::-1]))
         if progress is not None:
             progress(i + 1, len(described))
     return found
