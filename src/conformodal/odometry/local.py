@@ -41,7 +41,7 @@ class LocalFinder:
 
     def strangeness(self, answers: LocalAnswers) -> FloatArray:
         """(n,) how strange images are, in units of what is typical."""
-        return np.maximum(answers.strangeness / self.typical, 1e-3)
+        return _strangeness(answers, self.typical)
 
     def fixes(self, answers: LocalAnswers) -> list[list[PoseFix]]:
         """For every image, a pose a place; the stranger the image is to its neighbours, the less they are trusted."""
@@ -72,7 +72,7 @@ def make_finder(regression: LocalRegression, left_out: LeftOut) -> LocalFinder |
     """
     answers, truth = left_out.answers, regression.targets[left_out.rows]
     typical = max(float(np.median(answers.strangeness)), 1e-9)
-    strange = np.maximum(answers.strangeness / typical, 1e-3)
+    strange = _strangeness(answers, typical)
     off = np.linalg.norm(answers.values[:, :, :3] - truth[:, None, :3], axis=2)
     nearest = np.where(answers.weights >= _LEAST_WEIGHT, off, np.inf).argmin(axis=1)
     every = np.arange(len(off))
@@ -81,3 +81,7 @@ def make_finder(regression: LocalRegression, left_out: LeftOut) -> LocalFinder |
     scale = fit_fix_scale(errors, _SAME_PLACE * float(regression.target_scale[0]))
     limit = max(float(np.quantile(answers.strangeness, _USUAL)), typical)
     return None if scale is None else LocalFinder(regression, typical, limit, scale)
+
+
+def _strangeness(answers: LocalAnswers, typical: float) -> FloatArray:
+    return np.maximum(answers.strangeness / typical, 1e-3)
