@@ -14,7 +14,7 @@ from .projection import Projection
 
 
 class _Dropout(nn.Module):
-    """As torch's, whose Bernoulli numbers take three times as long on a CPU: a quarter of a small head's training."""
+    """As torch's, whose Bernoulli numbers are slow on a CPU: they took much of a small head's training."""
 
     def __init__(self, share: float) -> None:
         super().__init__()

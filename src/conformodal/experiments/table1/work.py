@@ -78,7 +78,7 @@ class Table1Worker:
 
     def __call__(self, task: TrainingTask) -> dict[str, Any]:
         """Errors, coverage and cost, by noise; JSON."""
-        training = model_training(task)
+        training = TrainingConfig(epochs=task.epochs, seed=task.seed)
         config = ModelConfig(
             split=task.split,
             alpha=ALPHA,
@@ -184,11 +184,6 @@ class Table1Worker:
 def run_name(key: str, sigma: float) -> str:
     """Folder of the run of a task at a noise."""
     return f"{key}-noise{sigma:g}"
-
-
-def model_training(task: TrainingTask) -> TrainingConfig:
-    """Settings of the conformal network."""
-    return TrainingConfig(epochs=task.epochs, seed=task.seed)
 
 
 @dataclass(frozen=True, eq=False)
