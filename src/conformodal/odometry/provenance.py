@@ -26,11 +26,19 @@ def provenance() -> dict[str, Any]:
 
 
 def _revision() -> str | None:
-    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed; None if installed."""
+    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed; None if installed.
+
+    Results of benchmarks do not count: one that was just written says nothing against the next.
+    """
     root = Path(__file__).resolve().parents[3]
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
         return None
-    command = [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)  # noqa: S603
-    return result.stdout.strip() or None
+
+    def asked(*arguments: str) -> str:
+        command = [git, "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=10).stdout.strip()  # noqa: S603
+
+    commit = asked("rev-parse", "--short=12", "HEAD")
+    changed = asked("diff", "--name-only", "HEAD", "--", ".", ":(exclude)benchmarks/results")
+    return f"{commit}-dirty" if commit and changed else commit or None
