@@ -17,7 +17,7 @@ def provenance() -> dict[str, Any]:
     """Versions of this package and of those that decide its numbers, the source revision, machine and time."""
     return {
         "conformodal": metadata.version("conformodal"),
-        "source_revision": _revision(),
+        "source_revision": source_revision(Path(__file__).resolve().parents[3]),
         "packages": {name: metadata.version(name) for name in _PACKAGES},
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
@@ -25,12 +25,11 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def _revision() -> str | None:
-    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed; None if installed.
+def source_revision(root: Path) -> str | None:
+    """Commit of the checkout in `root`, with ``-dirty`` if it was changed; None where there is none.
 
     Results of benchmarks do not count: one that was just written says nothing against the next.
     """
-    root = Path(__file__).resolve().parents[3]
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
         return None

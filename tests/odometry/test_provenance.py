@@ -1,0 +1,31 @@
+import shutil
+import subprocess
+
+import pytest
+
+from conformodal.odometry.provenance import source_revision
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_path):
+    def git(*arguments):
+        name = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+        return subprocess.run(
+            ["git", *name, *arguments], cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout
+
+    assert source_revision(tmp_path) is None
+    source, result = tmp_path / "source.py", tmp_path / "benchmarks" / "results" / "table.md"
+    result.parent.mkdir(parents=True)
+    source.write_text("1")
+    result.write_text("1")
+    git("init", "-q")
+    assert source_revision(tmp_path) is None  # nothing committed yet
+    git("add", ".")
+    git("commit", "-qm", "first")
+    commit = git("rev-parse", "HEAD")[:12]
+    assert source_revision(tmp_path) == commit
+    result.write_text("2")
+    assert source_revision(tmp_path) == commit
+    source.write_text("2")
+    assert source_revision(tmp_path) == f"{commit}-dirty"
