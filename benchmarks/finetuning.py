@@ -62,7 +62,7 @@ def main() -> None:
     tuning = {"frozen": None, f"last {arguments.blocks} blocks tuned": FineTuning(blocks=arguments.blocks)}
     found: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as scratch:
-        for split in SplitKind:
+        for split in (SplitKind.INTERLEAVED, SplitKind.BLOCKS):
             for seed in seeds:
                 motions = None
                 for name, settings in tuning.items():

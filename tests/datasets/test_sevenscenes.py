@@ -1,4 +1,5 @@
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,3 +136,68 @@ def test_a_lens_with_distortion_is_read_and_a_wrong_one_named(tmp_path):
     lens.write_text("wide\n")
     with pytest.raises(DatasetError, match=r"camera-distortion\.txt: cannot be read as numbers"):
         read_sevenscenes(folder)
+
+
+def write_scene(folder, train="sequence1\n", test="sequence2\nsequence3\n"):
+    for number in (1, 2, 3):
+        write_recording(folder / f"seq-{number:02d}", n=number)
+    (folder / "TrainSplit.txt").write_text(train)
+    (folder / "TestSplit.txt").write_text(test)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "expected"),
+    [
+        ("sequence1\n", "sequence2\nsequence3\n", [0, 1, 1, 1, 1, 1]),
+        ("sequence 3\r\nSequence1\r\n\r\n", "sequence02", [0, 1, 1, 0, 0, 0]),
+        ("seq-02\nseq-03\n", "seq-01\n", [1, 0, 0, 0, 0, 0]),
+    ],
+)
+def test_lists_of_a_scene_say_which_frames_test(tmp_path, train, test, expected):
+    sequence = read_sevenscenes(write_scene(tmp_path, train, test))
+    assert sequence.given_test.dtype == bool
+    assert sequence.given_test.tolist() == [bool(x) for x in expected]
+
+
+def test_a_recording_and_a_scene_without_lists_give_no_test_frames(tmp_path):
+    scene = write_scene(tmp_path)
+    assert read_sevenscenes(scene / "seq-01").given_test is None
+    for path in scene.glob("*Split.txt"):
+        path.unlink()
+    assert read_sevenscenes(scene).given_test is None
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "match"),
+    [
+        ("sequence1\n", "sequence2\n\nsequence3\nsequence7\n", r"TestSplit\.txt: line 4 names 'sequence7'.*no such"),
+        ("sequence1\n", "sequence2\n", r"TrainSplit\.txt: names seq-03 in no line, nor does TestSplit\.txt"),
+        (
+            "sequence1\nsequence2\n",
+            "sequence3\nsequence2\n",
+            r"TestSplit\.txt: line 2 names seq-02, which TrainSplit\.txt, line 2 names too",
+        ),
+        ("sequence1\nsequence1\n", "sequence2\nsequence3\n", r"TrainSplit\.txt: line 2 names seq-01, which TrainSplit"),
+        ("sequence1\nall the rest\n", "sequence2\n", r"TrainSplit\.txt: line 2 is 'all the rest', expected"),
+        ("\n", "sequence1\nsequence2\nsequence3\n", r"TrainSplit\.txt: names no recording"),
+        ("sequence1\nsequence2\nsequence3\n", "", r"TestSplit\.txt: names no recording"),
+    ],
+)
+def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(tmp_path, train, test, match):
+    with pytest.raises(DatasetError, match=match):
+        read_sevenscenes(write_scene(tmp_path, train, test))
+
+
+@pytest.mark.parametrize(("gone", "there"), [("TrainSplit.txt", "TestSplit.txt"), ("TestSplit.txt", "TrainSplit.txt")])
+def test_one_list_without_the_other_is_refused(tmp_path, gone, there):
+    scene = write_scene(tmp_path)
+    (scene / gone).unlink()
+    with pytest.raises(DatasetError, match=rf"{gone}: is missing; {there} beside it"):
+        read_sevenscenes(scene)
+
+
+def test_given_test_must_fit_the_frames(tmp_path):
+    sequence = read_sevenscenes(write_scene(tmp_path))
+    with pytest.raises(DatasetError, match=r"6 images, but given_test has shape \(2,\)"):
+        replace(sequence, given_test=np.zeros(2, bool))

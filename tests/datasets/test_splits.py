@@ -74,3 +74,107 @@ def test_frames_held_out_together_are_in_the_same_part(kind):
         assert not set(piece[inside]) & set(piece[~inside])
     assert not set(piece[recording == 0]) & set(piece[recording == 1])
     assert len(np.unique(piece)) == (400 if kind is SplitKind.INTERLEAVED else 21)
+
+
+SEVEN = np.repeat([0, 1, 2, 5, 6, 7, 8], [30, 10, 20, 40, 15, 25, 60])
+
+
+def recordings_of(split, recording):
+    return [set(recording[part].tolist()) for part in (split.train, split.calibration, split.test)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_recording_is_in_two_parts(seed):
+    split = make_split(SEVEN, "recordings", seed=seed)
+    train, calibration, test = recordings_of(split, SEVEN)
+    assert (len(train), len(calibration), len(test)) == (5, 1, 1)
+    assert train | calibration | test == set(SEVEN.tolist())
+    together = np.concatenate((split.train, split.calibration, split.test))
+    assert sorted(together.tolist()) == list(range(200))
+
+
+def test_every_recording_comes_to_be_tested_by_some_seed():
+    tested = [recordings_of(make_split(SEVEN, "recordings", seed=s), SEVEN)[2] for s in range(60)]
+    assert set.union(*tested) == set(SEVEN.tolist())
+
+
+@pytest.mark.parametrize(
+    ("n", "shares", "expected"),
+    [
+        (3, {}, (1, 1, 1)),
+        (10, {}, (6, 2, 2)),
+        (10, {"used": 0.4, "calibration": 0.08}, (3, 1, 2)),
+        (4, {"test": 0.49, "calibration": 0.49}, (1, 1, 2)),
+        (4, {"used": 0.2}, (1, 1, 1)),
+        (3, {"test": 0.9, "calibration": 0.05}, (1, 1, 1)),
+    ],
+)
+def test_every_part_gets_a_recording(n, shares, expected):
+    recording = np.repeat(np.arange(n), 5)
+    parts = recordings_of(make_split(recording, "recordings", **shares), recording)
+    assert tuple(len(p) for p in parts) == expected
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_too_few_recordings_are_told_by_number(n):
+    with pytest.raises(SplitError, match=f"at least 3 recordings.*found {n}"):
+        make_split(np.repeat(np.arange(n), 50), "recordings")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed):
+    given_test = np.isin(SEVEN, [1, 5])
+    split = make_split(SEVEN, "given", seed=seed, given_test=given_test)
+    assert split.test.tolist() == np.flatnonzero(given_test).tolist()
+    train, calibration, test = recordings_of(split, SEVEN)
+    assert test == {1, 5}
+    assert (len(train), len(calibration)) == (4, 1)
+    assert train | calibration == {0, 2, 6, 7, 8}
+
+
+def test_shares_of_a_given_split_are_of_the_training_list():
+    recording = np.repeat(np.arange(14), 5)
+    given_test = recording % 2 == 1
+    parts = recordings_of(make_split(recording, "given", given_test=given_test, calibration=0.3), recording)
+    assert [len(p) for p in parts] == [4, 3, 7]
+    half = make_split(recording, "given", given_test=given_test, used=0.4, calibration=0.08)
+    assert [len(p) for p in recordings_of(half, recording)] == [3, 1, 7]
+    assert half.test.tolist() == np.flatnonzero(given_test).tolist()
+
+
+def test_stretches_of_a_lone_training_recording_calibrate():
+    recording = np.repeat([0, 1, 2], [50, 100, 50])
+    split = make_split(recording, "given", seed=1, n_blocks=10, given_test=recording != 1)
+    assert split.test.tolist() == [*range(50), *range(150, 200)]
+    assert sorted([*split.train, *split.calibration]) == list(range(50, 150))
+    stretches = sorted({int(i) // 10 for i in split.calibration})
+    assert len(stretches) == 2
+    assert split.calibration.tolist() == [i for s in stretches for i in range(10 * s, 10 * s + 10)]
+
+
+@pytest.mark.parametrize(
+    ("given_test", "match"),
+    [
+        (None, r"TrainSplit\.txt and TestSplit\.txt"),
+        (np.zeros(99, bool), r"bool for each of 100 frames, got bool of shape \(99,\)"),
+        (np.zeros(100), "got float64"),
+        (np.zeros(100, bool), "too few"),
+        (np.ones(100, bool), "too few"),
+        (np.arange(100) > 0, "too few"),
+    ],
+)
+def test_lists_that_give_no_split_are_refused(given_test, match):
+    with pytest.raises(SplitError, match=match):
+        make_split(np.zeros(100, int), "given", given_test=given_test)
+
+
+def test_pieces_of_whole_recordings_and_of_given_lists():
+    recording = np.repeat([4, 2, 9], [3, 4, 2])
+    whole = held_out_together(recording, SplitKind.RECORDINGS)
+    assert whole.tolist() == [1, 1, 1, 0, 0, 0, 0, 2, 2]
+    two = held_out_together(recording, SplitKind.GIVEN, given_test=recording == 4)
+    assert two.tolist() == [2, 2, 2, 0, 0, 0, 0, 1, 1]
+    lone = held_out_together(recording, SplitKind.GIVEN, n_blocks=2, given_test=recording != 2)
+    assert lone.tolist() == [2, 2, 2, 0, 0, 1, 1, 3, 3]
+    with pytest.raises(SplitError, match="none"):
+        held_out_together(recording, SplitKind.GIVEN)

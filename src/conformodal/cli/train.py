@@ -36,9 +36,12 @@ def train(
     data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
-    split: Annotated[SplitKind, typer.Option(help="How frames are held out: at random, or in stretches.")] = (
-        _DEFAULT.split
-    ),
+    split: Annotated[
+        SplitKind,
+        typer.Option(
+            help="How frames are held out: at random, in stretches, in whole recordings, or by the data set's lists."
+        ),
+    ] = _DEFAULT.split,
     alpha: Annotated[float, typer.Option(help="Miscoverage rate: the region may miss this share of poses.")] = (
         _DEFAULT.alpha
     ),
@@ -56,8 +59,10 @@ def train(
     dropout: Annotated[float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.")] = (
         _DEFAULT.training.dropout
     ),
-    test: Annotated[float, typer.Option(help="Share of all frames held out for testing.")] = _DEFAULT.test,
-    calibration: Annotated[float, typer.Option(help="Share of all frames held out for calibration.")] = (
+    test: Annotated[
+        float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
+    ] = _DEFAULT.test,
+    calibration: Annotated[float, typer.Option(help="Share of all frames (or recordings) held out to calibrate.")] = (
         _DEFAULT.calibration
     ),
     used: Annotated[

@@ -55,6 +55,8 @@ class Sequence:
         Poses ``T_world_cam``, or None.
     noise
         Noise that images are read with, or None.
+    given_test
+        (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Sequence:
     camera: PinholeCamera
     truth: Trajectory | None = None
     noise: PixelNoise | None = None
+    given_test: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.image_paths)
@@ -76,6 +79,8 @@ class Sequence:
             raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.image_paths[i]}) goes back")
         if self.truth is not None and len(self.truth) != n:
             raise DatasetError(f"{self.name}: {n} images, but {len(self.truth)} poses")
+        if self.given_test is not None and self.given_test.shape != (n,):
+            raise DatasetError(f"{self.name}: {n} images, but given_test has shape {self.given_test.shape}")
 
     def __len__(self) -> int:
         return len(self.image_paths)

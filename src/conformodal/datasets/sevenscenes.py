@@ -5,6 +5,7 @@ A recording is a folder of ``frame-NNNNNN.color.png`` (or ``.jpg``) with ``frame
 ``camera-intrinsics.txt`` (3x3), in either folder, gives the camera; without one, it is that of 7-Scenes. Its lens is
 free of distortion unless ``camera-distortion.txt`` beside it holds k1, k2, p1, p2 and perhaps k3, as in OpenCV. The
 layout has no timestamps: a file ``frame-rate.txt`` (one number, Hz) likewise gives the rate, else it is 30 Hz.
+``TrainSplit.txt`` and ``TestSplit.txt`` beside the recordings list them as ``sequence1``, one a line.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ import numpy.typing as npt
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .errors import DatasetError
-from .files import camera_beside, image_size, read_frame_rate, read_numbers
+from .files import camera_beside, image_size, read_frame_rate, read_lines, read_numbers
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
 CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
 # Recordings of one scene are laid one after the other in time, this far apart.
 _GAP_BETWEEN_RECORDINGS_S = 10.0
+_LISTS = ("TrainSplit.txt", "TestSplit.txt")
+_LISTED = re.compile(r"seq(?:uence)?[ _-]*(\d+)", re.IGNORECASE)
 _IMAGE = re.compile(r"frame-(\d+)\.color\.(png|jpg|jpeg)$")
 
 
@@ -41,8 +44,8 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     Raises
     ------
     DatasetError
-        If the folder is missing or empty, a pose is missing, unreadable, not finite or no rigid motion, or the
-        intrinsics are none. Names the file.
+        If the folder is missing or empty, a pose is missing, unreadable, not finite or no rigid motion, the
+        intrinsics are none, or the lists do not name every recording once. Names the file.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -63,6 +66,7 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     if not images:
         raise DatasetError(f"{folder}: holds no frame-NNNNNN.color.png or .jpg, nor folders seq-NN with some")
     stamps = np.array(times)
+    held_out = None if recordings == [folder] else _listed_for_testing(folder, recordings)
     return Sequence(
         name=folder.resolve().name if recordings == [folder] else f"{folder.resolve().name} ({len(recordings)} seq)",
         image_paths=tuple(images),
@@ -70,7 +74,44 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         recording=np.array(owner, dtype=np.int64),
         camera=_camera(folder, images[0]),
         truth=_truth(images, stamps, required=require_poses),
+        given_test=None if held_out is None else held_out[owner],
     )
+
+
+def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.bool_] | None:
+    """Which of a scene's recordings are in its list of test recordings; None without lists."""
+    lists = [folder / name for name in _LISTS]
+    there = [path for path in lists if path.is_file()]
+    if not there:
+        return None
+    if len(there) < len(lists):
+        missing = next(path for path in lists if path not in there)
+        raise DatasetError(f"{missing}: is missing; {there[0].name} beside it needs it")
+    matches = [_LISTED.fullmatch(path.name) for path in recordings]
+    numbers = {int(match[1]): i for i, match in enumerate(matches) if match}
+    where: dict[int, str] = {}  # the line that names a recording
+    held_out = np.zeros(len(recordings), dtype=bool)
+    for path in lists:
+        for at, line in enumerate(read_lines(path), start=1):
+            text, place = line.strip(), f"{path.name}, line {at}"
+            if not text:
+                continue
+            match = _LISTED.fullmatch(text)
+            if match is None:
+                raise DatasetError(f"{path}: line {at} is {text!r}, expected a recording such as sequence1")
+            i = numbers.get(int(match[1]))
+            if i is None:
+                raise DatasetError(f"{path}: line {at} names {text!r}, but {folder} has no such folder seq-NN")
+            if i in where:
+                raise DatasetError(f"{path}: line {at} names {recordings[i].name}, which {where[i]} names too")
+            where[i], held_out[i] = place, path is lists[1]
+    for i, recording in enumerate(recordings):
+        if i not in where:
+            raise DatasetError(f"{lists[0]}: names {recording.name} in no line, nor does {lists[1].name}")
+    for path, empty in zip(lists, (held_out.all(), not held_out.any()), strict=True):
+        if empty:
+            raise DatasetError(f"{path}: names no recording, expected one or more")
+    return held_out
 
 
 def _frames(folder: Path) -> list[tuple[int, Path]]:

@@ -3,6 +3,8 @@
 ``interleaved`` holds out frames at random: calibration and test frames are exchangeable, so coverage follows its
 exact law, but a test frame's neighbours are in the training part. ``blocks`` holds out contiguous stretches:
 harder, closer to use, and not exchangeable; coverage measured there is an observation, not a promise.
+``recordings`` holds out whole recordings at random: recordings are exchangeable, frames are not. ``given`` tests on the
+frames that the data set's own lists name: its authors chose them, so neither recordings nor frames are exchangeable.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy.typing as npt
 from .errors import SplitError
 
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 class SplitKind(StrEnum):
@@ -24,6 +27,8 @@ class SplitKind(StrEnum):
 
     INTERLEAVED = "interleaved"
     BLOCKS = "blocks"
+    RECORDINGS = "recordings"
+    GIVEN = "given"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +58,7 @@ def make_split(
     calibration: float = 0.16,
     used: float | None = None,
     n_blocks: int = 25,
+    given_test: BoolArray | None = None,
 ) -> Split:
     """Cut frames into parts.
 
@@ -61,21 +67,27 @@ def make_split(
     recording
         (n,) the recording each frame belongs to; blocks do not span recordings.
     kind
-        ``"interleaved"`` or ``"blocks"``.
+        ``"interleaved"``, ``"blocks"``, ``"recordings"`` or ``"given"``.
     seed
-        Of the random choice of frames or blocks.
+        Of the random choice of frames, blocks or recordings.
     test, calibration
-        Shares of all frames.
+        Shares of all frames. For ``recordings`` they are shares of the recordings, and every part gets at least one.
+        For ``given`` the lists say which frames test, and the others stand for the share ``1 - test``, however many
+        they are: whole recordings of them calibrate if they have two or more, otherwise stretches do.
     used
-        Share of all frames for training and calibration together; all but the test part by default. The test part is
-        the same whatever it is.
+        Share for training and calibration together; all but the test part by default. The test part is the same
+        whatever it is.
     n_blocks
-        Number of stretches that ``blocks`` cuts the sequence into.
+        Number of stretches that ``blocks`` cuts the sequence into, and ``given`` a lone training recording.
+    given_test
+        (n,) whether the data set's own lists name a frame for testing; None if it has no lists. Only ``given`` reads
+        it.
 
     Raises
     ------
     SplitError
-        If a share is not positive, shares exceed the whole, or a part would be empty.
+        If a share is not positive, shares exceed the whole, a part would be empty, ``recordings`` finds fewer than
+        three recordings, or ``given`` finds no lists.
     """
     n = len(recording)
     try:
@@ -88,38 +100,88 @@ def make_split(
         raise SplitError(
             f"used ({used}) must be more than calibration ({calibration}), and with test ({test}) at most 1"
         )
-    rng = np.random.default_rng(seed)
-    units = _units(recording, kind, n_blocks)
-    order = rng.permutation(len(units))
-    n_test = round(test * len(units))
-    n_calibration = round(calibration * len(units))
-    n_used = len(units) - n_test if used is None else round(used * len(units))
+    free, listed = _pieces(recording, kind, n_blocks, given_test)
+    if kind is SplitKind.RECORDINGS and len(free) < 3:
+        raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")
+    order = np.random.default_rng(seed).permutation(len(free))
+    n_test, n_calibration, n_used = _counts(len(free), kind, test, calibration, used)
     groups = np.split(order[: n_test + n_used], [n_test, n_test + n_calibration])
-    if any(len(g) == 0 for g in groups):
-        raise SplitError(f"{n} frames in {len(units)} pieces are too few for a {kind} split into three parts")
-    parts = [np.sort(np.concatenate([units[u] for u in g])) for g in groups]
+    chosen = [[free[i] for i in group] for group in groups]
+    chosen[0] += listed
+    if not all(chosen):
+        raise SplitError(
+            f"{n} frames in {len(free) + len(listed)} pieces are too few for a {kind} split into three parts"
+        )
+    parts = [np.sort(np.concatenate(pieces)) for pieces in chosen]
     return Split(kind, seed, train=parts[2], calibration=parts[1], test=parts[0])
 
 
-def held_out_together(recording: IntArray, kind: SplitKind, n_blocks: int = 25) -> IntArray:
+def held_out_together(
+    recording: IntArray, kind: SplitKind, n_blocks: int = 25, given_test: BoolArray | None = None
+) -> IntArray:
     """Number (n,) of each frame's piece: frames of one piece get into the same part of a split.
 
     Parameters
     ----------
-    recording, kind, n_blocks
+    recording, kind, n_blocks, given_test
         As for :func:`make_split`.
+
+    Raises
+    ------
+    SplitError
+        If ``given`` finds no lists.
     """
     piece = np.empty(len(recording), dtype=np.int64)
-    for number, unit in enumerate(_units(recording, kind, n_blocks)):
-        piece[unit] = number
+    free, listed = _pieces(recording, kind, n_blocks, given_test)
+    for number, frames in enumerate([*free, *listed]):
+        piece[frames] = number
     return piece
 
 
-def _units(recording: IntArray, kind: SplitKind, n_blocks: int) -> list[IntArray]:
-    """What is kept together: single frames, or stretches of one recording."""
+def _counts(n: int, kind: SplitKind, test: float, calibration: float, used: float | None) -> tuple[int, int, int]:
+    """How many of n pieces test, how many calibrate, and how many calibrate or train."""
+    given = kind is SplitKind.GIVEN
+    whole = n / (1 - test) if given else n  # the lists' test frames are not among the n
+    n_test = 0 if given else round(test * whole)
+    n_calibration = round(calibration * whole)
+    n_used = n - n_test if used is None else round(used * whole)
+    if kind in (SplitKind.RECORDINGS, SplitKind.GIVEN):  # recordings are few: rounding must not leave a part empty
+        n_test = n_test if given else min(max(n_test, 1), n - 2)
+        n_calibration = min(max(n_calibration, 1), n - n_test - 1)
+        n_used = n - n_test if used is None else min(max(n_used, n_calibration + 1), n - n_test)
+    return n_test, n_calibration, n_used
+
+
+def _pieces(
+    recording: IntArray, kind: SplitKind, n_blocks: int, given_test: BoolArray | None
+) -> tuple[list[IntArray], list[IntArray]]:
+    """What is kept together: frames, stretches of one recording, or recordings; and what the lists name for testing."""
     frames = np.arange(len(recording))
     if kind is SplitKind.INTERLEAVED:
-        return [np.array([i]) for i in frames]
+        return [np.array([i]) for i in frames], []
+    if kind is SplitKind.BLOCKS:
+        return _stretches(frames, recording, n_blocks), []
+    if kind is SplitKind.RECORDINGS:
+        return _recordings(frames, recording), []
+    if given_test is None:
+        raise SplitError(
+            "split given needs the data set's own lists, and there are none; looked for TrainSplit.txt and "
+            "TestSplit.txt beside the folders seq-NN of a 7-Scenes scene"
+        )
+    if given_test.shape != recording.shape or given_test.dtype != np.bool_:
+        found = f"{given_test.dtype} of shape {given_test.shape}"
+        raise SplitError(f"given_test must hold one bool for each of {len(recording)} frames, got {found}")
+    free, listed = frames[~given_test], frames[given_test]
+    whole = _recordings(free, recording)
+    return whole if len(whole) > 1 else _stretches(free, recording, n_blocks), _recordings(listed, recording)
+
+
+def _recordings(frames: IntArray, recording: IntArray) -> list[IntArray]:
+    owner = recording[frames]
+    return [frames[owner == number] for number in np.unique(owner)]
+
+
+def _stretches(frames: IntArray, recording: IntArray, n_blocks: int) -> list[IntArray]:
     size = max(1, ceil(len(frames) / n_blocks))
-    runs = np.split(frames, np.flatnonzero(np.diff(recording) != 0) + 1)
+    runs = np.split(frames, np.flatnonzero((np.diff(frames) != 1) | (np.diff(recording[frames]) != 0)) + 1)
     return [run[a : a + size] for run in runs for a in range(0, len(run), size)]

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import torch
 
 from conformodal.conformal import conformal_quantile
-from conformodal.datasets import held_out_together
+from conformodal.datasets import SplitKind, held_out_together
 from conformodal.odometry import TrainingData, target_scale
 from conformodal.vision import (
     Head,
@@ -199,7 +199,9 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
     loss = pinball_loss((alpha / 2, 0.5, 1 - alpha / 2))
     kind = _Kind(loss, [3] * d, lambda head, features: quantiles_of(head, features)[:, :, 1])
     # the calibration part must not even have chosen a rate
-    pieces = held_out_together(problem.data.sequence.recording, problem.data.split.kind)[train]
+    pieces = _pieces(problem.data)[train]
+    if len(np.unique(pieces)) < 2:  # one recording trains: its stretches judge
+        pieces = held_out_together(problem.data.sequence.recording, SplitKind.BLOCKS)[train]
     judge = np.isin(pieces, np.unique(pieces)[::_JUDGED])
     head = _searched(problem, kind, train[~judge], train[judge], train)
 
@@ -217,7 +219,7 @@ def quantile_regression(problem: Problem, alpha: float) -> QuantileIntervals:
 def local_regression(problem: Problem) -> Baseline:
     """Linear regression among the most similar frames (Cleveland 1979), chosen by leaving pieces of the split out."""
     data, known = problem.data, problem.known
-    pieces = held_out_together(data.sequence.recording, data.split.kind)[known]
+    pieces = _pieces(data)[known]
     started = time.perf_counter()
     targets = data.targets[known]
     features = data.features[known]
@@ -225,6 +227,11 @@ def local_regression(problem: Problem) -> Baseline:
     regression, _ = fit_local(features, targets, target_scale(targets), pieces, choices=_LOCAL, views=views)
     seconds = time.perf_counter() - started
     return Baseline(lambda features: regression.predict(features).best, seconds, regression.size)
+
+
+def _pieces(data: TrainingData) -> npt.NDArray[np.int64]:
+    sequence = data.sequence
+    return held_out_together(sequence.recording, data.split.kind, given_test=sequence.given_test)
 
 
 @dataclass(frozen=True, eq=False)

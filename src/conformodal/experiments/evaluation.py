@@ -20,8 +20,8 @@ ASSUMPTION_MIXED = (
     "Landmarks were looked for in some frames only: there are two calibrations, and no exact band for the count."
 )
 ASSUMPTION_BROKEN = (
-    "The evaluated frames were not held out at random together with the calibration frames, so the two are not "
-    "exchangeable: coverage here is an observation, and no guarantee applies."
+    "The evaluated frames were not held out at random, one by one, together with the calibration frames, so the two "
+    "are not exchangeable: coverage here is an observation, and no guarantee applies."
 )
 
 

@@ -21,7 +21,7 @@ class ModelConfig:
     Attributes
     ----------
     split
-        ``interleaved`` or ``blocks``.
+        ``interleaved``, ``blocks``, ``recordings`` or ``given``.
     n_bins
         Bins per target (K).
     margin
@@ -31,7 +31,7 @@ class ModelConfig:
     alpha, score, joint
         Of :class:`~conformodal.conformal.SplitConformal`.
     test, calibration, used
-        Shares of all frames, see :func:`~conformodal.datasets.make_split`.
+        Shares of all frames or recordings, see :func:`~conformodal.datasets.make_split`.
     finders
         Heads that the search for the pose starts from.
     local

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.datasets import Sequence, Split, held_out_together
+from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 from conformodal.motion import Described, Matcher, describe
 from conformodal.poses import PoseFix
 
@@ -75,12 +75,15 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
         described[i] = describe(sequence.image(i), sequence.camera)
         if progress is not None:
             progress("corners", len(described), len(frames))
-    pieces, matcher = held_out_together(sequence.recording, split.kind), Matcher()
+    pieces = held_out_together(sequence.recording, split.kind, given_test=sequence.given_test)
+    matcher = Matcher()
 
     def fit(known: IntArray, stage: str) -> Landmarks | None:
         report = None if progress is None else lambda done, total: progress(stage, done, total)
-        images = [described[i] for i in known.tolist()]
-        return fit_landmarks(images, truth[known], pieces[known], sequence.camera, depth, report, matcher)
+        images, left_out = [described[i] for i in known.tolist()], pieces[known]
+        if len(np.unique(left_out)) < 2:  # one recording: without all of it nothing is left to learn spreads from
+            left_out = held_out_together(sequence.recording, SplitKind.BLOCKS)[known]
+        return fit_landmarks(images, truth[known], left_out, sequence.camera, depth, report, matcher)
 
     regions = fit(split.train, "landmarks of the training part")
     fixes = [] if regions is None else [regions.fixes(described[i]) for i in split.calibration.tolist()]

@@ -100,7 +100,7 @@ def prepare_training_data(
     PoseError
         If the sequence has no poses.
     SplitError
-        If a part would be empty.
+        If a part would be empty, or the sequence has not the recordings or lists that the split needs.
     ImageError
         If an image cannot be read; names the file.
     """
@@ -112,6 +112,7 @@ def prepare_training_data(
         test=config.test,
         calibration=config.calibration,
         used=config.used,
+        given_test=sequence.given_test,
     )
     backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height, config.network))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
@@ -234,7 +235,7 @@ def _local_finder(
 
     None where all images look the same or there is nothing to leave out.
     """
-    pieces = held_out_together(data.sequence.recording, config.split)
+    pieces = held_out_together(data.sequence.recording, config.split, given_test=data.sequence.given_test)
     features, targets, calibration = data.features[frames], data.targets[frames], data.split.calibration
     if len(np.unique(pieces[frames])) < 2 or not np.ptp(features, axis=0).any():
         return None
