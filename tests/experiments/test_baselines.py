@@ -42,7 +42,7 @@ def make_data(two_answers=False, told_by="network", n=900):
         targets[:, :] = np.where(rng.random(n) < 0.6, 1.0, -1.0)[:, None] + 0.05 * rng.normal(size=(n, 7))
     order = rng.permutation(n)
     split = Split(SplitKind.INTERLEAVED, 0, *(np.sort(p) for p in np.split(order, [n // 2, 3 * n // 4])))
-    sequence = SimpleNamespace(recording=np.zeros(n, dtype=np.int64))
+    sequence = SimpleNamespace(recording=np.zeros(n, dtype=np.int64), given_test=None)
     return TrainingData(sequence, split, None, features, targets, np.array([1.0, 0, 0, 0]))
 
 
@@ -176,3 +176,15 @@ def test_quantile_intervals_hold_as_often_as_promised(trained):
     # 225 calibration and 225 test samples: the Beta-binomial law spreads by 0.04 about 0.8
     assert np.abs(held - 0.8).max() < 0.12
     assert (lower < upper).all()
+
+
+def test_quantile_regression_learns_from_a_lone_training_recording():
+    data = make_data(n=300)
+    recording = np.zeros(300, dtype=np.int64)
+    recording[data.split.calibration], recording[data.split.test] = 1, 2
+    split = replace(data.split, kind=SplitKind.RECORDINGS)
+    data = replace(data, split=split, sequence=SimpleNamespace(recording=recording, given_test=None))
+    problem = Problem.of(data, train_classical(data, CONFIG))
+    lower, upper = quantile_regression(problem, 0.2).interval(data.features[split.test])
+    assert (lower <= upper).all()
+    assert np.isfinite(lower).all()

@@ -237,3 +237,11 @@ def test_regions_do_not_depend_on_how_many_are_worked_out_at_a_time(model, seque
     for one, other in zip(at_once[0].masks, in_parts[0].masks, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(at_once[1], in_parts[1])
+
+
+def test_a_lone_training_recording_has_landmarks_for_the_region(sequence):
+    n = len(sequence)
+    apart = replace(sequence, recording=3 * np.arange(n) // n)
+    split = make_split(apart.recording, "recordings")
+    assert len(np.unique(apart.recording[split.train])) == 1
+    assert learn_scene(apart, split).region_landmarks is not None
