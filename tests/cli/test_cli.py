@@ -112,9 +112,14 @@ def test_run_without_poses(small_world, tmp_path):
     result = invoke("run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "errors" not in json.loads((tmp_path / "out" / "metrics.json").read_text())
-    other = invoke("run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out", "--part", "test")
-    assert other.exit_code == 2
-    assert "not the data set" in other.output
+    part = invoke("run", small_world.model, tmp_path / "unposed", "--out", tmp_path / "out", "--part", "test")
+    assert part.exit_code == 0, part.output
+    test = load_model(small_world.model).split.test
+    n = int((test < 40).sum())
+    assert f"{len(test) - n} of {len(test)} frames of the test part are not in unposed" in part.output
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["n_answered"] == n
+    assert metrics["split_note"].startswith(f"{n} of {len(test)} frames of the test part")
 
 
 def test_bad_input_is_one_kind_line(small_world, tmp_path, results):

@@ -17,10 +17,12 @@ from conformodal.experiments import (
     is_exchangeable,
     radius_table,
 )
-from conformodal.odometry import OdometryError, PoseModel, RegionTally, data_digest, provenance
+from conformodal.odometry import OdometryError, PoseModel, RegionTally, identify, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors
+
+_SAME_CAMERA = 1e-6  # shares of the width: what a text file may round
 
 
 class Part(StrEnum):
@@ -41,21 +43,45 @@ class Known:
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
-    """Frames of a part of the model's own data set; None for all.
+    """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
+
+    They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
 
     Raises
     ------
     OdometryError
-        If it is another data set.
+        If the sequence has none of them, or has them with another camera or other poses.
     """
     if part is Part.ALL:
         return None
-    if data_digest(sequence) != model.data_digest:
+    rows = model.split.part(str(part))
+    here = identify(sequence, model.known_frames)
+    found = model.known_frames.find(here)
+    at, moved = found.at[rows], found.moved[rows]
+    its, n = f"the {part} part of the model's data set ({model.configuration['data']})", len(rows)
+    seen = np.maximum(at, moved)
+    if (seen < 0).all():
         raise OdometryError(
-            f"{sequence.name}: is not the data set the model was trained on ({model.configuration['data']}), so it has "
-            f"no {part} part; run on all of it"
+            f"{sequence.name}: none of its {len(sequence)} frames has the pixels of one of the {n} frames of {its}; "
+            "give that data set, or run on all of this one"
         )
-    return model.split.part(str(part))
+    try:
+        model.check_camera(sequence.camera, _SAME_CAMERA)
+    except OdometryError as exc:
+        path = sequence.image_paths[seen[seen >= 0].min()]
+        raise OdometryError(f"{path}: has the pixels of a frame of {its}, but another camera: {exc}") from None
+    if (moved >= 0).any():
+        first = moved[moved >= 0].min()
+        expected = model.known_frames.poses[rows[moved == first][0]]
+        raise OdometryError(
+            f"{sequence.image_paths[first]}: has the pixels of a frame of {its}, but another pose, and so have "
+            f"{(moved >= 0).sum()} of {n} frames; found x y z qw qx qy qz {here.poses[first].round(6).tolist()}, "
+            f"expected {expected.round(6).tolist()}"
+        )
+    if (at < 0).any():
+        missing = f"{(at < 0).sum()} of {n} frames of the {part} part are not in {sequence.name}, or have no pose there"
+        console.print(missing, soft_wrap=True, markup=False)
+    return np.sort(at[at >= 0])
 
 
 def run_metrics(
@@ -92,7 +118,7 @@ def run_metrics(
         "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
         "seed": model.split.seed,
         "split": str(model.split.kind),
-        "split_note": _split_note(model, part),
+        "split_note": _split_note(model, part, counts["n_answered"]),
         "sign_reference_quat_wxyz": model.sign_reference.tolist(),
         **counts,
     }
@@ -103,6 +129,7 @@ def run_metrics(
     metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
+        whole = whole and counts["n_answered"] == _n_frames(model, part)
         exchangeable = whole and is_exchangeable(model, str(part))
         metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, fixed_all=fixed_all)
     return metrics
@@ -153,7 +180,14 @@ def _size(radius: dict[str, Any]) -> str:
     return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 
-def _split_note(model: PoseModel, part: Part) -> str:
+def _n_frames(model: PoseModel, part: Part) -> int | None:
+    """Of a part of the model's data set; None for all of a source."""
+    return None if part is Part.ALL else len(model.split.part(str(part)))
+
+
+def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:
     if part is Part.ALL:
         return "all frames of the source (parts of the training data among them, if it is the same)."
-    return f"the {part} part of split {model.split.kind}, seed {model.split.seed}."
+    n = _n_frames(model, part)
+    some = "" if n_answered == n else f"{n_answered} of {n} frames of "
+    return f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."

@@ -76,7 +76,7 @@ def run(
     loaded = load_model(model)
     if alpha is not None:
         loaded.recalibrate(alpha)
-    stream = open_source(source, layout, camera=loaded.camera, topic=topic)
+    stream = open_source(source, layout, camera=loaded.camera, topic=topic, as_trained=part is not Part.ALL)
     if isinstance(stream, SequenceStream):
         stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
     elif part is not Part.ALL:

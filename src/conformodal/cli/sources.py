@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
-from conformodal.datasets import Layout, Sequence, read_sequence, recognise
+from conformodal.datasets import DatasetError, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams import FrameStream, SequenceStream, open_stream
 from conformodal.poses import PinholeCamera
 
@@ -26,9 +27,16 @@ def open_sequence(path: Path, layout: Layout, *, require_poses: bool) -> Sequenc
 
 
 def open_source(
-    source: str, layout: Layout, *, camera: PinholeCamera | None = None, topic: str | None = None
+    source: str,
+    layout: Layout,
+    *,
+    camera: PinholeCamera | None = None,
+    topic: str | None = None,
+    as_trained: bool = False,
 ) -> FrameStream:
     """Open anything that gives frames, see :func:`~conformodal.datasets.streams.open_stream`; says what it is.
+
+    With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
 
     Raises
     ------
@@ -36,6 +44,9 @@ def open_source(
         If it cannot be opened.
     """
     stream = open_stream(source, layout, camera=camera, topic=topic)
+    if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
+        with suppress(DatasetError):  # no frame has a pose
+            stream = SequenceStream(read_sequence(Path(source), layout, require_poses=True))
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"

@@ -20,8 +20,9 @@ ASSUMPTION_MIXED = (
     "Landmarks were looked for in some frames only: there are two calibrations, and no exact band for the count."
 )
 ASSUMPTION_BROKEN = (
-    "The evaluated frames were not held out at random, one by one, together with the calibration frames, so the two "
-    "are not exchangeable: coverage here is an observation, and no guarantee applies."
+    "The evaluated frames are not the ones, or not all of them, that were held out at random, one by one, together "
+    "with the calibration frames, so the two are not exchangeable: coverage here is an observation, and no guarantee "
+    "applies."
 )
 
 
@@ -101,7 +102,7 @@ def radius_table(
 
 
 def is_exchangeable(model: PoseModel, part: str | None) -> bool:
-    """Whether the guarantee reaches the frames of a part: only the test part of an ``interleaved`` split."""
+    """Whether the guarantee reaches a part, if all its frames are answered: only the test part of ``interleaved``."""
     return part == "test" and model.split.kind is SplitKind.INTERLEAVED
 
 

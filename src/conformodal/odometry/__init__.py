@@ -7,6 +7,7 @@ from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .fix_scale import FixScale
+from .identity import Found, FrameIdentities, data_digest, identify
 from .landmarks import Fixes, LandmarkRegions, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
@@ -21,7 +22,7 @@ from .store import load_model, save_model
 from .streaming import StreamRunner
 from .tally import RegionTally
 from .targets import TARGET_NAMES, pose_targets, target_scale
-from .training import TrainingData, data_digest, prepare_training_data, train_model
+from .training import TrainingData, prepare_training_data, train_model
 from .writer import ResultsWriter
 
 __all__ = [
@@ -31,6 +32,8 @@ __all__ = [
     "Estimate",
     "FixScale",
     "Fixes",
+    "Found",
+    "FrameIdentities",
     "LandmarkRegions",
     "Landmarks",
     "ModelConfig",
@@ -55,6 +58,7 @@ __all__ = [
     "data_digest",
     "fit_landmarks",
     "fit_pose_radius",
+    "identify",
     "iter_region_records",
     "learn_scene",
     "load_model",

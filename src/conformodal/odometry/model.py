@@ -25,6 +25,7 @@ from conformodal.reasoning import (
 from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
+from .identity import FrameIdentities
 from .landmarks import Fixes, LandmarkRegions, Landmarks
 from .local import LocalFinder
 from .radius import PoseRadius
@@ -80,8 +81,8 @@ class PoseModel:
         Camera of the training images.
     split
         Which frames were used for what.
-    data_digest
-        Digest of the training data's frames, to recognise the data set again.
+    known_frames
+        All frames of the training data, in the order that `split` numbers them in, to know them again.
     configuration
         Settings behind the model, for the record.
     radius
@@ -101,7 +102,7 @@ class PoseModel:
     scale: SpreadScale
     camera: PinholeCamera
     split: Split
-    data_digest: str
+    known_frames: FrameIdentities
     configuration: dict[str, Any] = field(default_factory=dict)
     radius: PoseRadius | None = None
 
@@ -248,8 +249,15 @@ class PoseModel:
             regions = self.landmark_regions
             self.landmark_regions = replace(regions, calibration=regions.calibration.at(alpha))
 
-    def check_camera(self, camera: PinholeCamera) -> None:
+    def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
         """Refuse images of another camera: poses were learnt through this one.
+
+        Parameters
+        ----------
+        camera
+            Of the images.
+        tolerance
+            How far intrinsics may differ, as a share of the image's width.
 
         Raises
         ------
@@ -259,9 +267,14 @@ class PoseModel:
         mine, other = self.camera, camera
         same = (mine.width, mine.height) == (other.width, other.height)
         values = [(mine.fx, other.fx), (mine.fy, other.fy), (mine.cx, other.cx), (mine.cy, other.cy)]
-        same = same and np.array_equal(mine.distortion or np.zeros(4), other.distortion or np.zeros(4))
-        if not same or any(abs(a - b) > 1e-3 * mine.width for a, b in values):
+        same = same and _lens(mine) == _lens(other)
+        if not same or any(abs(a - b) > tolerance * mine.width for a, b in values):
             raise OdometryError(f"the model was trained with {mine}, the source has {other}")
+
+
+def _lens(camera: PinholeCamera) -> tuple[float, ...]:
+    """All five numbers, whether a file says those that are zero or not."""
+    return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))
 
 
 def _check_as_many(fixes: Sequence[Fixes], n_images: int) -> None:

@@ -19,10 +19,10 @@ from .answers import METHODS
 from .errors import OdometryError
 from .estimates import OdometryRun
 from .estimator import VisualOdometry
+from .identity import identify
 from .model import PoseModel
 from .motions import Progress
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
-from .training import data_digest
 
 
 def calibrate_selection(
@@ -51,14 +51,19 @@ def calibrate_selection(
     Raises
     ------
     OdometryError
-        If the recordings are those that the model was trained on, or the method is unknown.
+        If a frame is one of the data set that the model was trained on, or the method is unknown. A frame of its test
+        part is refused too: the model knows the recording around it.
     PoseError
         If the sequence has no poses.
     """
     if method not in METHODS:
         raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
-    if data_digest(sequence) == model.data_digest:
-        raise OdometryError(f"{sequence.name}: is the data set the model was trained on; calibrate on other recordings")
+    known = model.known_frames.known(identify(sequence, model.known_frames))
+    if known.any():
+        raise OdometryError(
+            f"{sequence.image_paths[int(known.argmax())]}: has the pixels of a frame of the data set the model was "
+            f"trained on, and so have {known.sum()} of {len(known)} frames; calibrate on other recordings"
+        )
     truth = sequence.require_truth()
     run = VisualOdometry(model).process(sequence, cache=cache, progress=progress)
     return fit_pose_radius(recording_errors(run, method, truth, sequence.recording), alpha, promise, method)

@@ -30,16 +30,18 @@ from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, 
 
 from .errors import ModelFileError
 from .fix_scale import FixScale
+from .identity import FrameIdentities
 from .landmarks import LandmarkRegions, Landmarks
 from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 
-FORMAT = "conformodal-model-9"
+FORMAT = "conformodal-model-10"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit")
 _MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
+_IDENTITIES = ("files", "pixels", "poses")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
 _PRIOR_DEPTHS = ("depth_m", "depth_spread")
 
@@ -54,6 +56,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         arrays |= {f"backbone.{k}": v for k, v in model.backbone.weights().items()}
     arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
+    arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
     arrays["calibration.scores"] = model.calibration.scores_
     if model.calibration.joint == "max":
         arrays["calibration.shift"], arrays["calibration.scale"] = (
@@ -90,7 +93,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "scale": asdict(model.scale),
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
-        "data_digest": model.data_digest,
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
@@ -159,7 +161,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
         camera=_camera(record["camera"]),
         split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
-        data_digest=record["data_digest"],
+        known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
     )

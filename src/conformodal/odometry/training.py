@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -42,6 +41,7 @@ from conformodal.vision import (
 )
 
 from .config import ModelConfig
+from .identity import identify
 from .landmarks import LandmarkRegions
 from .local import LocalFinder, make_finder
 from .model import PoseModel
@@ -200,7 +200,7 @@ def train_model(
         scale=fit_spread_scale(modes, truth[held_out], strangeness),
         camera=data.sequence.camera,
         split=data.split,
-        data_digest=data_digest(data.sequence),
+        known_frames=identify(data.sequence, progress=_stage(progress, "frames to know again")),
         configuration=_record(config, data.sequence),
     )
 
@@ -252,17 +252,6 @@ def _local_finder(
         return None
     queries = regression.references[np.searchsorted(frames, calibration)]
     return finder, regression.predict_projected(queries, (pieces[calibration], pieces[frames]))
-
-
-def data_digest(sequence: Sequence) -> str:
-    """Digest of a data set's frame names, times and poses: the same data set gives the same digest anywhere."""
-    digest = hashlib.sha256()
-    for path in sequence.image_paths:
-        digest.update(path.name.encode() + b"\0")
-    digest.update(sequence.timestamps_s.tobytes())
-    if sequence.truth is not None:
-        digest.update(sequence.truth.positions_xyz.tobytes())
-    return digest.hexdigest()
 
 
 def _record(config: ModelConfig, sequence: Sequence) -> dict[str, Any]:

@@ -1,0 +1,161 @@
+"""Which frames a model knows: by the pixels of their images and by their poses, whatever their files are called."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.datasets import ImageError, Sequence, read_image
+from conformodal.poses import angle_between_quats
+
+_BYTES = 16  # of a digest
+_NOTHING = bytes(_BYTES)
+# Poses that went through the text of another layout lose their last digits: to 1e-9, relative in some.
+_TOLERANCE_M, _TOLERANCE_RAD = 1e-6, 1e-6
+# Digests of pixels by digests of files: a process that trains many models on a data set decodes it once for them.
+_DECODED: dict[bytes, bytes] = {}
+_MOST_DECODED = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where known frames are in a sequence.
+
+    Attributes
+    ----------
+    at
+        (n,) index in the sequence of the frame with a known frame's pixels and, where it has one, its pose; -1 where
+        there is none. No two known frames share one.
+    moved
+        (n,) where `at` is -1, index of a frame with the known frame's pixels and another pose; else -1.
+    """
+
+    at: npt.NDArray[np.int64]
+    moved: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameIdentities:
+    """What frames are recognised by.
+
+    Attributes
+    ----------
+    files, pixels
+        (n, 16) digests of the image's file, and of its pixels; zeros, which match nothing, where it cannot be read.
+    poses
+        (n, 7) position and orientation ``wxyz``; NaN where there is none.
+    """
+
+    files: npt.NDArray[np.uint8]
+    pixels: npt.NDArray[np.uint8]
+    poses: npt.NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def known(self, others: FrameIdentities) -> npt.NDArray[np.bool_]:
+        """Which of the `others` (m,) have the pixels of one of these frames."""
+        mine = {row.tobytes() for row in self.pixels} - {_NOTHING}
+        return np.array([row.tobytes() in mine for row in others.pixels], dtype=bool)
+
+    def find(self, others: FrameIdentities) -> Found:
+        """Find each of these frames among the `others`: by its pixels, and by its pose where both have one.
+
+        Frames with the same pixels are told apart by their poses; those with the same pose as well are taken in order.
+        """
+        at, moved = np.full(len(self), -1), np.full(len(self), -1)
+        alike: dict[bytes, list[int]] = defaultdict(list)
+        for k, row in enumerate(self.pixels):
+            alike[row.tobytes()].append(k)
+        left = []
+        for i, row in enumerate(others.pixels):
+            digest = row.tobytes()
+            if digest == _NOTHING or digest not in alike:
+                continue
+            free = [k for k in alike[digest] if at[k] < 0]
+            same = next((k for k in free if _same_pose(self.poses[k], others.poses[i])), None)
+            if same is None:
+                left.append((i, digest))
+            else:
+                at[same] = i
+        for i, digest in left:
+            for k in alike[digest]:
+                if at[k] < 0 and moved[k] < 0:
+                    moved[k] = i
+        return Found(at, moved)
+
+
+def identify(
+    sequence: Sequence, known: FrameIdentities | None = None, progress: Callable[[int, int], None] | None = None
+) -> FrameIdentities:
+    """Identities of a sequence's frames, in their order. They are of the files: the sequence's noise is left out.
+
+    Parameters
+    ----------
+    sequence
+        What to look at.
+    known
+        Frames whose files need no decoding where they have not changed; another decoder's last digits do not matter
+        then either.
+    progress
+        Called with frames done and frames in all.
+    """
+    decoded = (
+        {} if known is None else {f.tobytes(): p.tobytes() for f, p in zip(known.files, known.pixels, strict=True)}
+    )
+    decoded.pop(_NOTHING, None)
+    n = len(sequence)
+    found = np.zeros((2, n, _BYTES), dtype=np.uint8)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        digests = pool.map(lambda path: _digests(path, decoded), sequence.image_paths)
+        for i, (of_file, of_pixels) in enumerate(digests):
+            found[0, i], found[1, i] = np.frombuffer(of_file, np.uint8), np.frombuffer(of_pixels, np.uint8)
+            if progress is not None:
+                progress(i + 1, n)
+    poses = np.full((n, 7), np.nan)
+    if sequence.truth is not None:
+        poses = np.column_stack((sequence.truth.positions_xyz, sequence.truth.orientations_quat_wxyz))
+    return FrameIdentities(found[0], found[1], poses)
+
+
+def data_digest(sequence: Sequence) -> str:
+    """Digest of all that results on a data set rest on: two data sets with the same one give the same results."""
+    own = identify(sequence)
+    digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
+    for array in (own.pixels, own.poses, sequence.timestamps_s, sequence.recording):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for path in sequence.image_paths:  # results name frames, and a frame's noise is drawn by its name
+        digest.update(path.name.encode() + b"\0")
+    return digest.hexdigest()
+
+
+def _digests(path: Path, decoded: dict[bytes, bytes]) -> tuple[bytes, bytes]:
+    """Of an image's file and of its pixels."""
+    try:
+        of_file = hashlib.blake2b(path.read_bytes(), digest_size=_BYTES).digest()
+        of_pixels = decoded.get(of_file) or _DECODED.get(of_file)
+        if of_pixels is None:
+            image = read_image(path)
+            digest = hashlib.blake2b(str(image.shape).encode(), digest_size=_BYTES)
+            digest.update(image.tobytes())
+            of_pixels = digest.digest()
+            if len(_DECODED) >= _MOST_DECODED:
+                _DECODED.clear()
+            _DECODED[of_file] = of_pixels
+    except (OSError, ImageError):
+        return _NOTHING, _NOTHING
+    return of_file, of_pixels
+
+
+def _same_pose(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> bool:
+    if np.isnan(a).any() or np.isnan(b).any():
+        return True
+    near = np.linalg.norm(a[:3] - b[:3]) <= _TOLERANCE_M * max(1.0, float(np.linalg.norm(a[:3])))
+    return bool(near and angle_between_quats(a[3:], b[3:]) <= _TOLERANCE_RAD)
