@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from math import ceil, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from conformodal.datasets import Layout
-from conformodal.odometry import METHODS, Promise, calibrate_selection, load_model, save_model
+from conformodal.odometry import (
+    METHODS,
+    Promise,
+    Sizing,
+    calibrate_selection,
+    load_model,
+    recordings_needed,
+    save_model,
+)
 from conformodal.vision import FeatureCache, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
@@ -27,6 +34,13 @@ def calibrate(
         Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
     ] = Promise.FRAME,
     method: Annotated[str, typer.Option(help="Whose answer the radius is about.")] = METHODS[0],
+    sizing: Annotated[
+        Sizing, typer.Option(help="roughness: larger in recordings whose answers jump from frame to frame.")
+    ] = Sizing.NONE,
+    metres_per_radian: Annotated[
+        float | None,
+        typer.Option(min=0, help="Metres that weigh as much as one radian; the scene's depth by default."),
+    ] = None,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
     """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
@@ -34,17 +48,19 @@ def calibrate(
     sequence = open_sequence(data, layout, require_poses=True)
     features = FeatureCache(cache or default_cache_dir())
     with progress_bars() as report:
-        radius = calibrate_selection(loaded, sequence, alpha, promise, method, cache=features, progress=report)
+        radius = calibrate_selection(
+            loaded, sequence, alpha, promise, method, sizing, metres_per_radian, cache=features, progress=report
+        )
     loaded.radius = radius
     save_model(loaded, model)
     if isfinite(radius.radius_m):
-        console.print(f"radius {radius.radius_m:.4f} m and {np.degrees(radius.radius_rad):.2f} degrees. ", end="")
+        size = "" if sizing is Sizing.NONE else ", times the size of the recording"
+        console.print(f"radius {radius.radius_m:.4f} m and {radius.degrees():.2f} degrees{size}. ", end="")
         console.print(radius.assumption, soft_wrap=True)
     else:
-        needed = ceil(2 / alpha) - 1
         console.print(
             f"[bold]The radius is infinite[/]: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
-            f"at least {needed} are needed, and more where frames could not be read.",
+            f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read.",
             soft_wrap=True,
         )
     print_where(model)

@@ -23,6 +23,7 @@ from .identity import identify
 from .model import PoseModel
 from .motions import Progress
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
+from .sizing import METRES_PER_RAD, Sizing, check_metres_per_rad, depth_or_default, recording_size
 
 
 def calibrate_selection(
@@ -31,6 +32,8 @@ def calibrate_selection(
     alpha: Alpha = 0.1,
     promise: Promise = Promise.FRAME,
     method: str = METHODS[0],
+    sizing: Sizing = Sizing.NONE,
+    metres_per_rad: float | None = None,
     *,
     cache: FeatureCache | None = None,
     progress: Progress | None = None,
@@ -42,17 +45,20 @@ def calibrate_selection(
     model
         Trained on other recordings.
     sequence
-        Recordings to calibrate on, the more the better: fewer than ``2 / alpha - 1`` leave the radius infinite.
-    alpha, promise, method
+        Recordings to calibrate on, the more the better: fewer than ``1 / alpha - 1`` leave the radius infinite.
+    alpha, promise, method, sizing
         See :class:`PoseRadius`.
+    metres_per_rad
+        How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
+        promise is exact as long as the true poses of these recordings had no part in choosing it.
     cache, progress
         As for :meth:`~conformodal.VisualOdometry.process`.
 
     Raises
     ------
     OdometryError
-        If a frame is one of the data set that the model was trained on, or the method is unknown. A frame of its test
-        part is refused too: the model knows the recording around it.
+        If a frame is one of the data set that the model was trained on, the method is unknown, or `metres_per_rad` is
+        not positive and finite. A frame of its test part is refused too: the model knows the recording around it.
     PoseError
         If the sequence has no poses.
     """
@@ -64,9 +70,20 @@ def calibrate_selection(
             f"{sequence.image_paths[int(known.argmax())]}: has the pixels of a frame of the data set the model was "
             f"trained on, and so have {known.sum()} of {len(known)} frames; calibrate on other recordings"
         )
+    # the depth was learnt in training, so it knows nothing of these recordings
+    given = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad
+    depth = check_metres_per_rad(given)
     truth = sequence.require_truth()
     run = VisualOdometry(model).process(sequence, cache=cache, progress=progress)
-    return fit_pose_radius(recording_errors(run, method, truth, sequence.recording), alpha, promise, method)
+    return fit_pose_radius(
+        recording_errors(run, method, truth, sequence.recording),
+        alpha,
+        promise,
+        method,
+        metres_per_rad=depth,
+        sizing=sizing,
+        sizes=recording_sizes(run, method, sequence.recording, sizing, alpha, depth),
+    )
 
 
 def recording_errors(
@@ -76,3 +93,16 @@ def recording_errors(
     position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
     position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
     return [(position[recording == k], angle[recording == k]) for k in np.unique(recording)]
+
+
+def recording_sizes(
+    run: OdometryRun,
+    method: str,
+    recording: npt.NDArray[np.int64],
+    sizing: Sizing,
+    alpha: Alpha,
+    metres_per_rad: float = METRES_PER_RAD,
+) -> list[float]:
+    """Sizes of a run's recordings, one each, see :func:`recording_size`; 1 where too few frames could be read."""
+    own, answers = recording[run.frames], run.trajectories[method]
+    return [recording_size(answers[own == k], sizing, alpha, metres_per_rad) for k in np.unique(recording)]

@@ -1,0 +1,120 @@
+"""How hard a recording looks without its truth: what a radius is resized by.
+
+A system whose answers to neighbouring frames contradict each other is further off than one whose answers do not. This
+is what the resized sets of Duchi, Gupta, Jiang and Sur ("Predictive inference in multi-environment scenarios",
+arXiv:2403.16336) ask for: little, known of the new environment, that tells its difficulty. The form here is fixed and
+learns nothing from the truth of any recording, so a promise calibrated on resized errors stays exact.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.poses import Trajectory
+
+from .errors import OdometryError
+
+FloatArray = npt.NDArray[np.float64]
+
+# A pose d metres off moves the view of things at a depth of z metres as much as one turned by d / z radians. Rooms
+# are some two metres deep; a model that knows the depth of its own scene uses that.
+METRES_PER_RAD = 2.0
+# A recording of this roughness has size 1. A unit only: thresholds take it back.
+REFERENCE_RAD = 0.01
+# Less than proportional, because only a part of an error shows in neighbouring frames: what a map has wrong moves all
+# of them alike. Chosen in benchmarks/radius.py, on one reference truth, and tested on the other.
+POWER = 0.25
+# No recording counts as smoother than this, so that a size is never zero.
+LEAST_RAD = 1e-6
+
+
+class Sizing(StrEnum):
+    """What makes a radius larger in one recording than in another."""
+
+    NONE = "none"  # nothing: one radius for all
+    ROUGHNESS = "roughness"  # how far answers are from what their neighbours in time say
+
+
+def depth_or_default(depth_m: float) -> float:
+    """How many metres weigh as much as one radian, where `depth_m` is that of a scene or NaN."""
+    return depth_m if np.isfinite(depth_m) else METRES_PER_RAD
+
+
+def check_metres_per_rad(metres_per_rad: float) -> float:
+    """The same number.
+
+    Raises
+    ------
+    OdometryError
+        If it is not positive and finite.
+    """
+    if not (metres_per_rad > 0 and np.isfinite(metres_per_rad)):
+        raise OdometryError(f"metres_per_rad must be positive and finite, got {metres_per_rad}")
+    return metres_per_rad
+
+
+def joint_error(position_m: npt.ArrayLike, angle_rad: npt.ArrayLike, metres_per_rad: float) -> FloatArray:
+    """One error of a pose in radians: the larger of its angle and its distance over `metres_per_rad`."""
+    return np.maximum(np.asarray(position_m, dtype=np.float64) / metres_per_rad, angle_rad)
+
+
+def roughness(trajectory: Trajectory, metres_per_rad: float = METRES_PER_RAD) -> FloatArray:
+    """How far every pose of one recording is from the one that its two neighbours give for its time.
+
+    Parameters
+    ----------
+    trajectory
+        n poses of one recording, in the order of time.
+    metres_per_rad
+        See :func:`joint_error`.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n - 2,) joint errors in radians: the first and the last pose have one neighbour only. Empty if n < 3.
+    """
+    if len(trajectory) < 3:
+        return np.empty(0)
+    before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
+    times, places = trajectory.timestamps_s, trajectory.positions_xyz
+    turns = Rotation.from_quat(trajectory.orientations_quat_wxyz, scalar_first=True)
+    share = ((times[here] - times[before]) / (times[after] - times[before]))[:, None]
+    place = places[before] + share * (places[after] - places[before])
+    turn = turns[before] * Rotation.from_rotvec(share * (turns[before].inv() * turns[after]).as_rotvec())
+    metres = np.linalg.norm(places[here] - place, axis=1)
+    return joint_error(metres, (turn.inv() * turns[here]).magnitude(), metres_per_rad)
+
+
+def recording_size(
+    trajectory: Trajectory, sizing: Sizing, alpha: Alpha, metres_per_rad: float = METRES_PER_RAD
+) -> float:
+    """Size of one recording by its answers: its radius is so many times that of a recording of size 1.
+
+    The fourth root of the 1 - `alpha` quantile of its :func:`roughness`, in units of a hundredth of a radian. The
+    quantile is the one that the radius is about.
+
+    Parameters
+    ----------
+    trajectory
+        Answered frames of one recording, in the order of time.
+    sizing
+        ``none`` gives 1.
+    alpha
+        Miscoverage rate of the radius.
+    metres_per_rad
+        See :func:`joint_error`.
+
+    Returns
+    -------
+    float
+        Positive; 1 where fewer than three frames were answered, so that there is no roughness.
+    """
+    if sizing is Sizing.NONE or len(trajectory) < 3:
+        return 1.0
+    rough = np.quantile(roughness(trajectory, metres_per_rad), 1 - float(as_alpha(alpha)))
+    return float((max(float(rough), LEAST_RAD) / REFERENCE_RAD) ** POWER)
