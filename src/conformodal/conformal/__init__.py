@@ -13,9 +13,10 @@ from .calibration import (
     grouped_quantile,
     weighted_quantile,
 )
-from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose
+from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
 from .errors import ConformalError, ConformodalError, NotCalibratedError
 from .learning import ConformalRegressor, StackedDensity
+from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, DtAci, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
@@ -37,6 +38,7 @@ __all__ = [
     "LinearDensity",
     "MondrianConformal",
     "NotCalibratedError",
+    "NoveltyTest",
     "OnlineConformal",
     "QuantileBins",
     "Regions",
@@ -49,6 +51,7 @@ __all__ = [
     "conformal_rank",
     "coverage_band",
     "diagnose",
+    "grouped_coverage_band",
     "grouped_maximum_quantile",
     "grouped_quantile",
     "weighted_quantile",

@@ -1,4 +1,4 @@
-"""A conformal test of novelty: is a new sample like those that are known, or like none of them?"""
+"""A conformal test of novelty: whether a new sample is like those that are known."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class NoveltyTest:
 
     The novelty score of a sample is its distance to the nearest reference sample. A reference sample is scored without
     the samples of its own group. If the groups and the group of a new sample are exchangeable, and the new sample is
-    drawn at random from its group, then ``P(p <= u) <= u`` for every u. No data are held out for this: with the new
-    group among the references the scores of all groups are exchangeable (Vovk, Gammerman and Shafer 2005; for groups
-    Dunn, Wasserman and Ramdas 2023), a score can only fall by that, and the new sample itself lies no nearer to a
-    reference sample than its own score says. The p-value is therefore at least that of the full conformal test.
+    drawn at random from its group, then ``P(p <= u) <= u`` for every u. No data are held out for this. The full
+    conformal test (Vovk, Gammerman and Shafer 2005; for groups Dunn, Wasserman and Ramdas 2023) would add the new group
+    to the references. The distances of reference samples could then only become smaller; that of the new sample would
+    not change. So this p-value is never smaller than that of the full test.
 
     Parameters
     ----------
@@ -80,6 +80,16 @@ class NoveltyTest:
         """``(1 + sum over groups of the share of their scores that are at least as large) / (K + 1)``, (m,)."""
         at_least = self._from[np.searchsorted(self._sorted, np.asarray(scores), side="left")]
         return np.asarray((1 + at_least) / (self.n_groups + 1))
+
+    def left_out_p_values(self) -> FloatArray:
+        """P-values (n,) of the reference samples, each among the other groups alone."""
+        own = np.empty(len(self.scores_))
+        for label in np.unique(self.groups):
+            mine = np.flatnonzero(self.groups == label)
+            ranked = np.sort(self.scores_[mine])
+            own[mine] = 1 - np.searchsorted(ranked, self.scores_[mine], side="left") / len(mine)
+        at_least = self._from[np.searchsorted(self._sorted, self.scores_, side="left")]
+        return np.asarray((1 + at_least - own) / self.n_groups)
 
     @property
     def least_p(self) -> float:

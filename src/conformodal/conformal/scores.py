@@ -23,9 +23,10 @@ class Score(Protocol):
     ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
     probabilities' own floating type. A row's scores may depend on nothing but that row.
 
-    Two attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
-    (n, K * cells). ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never
-    rises with the probability; sets are then found without computing a score.
+    Three attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
+    (n, K * cells). ``normalised`` (bool): scores of different targets can be compared as they are, so that one
+    threshold over all of them needs no scales. ``elementwise`` (bool): a bin's score depends on its own probability and
+    width alone and never rises with the probability; sets are then found without computing a score.
     """
 
     name: str
@@ -96,6 +97,9 @@ class LinearDensity:
         return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
 
 
+_SUFFIXES = {0.5: "_mid", 1.0: "_full"}  # of the names of scores that are not randomised
+
+
 class Aps:
     """Adaptive prediction sets: the probability of all bins that are more probable, and a random part of the bin's.
 
@@ -110,27 +114,44 @@ class Aps:
     order
         ``"probability"`` or ``"density"``: by which bins are ranked.
     randomized
-        False counts the bin's own probability in full: larger sets, never an empty one.
+        False counts a fixed share of the bin's own probability. The score then moves little where the probabilities do,
+        so that batches and streams, whose last digits differ, get the same sets.
     seed
         Of the hash.
+    own_share
+        That fixed share: 1 makes sets larger, and never empty; one half makes them as large as random shares do, on
+        average.
     """
 
+    normalised = True  # a share of the row's probability, whatever the target
+
     def __init__(
-        self, order: Literal["probability", "density"] = "probability", randomized: bool = True, seed: int = 0
+        self,
+        order: Literal["probability", "density"] = "probability",
+        randomized: bool = True,
+        seed: int = 0,
+        own_share: float = 1.0,
     ) -> None:
         if order not in ("probability", "density"):
             raise ConformalError(f"order must be 'probability' or 'density', got {order!r}")
         self.order = order
-        self.randomized = randomized
+        if not 0 < own_share <= 1:
+            raise ConformalError(f"own_share must be above 0 and at most 1, got {own_share}")
+        self.randomized, self.own_share = randomized, own_share
         self.seed = seed
-        self.name = "aps" if order == "probability" else "hpd"
+        suffix = "" if randomized else _SUFFIXES.get(own_share, "_fixed")
+        self.name = ("aps" if order == "probability" else "hpd") + suffix
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
         keys = proba if self.order == "probability" else proba / widths
         order = np.argsort(-keys, axis=1, kind="stable")
         ranked = np.take_along_axis(proba, order, axis=1)
-        share = row_uniforms(proba, self.seed)[:, None].astype(proba.dtype) if self.randomized else proba.dtype.type(1)
+        share = (
+            row_uniforms(proba, self.seed)[:, None].astype(proba.dtype)
+            if self.randomized
+            else proba.dtype.type(self.own_share)
+        )
         before = np.cumsum(ranked, axis=1, dtype=proba.dtype) - ranked
         scores = np.empty_like(proba)
         np.put_along_axis(scores, order, before + share * ranked, axis=1)
@@ -148,7 +169,10 @@ def row_uniforms(rows: FloatArray, seed: int = 0) -> npt.NDArray[np.float64]:
     return np.asarray(((hashed ^ (hashed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53)
 
 
-SCORES: dict[str, Score] = {score.name: score for score in (Lac(), Density(), LinearDensity(), Aps(), Aps("density"))}
+_MIDDLE = Aps("density", randomized=False, own_share=0.5)
+SCORES: dict[str, Score] = {
+    score.name: score for score in (Lac(), Density(), LinearDensity(), Aps(), Aps("density"), _MIDDLE)
+}
 
 
 def resolve_score(score: str | Score) -> Score:

@@ -62,3 +62,31 @@ def test_sums_are_exact_where_floats_are_not():
 def test_groups_that_are_none_are_refused(group, message):
     with pytest.raises(ConformalError, match=message):
         grouped_quantile([[1.0], group], 0.1)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_members_of_a_category_keep_the_promise_of_whole_groups(seed):
+    """Every group in turn is the new one: its members of a category miss with their share of alpha at most, exactly."""
+    rng = np.random.default_rng(seed)
+    alpha = Fraction(int(rng.integers(1, 9)), 10)
+    groups = []  # scores and categories; categories and difficulty go together, and differ from group to group
+    for _ in range(int(rng.integers(3, 15))):
+        kinds = rng.random(int(rng.integers(1, 6))) < rng.random()
+        groups.append((np.round(rng.normal(kinds * 2.0, 1.0), 1), kinds))
+    for kind in (False, True):
+        weight, missed = Fraction(0), Fraction(0)
+        for new, (scores, kinds) in enumerate(groups):
+            rest = [g for k, g in enumerate(groups) if k != new and (g[1] == kind).any()]
+            members, sizes = [s[k == kind] for s, k in rest], [len(s) for s, _ in rest]
+            threshold = grouped_quantile(members, alpha, sizes)
+            weight += Fraction(int((kinds == kind).sum()), len(scores))
+            missed += Fraction(int((scores[kinds == kind] > threshold).sum()), len(scores))
+        assert missed <= alpha * weight
+
+
+def test_all_members_of_a_group_weigh_as_much_as_without_sizes():
+    groups = [[1.0, 2.0, 3.0, 9.0], [2.0, 2.0, 8.0], [4.0, 5.0]]
+    assert grouped_quantile(groups, 0.4, [4, 3, 2]) == grouped_quantile(groups, 0.4)
+    assert grouped_quantile(groups, 0.3, [8, 6, 4]) == float("inf")  # half of each: too little weight for this rate
+    with pytest.raises(ConformalError, match="sizes"):
+        grouped_quantile(groups, 0.4, [3, 3, 2])

@@ -37,7 +37,8 @@ class Calibrator:
     joint
         ``"none"``: the promise holds for each target alone (the paper's). ``"bonferroni"``: every target is
         calibrated at alpha / d, so that the promise holds for all together. ``"max"``: one threshold over the largest
-        of the targets' scores, scaled by :meth:`fit_scale`; holds for all together.
+        of the targets' scores, scaled by :meth:`fit_scale` unless they are comparable as they are (``hpd``, ``aps``);
+        holds for all together.
     empty
         What becomes of an empty set. ``"allow"``: it stays; the sets are exactly the values whose score is at most
         the threshold. ``"mode"``: the best bin is put in; coverage can only rise.
@@ -59,6 +60,8 @@ class Calibrator:
         self.score = resolve_score(score)
         self.cells = bins.refine(cells_of(self.score))
         self.rule = JointRule(joint, bins.n_targets)
+        if getattr(self.score, "normalised", False):
+            self.rule.keep_scale()
         self.empty: Empty = empty
 
     @property

@@ -19,7 +19,7 @@ from ..rank import conformal_quantile
 FloatArray = npt.NDArray[np.float64]
 
 
-def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
+def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Sequence[int] | None = None) -> float:
     """Threshold that a member of a new group, drawn at random, exceeds with probability at most `alpha`.
 
     Every group weighs the same, whatever its size, and shares its weight among its members; the new group stands at
@@ -32,11 +32,16 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
         K vectors of nonconformity scores, none empty; ``+inf`` is allowed.
     alpha
         Miscoverage rate in (0, 1).
+    sizes
+        (K,) members of each whole group, where only those of one category are given: each member then keeps its weight
+        in the whole group, a new group weighs as much as a whole one, and a member of a new group is of the category
+        and beyond the threshold with probability at most `alpha` times the weight of the category. By default all
+        members are given.
 
     Returns
     -------
     float
-        One of the scores, or ``+inf`` if there are fewer groups than ``1 / alpha - 1``.
+        One of the scores, or ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole groups.
 
     Raises
     ------
@@ -54,10 +59,15 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
         return float("inf")
     scores = np.concatenate(arrays)
     order = np.argsort(scores, kind="stable")
+    counts = [a.size for a in arrays]
+    members = counts if sizes is None else [int(size) for size in sizes]
+    if len(members) != len(counts) or any(m < c for m, c in zip(members, counts, strict=True)):
+        raise ConformalError(f"sizes must be at least those of the groups, {counts}, got {members}")
     # in units of 1 / whole, so that every member's weight is a whole number
-    whole = lcm(*(a.size for a in arrays))
-    weights = np.repeat(np.array([whole // a.size for a in arrays], dtype=object), [a.size for a in arrays])
-    need = -((len(arrays) + 1) * whole * (rate.numerator - rate.denominator) // rate.denominator)
+    whole = lcm(*members)
+    weights = np.repeat(np.array([whole // m for m in members], dtype=object), counts)
+    total = sum(whole // m * c for m, c in zip(members, counts, strict=True))
+    need = -((total + whole) * (rate.numerator - rate.denominator) // rate.denominator)
     for at, reached in zip(order, accumulate(weights[order]), strict=True):
         if reached >= need:
             return float(scores[at])

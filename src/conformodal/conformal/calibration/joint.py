@@ -65,6 +65,10 @@ class JointRule:
             reach = float(np.minimum(conformal_quantile(finite, tail), finite.max()) - self.loc_[j])
             self.scale_[j] = reach if reach > 0 else float(finite.std()) or 1.0
 
+    def keep_scale(self) -> None:
+        """Compare the targets' scores as they are."""
+        self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
+
     def columns(self, scores: FloatArray) -> FloatArray:
         """The calibrated columns of scores (n, d): (n, d), or (n, 1) for ``max``."""
         if self.joint != "max":

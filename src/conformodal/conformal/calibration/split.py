@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from copy import copy
+from itertools import accumulate
+from math import lcm
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, Probabilities, as_alpha
+from ..checks import Alpha, Probabilities, as_alpha, as_groups
 from ..errors import ConformalError, NotCalibratedError
 from ..rank import conformal_quantile, conformal_rank
 from ..regions import Regions
 from .base import Calibrator, FloatArray
+from .grouped import grouped_quantile
 
 
 class SplitConformal(Calibrator):
@@ -22,6 +25,10 @@ class SplitConformal(Calibrator):
     neither was used to fit the probabilities or the bins, then per target ``P(y in region) >= 1 - alpha``; with
     ``joint="bonferroni"`` or ``"max"`` all targets hold at once with that probability.
 
+    With ``groups``, such as stretches of a video or whole recordings, the groups are exchangeable, their members need
+    not be, and the promise is that of a sample drawn at random from a new group (Dunn, Wasserman and Ramdas 2023; Lee,
+    Barber and Willett 2023).
+
     Parameters
     ----------
     bins, alpha, score, joint, empty
@@ -30,6 +37,8 @@ class SplitConformal(Calibrator):
     Attributes
     ----------
     scores_ : (n, d) calibration scores of the true bins, ``+inf`` for values outside the edges
+    groups_ : (n,) labels of the calibration samples, or None where each stands for itself
+    group_sizes_ : (n,) members of each sample's whole group, of which only one category may be here; or None
     thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
 
     Examples
@@ -45,14 +54,22 @@ class SplitConformal(Calibrator):
     """
 
     scores_: npt.NDArray[np.floating[Any]]
+    groups_: npt.NDArray[Any] | None
+    group_sizes_: npt.NDArray[np.int64] | None
     thresholds_: npt.NDArray[np.floating[Any]]
 
     @property
     def rank(self) -> int:
-        """Rank k of the threshold among the calibration scores; n + 1 means the whole space."""
-        return conformal_rank(self._calibrated().shape[0], self.alpha_per_target)
+        """Rank k of the threshold among as many exchangeable units; one more than these means the whole space."""
+        return conformal_rank(self.n_units, self.alpha_per_target)
 
-    def calibrate(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
+    @property
+    def n_units(self) -> int:
+        """Exchangeable units behind the thresholds: calibration samples, or their groups."""
+        n = self._calibrated().shape[0]
+        return n if self.groups_ is None else len(np.unique(self.groups_))
+
+    def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
         """Score the calibration samples and set the thresholds.
 
         Parameters
@@ -61,22 +78,49 @@ class SplitConformal(Calibrator):
             (n, d, K), or a list of d arrays (n, K_d).
         y
             (n, d) true values, or (n,) for one target. Values outside the edges score ``+inf``.
+        groups
+            (n,) labels of what is exchangeable; None where every sample is.
 
         Raises
         ------
         ConformalError
             On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
         NotCalibratedError
-            With ``joint="max"`` before :meth:`fit_scale`.
+            With ``joint="max"`` before :meth:`fit_scale`, unless the score is normalised.
         """
-        return self.calibrate_scores(self.score_samples(proba, y))
+        return self.calibrate_scores(self.score_samples(proba, y), groups)
 
-    def calibrate_scores(self, scores: FloatArray) -> Self:
-        """Set the thresholds from calibration scores that are there already, (n, d)."""
+    def calibrate_scores(
+        self,
+        scores: FloatArray,
+        groups: npt.ArrayLike | None = None,
+        group_sizes: npt.NDArray[np.int64] | None = None,
+    ) -> Self:
+        """Set the thresholds from calibration scores that are there already, (n, d).
+
+        Parameters
+        ----------
+        scores
+            See :meth:`score_samples`.
+        groups
+            As for :meth:`calibrate`.
+        group_sizes
+            (n,) members of each sample's whole group, where only those of one category are given, see
+            :func:`~conformodal.conformal.grouped_quantile`; None where all are.
+        """
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
             raise ConformalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
-        column_thresholds = conformal_quantile(self.rule.columns(scores), self.alpha_per_target)
-        self.scores_, self.thresholds_ = scores, self.rule.per_target(column_thresholds)
+        columns, rate = self.rule.columns(scores), self.alpha_per_target
+        if groups is None:
+            found = conformal_quantile(columns, rate)
+        else:
+            groups = as_groups(groups, len(scores))
+            labels, first = np.unique(groups, return_index=True)
+            parts = [columns[groups == label] for label in labels]
+            sizes = None if group_sizes is None else group_sizes[first].tolist()
+            found = np.array([grouped_quantile([p[:, j] for p in parts], rate, sizes) for j in range(columns.shape[1])])
+        self.scores_, self.groups_, self.group_sizes_ = scores, groups, group_sizes
+        self.thresholds_ = self.rule.per_target(found)
         return self
 
     def predict(self, proba: Probabilities) -> Regions:
@@ -97,19 +141,30 @@ class SplitConformal(Calibrator):
         other = copy(self)
         as_alpha(alpha)
         other.alpha = alpha
-        return other.calibrate_scores(self._calibrated())
+        return other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_)
 
     def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.
 
-        ``(1 + number of calibration scores at least as large) / (n + 1)``. With ``empty="allow"`` a value is in its
-        region exactly if its p-value exceeds alpha.
+        ``(1 + number of calibration scores at least as large) / (n + 1)``; with groups, ``(1 + sum over groups of the
+        share of their scores that are) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its
+        p-value exceeds alpha.
         """
-        calibration = np.sort(self.rule.columns(self._calibrated()), axis=0)
+        calibration = self.rule.columns(self._calibrated())
         new = self.rule.columns(self.score_samples(proba, y))
-        n = calibration.shape[0]
-        below = [np.searchsorted(c, s, side="left") for c, s in zip(calibration.T, new.T, strict=True)]
-        return np.asarray((1 + n - np.stack(below, axis=1)) / (n + 1))
+        labels = np.arange(len(calibration)) if self.groups_ is None else self.groups_
+        _, group, counts = np.unique(labels, return_inverse=True, return_counts=True)
+        sizes = counts[group] if self.group_sizes_ is None else self.group_sizes_
+        whole = lcm(*sizes.tolist())  # a group's weight, so that every member's is a whole number
+        weights = np.array([whole // size for size in sizes.tolist()], dtype=object)
+        total = int(weights.sum()) + whole
+        found = np.empty(new.shape)
+        for j, (scores, column) in enumerate(zip(calibration.T, new.T, strict=True)):
+            order = np.argsort(scores, kind="stable")
+            below = np.array([0, *accumulate(weights[order])], dtype=object)
+            reached = below[np.searchsorted(scores[order], column, side="left")]
+            found[:, j] = (total - reached) / total
+        return found
 
     def _calibrated(self) -> npt.NDArray[np.floating[Any]]:
         if not hasattr(self, "scores_"):

@@ -1,6 +1,6 @@
 """Checking a promise: coverage overall and where it may fail, sizes, p-values; each beside its law."""
 
-from .coverage import CoverageCheck, check_coverage, coverage_band
+from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnosis import Diagnosis, diagnose
 from .sizes import SizeSummary, summarise_sizes
 from .slab import SlabCheck, worst_slab
@@ -19,6 +19,7 @@ __all__ = [
     "coverage_by_group",
     "coverage_by_size",
     "diagnose",
+    "grouped_coverage_band",
     "summarise_sizes",
     "worst_slab",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,42 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     law = stats.betabinom(n_test, k, n_calibration + 1 - k)
     tail = (1 - level) / 2
     return float(law.ppf(tail)) / n_test, float(law.ppf(1 - tail)) / n_test
+
+
+def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level: float = 0.99) -> tuple[float, float]:
+    """Central band of the coverage over the test samples of several groups, each with a threshold of its own.
+
+    Counts of different groups are independent, so that their sum has the convolution of the groups' Beta-binomial laws.
+    With one group it is :func:`coverage_band`.
+
+    Parameters
+    ----------
+    groups
+        Calibration samples and test samples of each group. Groups without a finite threshold are always covered.
+    alpha, level
+        As for :func:`coverage_band`.
+
+    Raises
+    ------
+    ConformalError
+        If there are no test samples or `level` is outside (0, 1).
+    """
+    n_test = sum(m for _, m in groups)
+    if n_test < 1:
+        raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
+    if not 0 < level < 1:
+        raise ConformalError(f"level must lie strictly between 0 and 1, got {level}")
+    law, always = np.ones(1), 0
+    for n, m in groups:
+        k = conformal_rank(n, alpha)
+        if k > n:
+            always += m
+        elif m:
+            law = np.convolve(law, stats.betabinom(m, k, n + 1 - k).pmf(np.arange(m + 1)))
+    below = np.cumsum(law)
+    tail = (1 - level) / 2
+    low, high = (int(np.searchsorted(below, q)) for q in (tail, 1 - tail))
+    return (always + low) / n_test, (always + min(high, len(law) - 1)) / n_test
 
 
 def check_coverage(

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from conformodal.conformal import ConformalError, NoveltyTest
+
+
+def test_the_p_value_of_a_tiny_example_worked_by_hand():
+    # nearest of another group: 0 -> 3, 1 -> 3, 3 -> 1 (of {4} it is 1 away), 4 -> 3, 9 -> 4
+    test = NoveltyTest([[0.0], [1.0], [3.0], [4.0], [9.0]], ["a", "a", "b", "c", "d"])
+    np.testing.assert_allclose(test.scores_, [3, 2, 1, 1, 5])
+    np.testing.assert_allclose(test.weights_, [0.5, 0.5, 1, 1, 1])
+    new = test.scores([[2.9], [6.5], [30.0]])
+    np.testing.assert_allclose(new, [0.1, 2.5, 21])
+    np.testing.assert_allclose(test.p_values(new), [1, (1 + 0.5 + 1) / 5, 1 / 5])
+    # as large is enough
+    np.testing.assert_allclose(test.p_values([3.0, 2.0, 5.0]), [(1 + 0.5 + 1) / 5, (1 + 1 + 1) / 5, 2 / 5])
+    assert (test.n_groups, test.least_p) == (4, 1 / 5)
+
+
+def test_groups_of_one_count_scores():
+    rng = np.random.default_rng(0)
+    known = rng.normal(size=(300, 3))
+    test = NoveltyTest(known, np.arange(300))
+    apart = np.linalg.norm(known[:, None] - known, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    np.testing.assert_allclose(test.scores_, apart.min(axis=1))
+    new = test.scores(rng.normal(size=(20, 3)))
+    np.testing.assert_allclose(test.p_values(new), [(1 + (test.scores_ >= s).sum()) / 301 for s in new])
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.5])
+def test_a_member_of_a_new_group_is_rarely_new(spread):
+    """Groups are exchangeable, their members are not: P(p <= u) <= u all the same."""
+    rng = np.random.default_rng(1)
+    repeats, n_groups = 1500, 19
+    p = np.empty(repeats)
+    for i in range(repeats):
+        sizes = rng.integers(1, 6, n_groups + 1)
+        group = np.repeat(np.arange(n_groups + 1), sizes)
+        samples = rng.normal(size=(n_groups + 1, 2))[group] + spread * rng.normal(size=(len(group), 2))
+        new = rng.choice(np.flatnonzero(group == n_groups))
+        test = NoveltyTest(samples[group < n_groups], group[group < n_groups])
+        p[i] = test.p_values(test.scores(samples[new : new + 1]))[0]
+    for u in (0.05, 0.1, 0.2, 0.5):
+        assert (p <= u + 1e-12).sum() <= stats.binom.ppf(0.999, repeats, u)
+    # and it is not so by never rejecting
+    assert (p <= 0.2).mean() > 0.04
+
+
+def test_other_places_get_the_least_p_value():
+    rng = np.random.default_rng(2)
+    test = NoveltyTest(rng.normal(size=(200, 4)), np.arange(200) // 4)
+    p = test.p_values(test.scores(rng.normal(size=(10, 4)) + 50))
+    np.testing.assert_array_equal(p, test.least_p)  # to the last bit: a level is compared with it
+    assert test.least_p == 1 / 51
+
+
+@pytest.mark.parametrize(
+    ("references", "groups", "match"),
+    [
+        (np.zeros(3), [0, 1, 2], r"shape \(n, k\)"),
+        (np.empty((0, 2)), [], "references must be finite"),
+        ([[0.0], [np.nan]], [0, 1], "references must be finite"),
+        ([[0.0], [1.0]], [0], "one label a sample"),
+        ([[0.0], [1.0]], [0.0, np.nan], "NaN"),
+        ([[0.0], [1.0]], [5, 5], "two groups"),
+    ],
+)
+def test_references_that_are_none_are_refused(references, groups, match):
+    with pytest.raises(ConformalError, match=match):
+        NoveltyTest(references, groups)
+
+
+@pytest.mark.parametrize("samples", [np.zeros(2), np.zeros((1, 3))])
+def test_samples_of_another_shape_are_refused(samples):
+    with pytest.raises(ConformalError, match=r"samples must have shape \(m, 2\)"):
+        NoveltyTest(np.eye(2), [0, 1]).scores(samples)
+
+
+def test_left_out_p_values_are_those_of_the_other_groups():
+    rng = np.random.default_rng(5)
+    references, groups = rng.normal(size=(30, 3)), np.repeat(np.arange(6), 5)
+    test = NoveltyTest(references, groups)
+    for i in (0, 7, 29):
+        others = groups != groups[i]
+        shares = [np.mean(test.scores_[groups == g] >= test.scores_[i]) for g in np.unique(groups[others])]
+        assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 6)
