@@ -4,6 +4,7 @@ A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` t
 :func:`viterbi`, :func:`online`. :func:`smooth` makes any path finer.
 """
 
+from .bridging import bridge, moved
 from .candidates import (
     Candidates,
     SpreadScale,
@@ -35,6 +36,7 @@ __all__ = [
     "ReasoningError",
     "SpreadScale",
     "add_fixes",
+    "bridge",
     "fit_growth",
     "fit_motion_prior",
     "fit_spread_scale",
@@ -42,6 +44,7 @@ __all__ = [
     "greedy",
     "interval_candidates",
     "mode_candidates",
+    "moved",
     "on_cells",
     "online",
     "orientation_cost",

@@ -1,0 +1,91 @@
+"""Frames that show nothing known: their candidates are those of a neighbour in time, moved by what the camera did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from conformodal.poses import RelativeMotion
+
+from .candidates import Candidates
+from .prior import MotionPrior
+
+
+def moved(
+    neighbour: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior, *, back: bool = False
+) -> Candidates:
+    """Where the camera can be a time step after a frame, or before it: the prediction of a Bayes filter.
+
+    Orientations follow the relative rotation, positions stay. Spreads grow by what the camera can have moved and
+    turned in the time. All candidates are equally probable, so that nothing is counted twice.
+
+    Parameters
+    ----------
+    neighbour
+        Candidates of the frame.
+    motion
+        From the earlier frame to the later one; None where nothing is known of it.
+    step_s
+        Seconds between the two.
+    prior
+        Speeds and turning rates to expect.
+    back
+        Whether the neighbour is the later one.
+    """
+    quats, turned = neighbour.orientations_quat_wxyz, prior.turn_rate_rad_s * step_s
+    if motion is not None and motion.R_prev_next is not None:
+        rotation = Rotation.from_matrix(motion.R_prev_next)
+        along = rotation.inv() if back else rotation
+        quats = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
+        turned = motion.rotation_sigma_rad
+    m, k = len(neighbour.positions_xyz), len(quats)
+    return replace(
+        neighbour,
+        position_spreads=neighbour.position_spreads + prior.reach_m(step_s) / np.sqrt(3),
+        position_log_mass=np.full(m, -np.log(m)),
+        orientations_quat_wxyz=quats,
+        orientation_spreads_rad=np.minimum(neighbour.orientation_spreads_rad + turned, np.pi),
+        orientation_log_mass=np.full(k, -np.log(k)),
+    )
+
+
+def bridge(
+    candidates: Sequence[Candidates],
+    known: npt.NDArray[np.bool_],
+    motions: Sequence[RelativeMotion | None],
+    timestamps_s: npt.NDArray[np.float64],
+    prior: MotionPrior,
+    seen: Callable[[int, Candidates], Candidates] | None = None,
+) -> list[Candidates]:
+    """Candidates of one recording in which frames that are not known have been bridged.
+
+    Those before the first known frame are bridged from it, the others from the frame before. If no frame is known, all
+    stay as they are.
+
+    Parameters
+    ----------
+    candidates, motions, timestamps_s
+        As in :class:`~conformodal.reasoning.Observations`.
+    known
+        (n,) whether each frame shows a place that is known.
+    prior
+        Speeds and turning rates to expect.
+    seen
+        Gives the candidates of frame t when what else is known of that frame is weighed in; None where nothing is.
+    """
+    found, steps = list(candidates), np.diff(timestamps_s)
+    if not known.any():
+        return found
+    first = int(np.argmax(known))
+    for t in range(first + 1, len(found)):
+        if not known[t]:
+            here = moved(found[t - 1], motions[t], steps[t - 1], prior)
+            found[t] = here if seen is None else seen(t, here)
+    for t in range(first - 1, -1, -1):
+        here = moved(found[t + 1], motions[t + 1], steps[t], prior, back=True)
+        found[t] = here if seen is None else seen(t, here)
+    return found
