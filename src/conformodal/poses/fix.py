@@ -21,9 +21,15 @@ class PoseFix:
     sigma_m, sigma_rad
         Spreads of their errors, per axis and about each axis.
     n_inliers
-        Observations that agree with it.
+        Different observations that agree with it: a corner counts once.
     trust
         Probability that it is not altogether wrong.
+    inlier_share
+        Share of the matched observations that agree with it.
+    image_share
+        Share of the image over which they are spread.
+    apart
+        How far the nearest frame with a known pose is, in units of the scene's depth and radians; 0 where not known.
     """
 
     position_xyz: FloatArray
@@ -32,3 +38,6 @@ class PoseFix:
     sigma_rad: float
     n_inliers: int
     trust: float = 1.0
+    inlier_share: float = 1.0
+    image_share: float = 1.0
+    apart: float = 0.0

@@ -124,7 +124,8 @@ class LandmarkMap:
         return found
 
     def _fix(self, image: Described, near: IntArray, shown: BoolArray) -> PoseFix | None:
-        pixels, points = self._matched(image, near)
+        corners, points = self._matched(image, near)
+        pixels = image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
         pose, info = poselib.estimate_absolute_pose(pixels, points, poselib_camera(self.camera), _ABSOLUTE, _REFINEMENT)
@@ -139,34 +140,57 @@ class LandmarkMap:
         T_world_cam = np.eye(4)
         T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, centre
         T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
-        off, scatter = self._correction(T_world_pose, shown)
+        off, scatter, apart = self._correction(T_world_pose, shown)
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
         position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
-        return PoseFix(position, quat, sigma_m, sigma_rad, int(inliers.sum()))
+        # a corner is matched with several keyframes: counted each time, chance agreements pass for evidence
+        agreeing, matched = np.unique(corners[inliers]), np.unique(corners)
+        return PoseFix(
+            position,
+            quat,
+            sigma_m,
+            sigma_rad,
+            n_inliers=len(agreeing),
+            inlier_share=len(agreeing) / len(matched),
+            image_share=self._share_of_image(image.pixels[agreeing]),
+            apart=apart,
+        )
 
-    def _matched(self, image: Described, near: IntArray) -> tuple[FloatArray, FloatArray]:
-        pixels, points = [np.empty((0, 2))], [np.empty((0, 3))]
+    def _share_of_image(self, pixels: FloatArray) -> float:
+        """How much of the image pixels (m, 2) are spread over: an even spread covers it all."""
+        if len(pixels) < 3:
+            return 0.0
+        area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
+        return float(area / (self.camera.width * self.camera.height))
+
+    def _matched(self, image: Described, near: IntArray) -> tuple[IntArray, FloatArray]:
+        """Rows of the image's corners, (m,), and the landmarks that they look like, (m, 3)."""
+        corners, points = [np.empty(0, np.int64)], [np.empty((0, 3))]
         for frame in near.tolist():
             mine = slice(self.starts[frame], self.starts[frame + 1])
             pairs = match(image.descriptors, self.descriptors[mine])
-            pixels.append(image.pixels[pairs[:, 0]])
+            corners.append(pairs[:, 0])
             points.append(self.points_xyz[mine][pairs[:, 1]].astype(np.float64))
-        return np.concatenate(pixels), np.concatenate(points)
+        return np.concatenate(corners), np.concatenate(points)
 
-    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """By how much fixes nearby are off: (6,), and its spread between keyframes an axis, (2,) in m and rad."""
+    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """By how much fixes nearby are off.
+
+        Returns the mean (6,), its spread between keyframes an axis, (2,) in m and rad, and how far the nearest keyframe
+        is, in units of the depth and radians.
+        """
+        apart = np.linalg.norm(self.poses_se3[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
+        apart += np.arccos(np.clip(self.poses_se3[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
+        away = float(apart[shown].min())
         known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
         if known.size == 0:
-            return np.zeros(6), np.zeros(2)
-        poses = self.poses_se3[known]
-        apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
-        apart += np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
-        nearest = np.argsort(apart, kind="stable")[:_CORRECTED_BY]
-        found, weights = self.corrections[known[nearest]], 1 / (apart[nearest] + _LEAST_APART)
+            return np.zeros(6), np.zeros(2), away
+        nearest = known[np.argsort(apart[known], kind="stable")[:_CORRECTED_BY]]
+        found, weights = self.corrections[nearest], 1 / (apart[nearest] + _LEAST_APART)
         mean = np.average(found, axis=0, weights=weights)
         variance = np.average((found - mean) ** 2, axis=0, weights=weights)
-        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()])
+        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
 
     def _spreads(
         self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray

@@ -1,0 +1,62 @@
+"""What speaks for a fix: different corners, and experience with frames whose surroundings were hidden."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conformodal.motion import build_map
+from conformodal.odometry import fit_landmarks
+from conformodal.odometry.landmarks import view_overlap
+from conformodal.poses import Trajectory
+
+
+def test_a_corner_counts_once_although_several_keyframes_match_it(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    (near,) = landmarks._places(image.thumbnail, np.ones(60, dtype=bool))
+    corners, _ = landmarks._matched(image, near)
+    assert len(corners) > 1.5 * len(np.unique(corners))  # most were matched more than once
+    (fix,) = landmarks.fixes(image)
+    assert fix.n_inliers <= len(np.unique(corners)) <= len(image.pixels)
+    assert 0.9 < fix.inlier_share <= 1
+    assert 0.5 < fix.image_share < 1.5  # points are all over the image
+    half = image.pixels[:, 0] < 320
+    (fix,) = landmarks.fixes(image._replace(pixels=image.pixels[half], descriptors=image.descriptors[half]))
+    assert fix.image_share < 0.7
+
+
+def test_a_fix_says_how_far_the_nearest_keyframe_is(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.described(), world.poses_se3, stated_camera, depth_m).corrected(np.zeros((60, 6)))
+    image = world.see(world.poses_se3[30], seed=3)
+    (at,) = landmarks.fixes(image)
+    (off,) = landmarks.fixes(image, np.abs(np.arange(60) - 30) < 8)
+    assert at.apart < 0.02 < off.apart
+
+
+def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m):
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[1, :3, :3] = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
+    poses[2, 0, 3] = 0.5
+    poses[3, 0, 3] = 1.5
+    shares = view_overlap(poses, 0, stated_camera, depth_m)
+    assert shares[0] == 1
+    assert shares[1] == 0
+    assert 1 > shares[2] > shares[3] > 0
+
+
+def test_fixes_are_trusted_where_the_place_is_known_and_not_where_it_is_hidden(world_of, stated_camera, depth_m):
+    world = world_of(n=80)
+    times = np.arange(80) / 10
+    quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
+    truth = Trajectory(times, world.poses_se3[:, :3, 3], quats)
+    groups = [np.arange(80), np.arange(80) // 4]
+    found = fit_landmarks(world.described(wrong=0.3), truth, groups, stated_camera, depth_m, n_left_out=40)
+    shown = [
+        fix for i in range(5, 75, 7) for fix in found.fixes(world.see(world.poses_se3[i], seed=900 + i, wrong=0.3))
+    ]
+    assert len(shown) == 10
+    assert min(fix.trust for fix in shown) > 0.5
+    other = world_of(n=80, seed=9)  # a place that is not in the map
+    strange = [fix for i in range(5, 75, 7) for fix in found.fixes(other.see(other.poses_se3[i], seed=900 + i))]
+    assert all(fix.trust < 0.5 for fix in strange)
