@@ -274,7 +274,7 @@ def test_a_part_of_data_whose_first_and_middle_frames_have_no_pose_is_answered(m
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == len(split.test)
     assert metrics["errors"]["smoothed"]["rmse_m"] < 1
-    assert "band_99" in metrics["coverage"]["targets"]["x"]
+    assert metrics["coverage"]["joint_band_99"] is not None
     assert "are not in" not in result.output
 
 
@@ -289,4 +289,4 @@ def test_some_frames_of_the_test_part_promise_nothing(small_world, model, copy, 
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == len(kept)
     assert "no guarantee" in metrics["coverage"]["assumption"]
-    assert "band_99" not in metrics["coverage"]["targets"]["x"]
+    assert metrics["coverage"]["joint_band_99"] is None

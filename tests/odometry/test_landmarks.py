@@ -7,6 +7,7 @@ from conformodal.datasets import make_split
 from conformodal.experiments import coverage_table
 from conformodal.motion import describe
 from conformodal.odometry import (
+    Evidence,
     Fixes,
     FixScale,
     ModelConfig,
@@ -56,7 +57,9 @@ def test_fixes_of_held_out_frames_are_about_as_far_off_as_they_claim(sequence, s
             claims.append(1.538 * nearest.sigma_m)
     assert len(off) > 0.8 * len(split.test)
     assert np.median(off) < 0.1
-    assert 0.4 < np.median(np.divide(off, claims)) < 2.5  # a median of twenty or more ratios whose spread is about one
+    # spreads are those of the tail where that asks for more than the median
+    assert 0.15 < np.median(np.divide(off, claims)) < 1.5
+    assert np.mean(np.array(off) < 2.7955 / 1.538 * np.array(claims)) > 0.85
 
 
 def test_a_saved_model_has_the_same_landmarks(model, scene, sequence, split):
@@ -85,7 +88,7 @@ def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, sequence, s
 
 
 def load_model_without_landmarks(model):
-    return replace(model, landmarks=None, landmark_regions=None)
+    return replace(model, landmarks=None, region_landmarks=None, rules=replace(model.rules, pooled=None))
 
 
 def test_a_stream_is_fixed_as_often_as_asked(model, sequence, monkeypatch):
@@ -112,12 +115,12 @@ def test_as_many_lists_of_fixes_as_images(model):
 
 def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):
     truth = sequence.truth
-    assert fit_landmarks([], truth[:0], np.empty(0, np.int64), sequence.camera, 3.0) is None
+    assert fit_landmarks([], truth[:0], [np.empty(0, np.int64)], sequence.camera, 3.0) is None
     record = measure_motions(sequence, np.arange(30))
     described = list(record.described.values())
-    assert fit_landmarks(described, truth[:30], np.arange(30), sequence.camera, float("nan")) is None
+    assert fit_landmarks(described, truth[:30], [np.arange(30)], sequence.camera, float("nan")) is None
     blank = [d._replace(pixels=d.pixels[:0], descriptors=d.descriptors[:0]) for d in described]
-    assert fit_landmarks(blank, truth[:30], np.arange(30), sequence.camera, 3.0) is None
+    assert fit_landmarks(blank, truth[:30], [np.arange(30)], sequence.camera, 3.0) is None
     assert learn_scene(sequence, split, landmarks=False).landmarks is None
 
 
@@ -128,28 +131,32 @@ def test_poses_of_something_else_give_no_landmarks_or_wide_ones(sequence):
     true = sequence.truth[:60]
     shuffled = np.random.default_rng(0).permutation(60)
     wrong = Trajectory(true.timestamps_s, true.positions_xyz[shuffled], true.orientations_quat_wxyz[shuffled])
-    found = fit_landmarks(described[:60], wrong, np.arange(60), sequence.camera, 3.0)
+    found = fit_landmarks(described[:60], wrong, [np.arange(60)], sequence.camera, 3.0)
     assert found is None or all(
         fix.trust < 0.5 or fix.sigma_m > 0.1 for image in described[60:] for fix in found.fixes(image)
     )
 
 
-def test_spreads_and_trust_follow_the_claims():
-    scale = FixScale(2.0, 0.5, 3.0, 1.0, -3.0, 1.0)
-    small, large = (
-        scale.apply(PoseFix(np.zeros(3), np.array([1.0, 0, 0, 0]), s, s, n), n) for s, n in ((0.01, 400), (0.04, 20))
-    )
-    assert small.sigma_m == pytest.approx(0.2)
-    assert large.sigma_m == pytest.approx(0.4)
-    assert (small.sigma_rad, large.sigma_rad) == pytest.approx((0.03, 0.12))
-    assert small.trust == pytest.approx(1 / (1 + np.exp(3) / 400))
-    assert large.trust == pytest.approx(1 / (1 + np.exp(3) / 20))
+def test_spreads_and_trust_follow_the_claims_the_distance_and_the_evidence():
+    scale = FixScale(2.0, 0.5, 1.0, 3.0, 1.0, 0.0, -3.0, (1.0, 2.0))
+
+    def scaled(claim, *evidence, apart=0.1):
+        fix = PoseFix(np.zeros(3), np.array([1.0, 0, 0, 0]), claim, claim, 50, apart=apart)
+        return scale.apply(fix, *evidence)
+
+    small, large, far = scaled(0.01, 400, 0.5), scaled(0.04, 20, 0.1), scaled(0.01, 400, 0.5, apart=0.4)
+    assert (small.sigma_m, large.sigma_m, far.sigma_m) == pytest.approx((0.02, 0.04, 0.08))
+    assert (small.sigma_rad, large.sigma_rad, far.sigma_rad) == pytest.approx((0.03, 0.12, 0.03))
+    assert small.trust == far.trust == pytest.approx(1 / (1 + np.exp(3) / (400 * 0.5**2)))
+    assert large.trust == pytest.approx(1 / (1 + np.exp(3) / (20 * 0.1**2)))
+    near = scaled(0.01, 400, 0.5, apart=0.0)  # nothing is nearer than the least
+    assert 0 < near.sigma_m == scaled(0.01, 400, 0.5, apart=0.001).sigma_m
 
 
 def test_fixes_less_sure_than_a_place_is_wide_are_none(scene, sequence, split):
     described = measure_motions(sequence, split.test[:20]).described
     images = [described[i] for i in split.test[:20].tolist()]
-    unsure = replace(scene.landmarks, scale=replace(scene.landmarks.scale, position=1e4))
+    unsure = replace(scene.landmarks, scale=replace(scene.landmarks.scale, position=1e9))
     assert any(scene.landmarks.fixes(image) for image in images)
     assert not any(unsure.fixes(image) for image in images)
 
@@ -170,33 +177,41 @@ def test_regions_with_landmarks_are_smaller_and_as_sure(model, sequence, small_w
     blind = load_model_without_landmarks(model)
     plain = VisualOdometry(blind).process(sequence, model.split.test, cache=cache)
     truth = sequence.truth[model.split.test]
-    with_fixes, without = (RegionTally.of(r.regions, truth, model.sign_reference) for r in (run, plain))
+    with_fixes, without = (RegionTally.of(r.regions, truth, model.sign_reference, r.kinds) for r in (run, plain))
+    # a corridor that repeats itself: no single fix is trusted, but the region rests on all of them
+    assert np.isin(run.kinds, [Evidence.UNMATCHED, Evidence.LANDMARKS]).mean() > 0.9
+    assert np.isin(plain.kinds, [Evidence.SOFTMAX, Evidence.UNKNOWN]).all()
     assert np.median(with_fixes.length[:, :3].sum(axis=1)) < 0.7 * np.median(without.length[:, :3].sum(axis=1))
     for tally, which in ((with_fixes, model), (without, blind)):
         table = coverage_table(tally, which, exchangeable=True)
-        assert all(row["inside_band"] for row in table["targets"].values())
+        low, high = table["joint_band_99"]
+        assert low <= table["joint_coverage"] <= high
     # the scores say the same as the sets
     features = extract_features([sequence.image_paths[i] for i in run.frames], model.backbone, cache)
     scores = model.scores(model.proba(features), pose_targets(truth, model.sign_reference), run.fixes)
-    np.testing.assert_array_equal(scores <= model.landmark_regions.calibration.thresholds_, with_fixes.inside)
+    np.testing.assert_array_equal(scores <= model.rules.thresholds(run.kinds), with_fixes.inside)
 
 
 def test_frames_without_a_look_for_landmarks_have_the_softmaxs_regions(model, sequence):
     blind = load_model_without_landmarks(model)
     frames = range(60, 64)
 
-    def regions(which, **options):
+    def answered(which, **options):
         odometry = VisualOdometry(which, **options)
-        return [odometry.step(sequence.image(i), sequence.timestamps_s[i]).region for i in frames]
+        return [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames]
 
-    every, second, none = regions(model), regions(model, fix_every=2), regions(blind)
+    seldom = answered(model, fix_every=2)
+    every, second, none = ([e.region for e in its] for its in (answered(model), seldom, answered(blind)))
+    assert [e.evidence is Evidence.SOFTMAX for e in seldom] == [False, True, False, True]
     for k in (0, 2):
         np.testing.assert_array_equal(second[k].length, every[k].length)
     for k in (1, 3):
         np.testing.assert_allclose(second[k].length, none[k].length)
         assert second[k].n_intervals.tolist() == none[k].n_intervals.tolist()
     assert len(type(every[0]).concatenate(second)) == 4  # one grid for both kinds
-    tally = RegionTally.concatenate([RegionTally.of(r, sequence.truth[60:61], model.sign_reference) for r in second])
+    tally = RegionTally.concatenate(
+        [RegionTally.of(e.region, sequence.truth[60:61], model.sign_reference, np.array([e.evidence])) for e in seldom]
+    )
     table = coverage_table(tally, model, exchangeable=True, fixed_all=False)
     assert "two calibrations" in table["assumption"]
     assert all("band_99" not in row for row in table["targets"].values())
@@ -206,7 +221,8 @@ def test_recalibration_reaches_both_kinds_of_regions(model):
     other = replace(model)
     other.recalibrate(0.5)
     assert (other.calibration.thresholds_ <= model.calibration.thresholds_).all()
-    assert (other.landmark_regions.calibration.thresholds_ < model.landmark_regions.calibration.thresholds_).any()
+    kind = np.array([Evidence.UNMATCHED])
+    assert (other.rules.thresholds(kind) < model.rules.thresholds(kind)).any()
 
 
 def test_one_threshold_for_all_targets_survives_saving(sequence, scene, small_world, tmp_path):
@@ -215,8 +231,8 @@ def test_one_threshold_for_all_targets_survives_saving(sequence, scene, small_wo
     trained = train_model(data, config, scene=scene)
     save_model(trained, tmp_path)
     back = load_model(tmp_path)
-    thresholds = trained.landmark_regions.calibration.thresholds_
-    np.testing.assert_array_equal(back.landmark_regions.calibration.thresholds_, thresholds)
+    kinds = np.array(list(Evidence))
+    np.testing.assert_array_equal(back.rules.thresholds(kinds), trained.rules.thresholds(kinds))
     proba, image = trained.proba(data.features[:3]), measure_motions(sequence, np.arange(3)).described
     fixes = [trained.fixes(image[i]) for i in range(3)]
     one, other = trained.regions(proba, fixes), back.regions(proba, fixes)

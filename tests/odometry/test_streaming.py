@@ -55,6 +55,7 @@ def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch
     assert np.mean(runner.tally.n_intervals == tally.n_intervals) > 0.97
     assert np.mean(runner.tally.inside == tally.inside) > 0.97
     assert np.mean(np.abs(runner.tally.length - tally.length) < 1e-6) > 0.95
+    assert np.mean(runner.tally.kinds == run.kinds) > 0.97
     assert runner.n_unreliable == int(np.sum(~run.reliable))
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]

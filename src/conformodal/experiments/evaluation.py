@@ -5,19 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from conformodal.conformal import check_coverage
+from conformodal.conformal import grouped_coverage_band
 from conformodal.datasets import SplitKind
-from conformodal.odometry import TARGET_NAMES, PoseModel, PoseRadius, RegionTally
+from conformodal.odometry import TARGET_NAMES, Evidence, PoseModel, PoseRadius, RegionTally
 from conformodal.poses import Trajectory, trajectory_errors
 
 ASSUMPTION_HELD = (
-    "Frames were split at random, so calibration and test frames are exchangeable: per target, the covered count "
-    "follows the Beta-binomial law whose central 99 % is the band."
+    "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "
+    "evidence follows a Beta-binomial law, and the central 99 % of their sum is the band."
 )
 ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
     "Landmarks were looked for in some frames only: there are two calibrations, and no exact band for the count."
+)
+ASSUMPTION_STRETCHES = (
+    "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
+    "is about a frame drawn at random from a new stretch, if stretches are exchangeable and the sources, which now "
+    "know all of them, err no more than those that lacked some. Where stretches calibrate, other stretches of the same "
+    "recording were known: the promise does not reach a recording of which nothing was known. Coverage here is an "
+    "observation."
+)
+ASSUMPTION_SEEN = (
+    "The sources of the regions learnt from these frames, or were calibrated on them: coverage here says nothing about "
+    "new ones."
 )
 ASSUMPTION_BROKEN = (
     "The evaluated frames are not the ones, or not all of them, that were held out at random, one by one, together "
@@ -32,7 +44,7 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
 
 
 def coverage_table(
-    tally: RegionTally, model: PoseModel, *, exchangeable: bool, fixed_all: bool = True
+    tally: RegionTally, model: PoseModel, *, exchangeable: bool, fixed_all: bool = True, seen: bool = False
 ) -> dict[str, Any]:
     """Coverage and size of the regions.
 
@@ -48,23 +60,38 @@ def coverage_table(
     fixed_all
         Whether landmarks were looked for in all of them. Otherwise there were two calibrations, each of which keeps
         its promise. A band is stated for frames that are exchangeable and have one calibration.
+    seen
+        Whether they are of the training or the calibration part.
     """
-    inside = tally.inside
+    inside, finite = tally.inside, ~tally.unbounded.any(axis=1)
+    rules = model.rules
+    kinds = [(kind, rule, int((tally.kinds == kind).sum())) for kind, rule in rules.of.items()]
+    met = [(rule.n_units, count) for _, rule, count in kinds if count]
+    met += [(0, int((tally.kinds == Evidence.UNKNOWN).sum()))]  # always covered
+    by_frame = rules.softmax.groups_ is None
+    # the softmax alone is calibrated on the frames of the other kinds too, so that counts are not independent
+    one_law = exchangeable and by_frame and (fixed_all or rules.pooled is None)
     calibration = model.calibration_of(with_fixes=fixed_all)
-    one_law = exchangeable and (fixed_all or model.landmark_regions is None)
     targets: dict[str, Any] = {}
     for j, name in enumerate(TARGET_NAMES):
         row: dict[str, Any] = {
             "coverage": float(inside[:, j].mean()),
-            "mean_length": _finite(tally.length[:, j].mean()),
+            "mean_length": float(tally.length[finite, j].mean()) if finite.any() else None,
             "mean_intervals": float(tally.n_intervals[:, j].mean()),
         }
         if one_law and calibration.joint != "max":
-            check = check_coverage(inside[:, j], model.n_calibration, calibration.alpha_per_target)
-            row |= {"band_99": [check.low, check.high], "inside_band": check.inside}
+            low, high = grouped_coverage_band(met, calibration.alpha_per_target)
+            row |= {"band_99": [low, high], "inside_band": low <= row["coverage"] <= high}
         targets[name] = row
     held = np.asarray(inside.all(axis=1))
-    together = check_coverage(held, model.n_calibration, calibration.alpha) if calibration.joint == "max" else None
+    band = grouped_coverage_band(met, calibration.alpha) if one_law and calibration.joint == "max" else None
+    assumption = ASSUMPTION_BROKEN
+    if exchangeable and by_frame:
+        assumption = ASSUMPTION_HELD if one_law else ASSUMPTION_MIXED
+    elif seen:
+        assumption = ASSUMPTION_SEEN
+    elif not by_frame:
+        assumption = ASSUMPTION_STRETCHES
     return {
         "alpha": float(calibration.alpha),
         "joint": calibration.joint,
@@ -72,26 +99,56 @@ def coverage_table(
         "score": calibration.score.name,
         "n_calibration": model.n_calibration,
         "n_evaluated": len(tally),
-        "whole_space": bool(tally.unbounded.any()),
+        "whole_space": bool(tally.unbounded[tally.kinds != Evidence.UNKNOWN].any()),
+        "abstained": float((~finite).mean()),
+        "by_evidence": {
+            kind.name.lower(): {
+                "frames": count,
+                "calibrated_on": rule.n_units,
+                "joint_coverage": float(held[tally.kinds == kind].mean()) if count else None,
+            }
+            for kind, rule, count in kinds
+        },
         "targets": targets,
         "joint_coverage": float(held.mean()),
-        "joint_band_99": [together.low, together.high] if together and one_law else None,
+        "joint_band_99": None if band is None else list(band),
         "median_position_volume_m3": _finite(np.median(tally.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, fixed_all=fixed_all),
-        "assumption": (ASSUMPTION_HELD if one_law else ASSUMPTION_MIXED) if exchangeable else ASSUMPTION_BROKEN,
+        "assumption": assumption,
     }
 
 
 def radius_table(
-    radius: PoseRadius | None, trajectories: dict[str, Trajectory], truth: Trajectory | None
+    radius: PoseRadius | None,
+    trajectories: dict[str, Trajectory],
+    truth: Trajectory | None,
+    recording: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any] | None:
-    """The chosen pose's radius, what it promises, and how many frames it held if the truth is known."""
+    """The chosen pose's radius, what it promises, and how many frames it held if the truth is known.
+
+    Parameters
+    ----------
+    radius
+        Of the model; None gives None.
+    trajectories
+        By method.
+    truth
+        Of the same frames, or None.
+    recording
+        (n,) number of each frame's recording; None where all are one. A sized radius is the mean over recordings.
+    """
     if radius is None:
         return None
-    held = None if truth is None else float(radius.holds(trajectories[radius.method], truth).mean())
+    estimate = trajectories[radius.method]
+    numbers = np.zeros(len(estimate), dtype=np.int64) if recording is None else recording
+    sizes = radius.sizes_of(estimate, numbers)
+    held = None if truth is None else float(radius.holds(estimate, truth, sizes).mean())
+    by_recording = [float(sizes[numbers == k][0]) for k in np.unique(numbers)]
     return {
-        "radius_m": _finite(radius.radius_m),
-        "radius_deg": _finite(np.degrees(radius.radius_rad)),
+        "radius_m": _finite(np.mean([radius.radius_m * size for size in by_recording])),
+        "radius_deg": _finite(np.mean([radius.degrees(size) for size in by_recording])),
+        "sizing": str(radius.sizing),
+        "sizes": by_recording,
         "alpha": radius.alpha,
         "promise": str(radius.promise),
         "method": radius.method,
@@ -108,10 +165,10 @@ def is_exchangeable(model: PoseModel, part: str | None) -> bool:
 
 def _regions_from(model: PoseModel, *, fixed_all: bool) -> str:
     """What the regions rest on, for people."""
-    if model.landmark_regions is None:
+    if model.region_landmarks is None:
         return "the image's softmax"
     where = "" if fixed_all else " in those frames where they were looked for"
-    return f"the image's softmax, and landmarks of the training part{where}"
+    return f"the image's softmax, and landmarks that it was calibrated with{where}"
 
 
 def _finite(value: np.floating[Any] | float) -> float | None:

@@ -2,39 +2,47 @@
 
 from .answers import METHODS, OtherMethods, answers, as_trajectory
 from .config import ModelConfig
+from .data import TrainingData
 from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .fix_scale import FixScale
+from .folds import Calibration, make_folds
 from .identity import Found, FrameIdentities, data_digest, identify
-from .landmarks import Fixes, LandmarkRegions, Landmarks, fit_landmarks
+from .known import KnownPlaces
+from .landmarks import Fixes, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
 from .parquet import read_region_parquet, write_region_parquet
 from .provenance import provenance
-from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
+from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .records import METRICS, iter_region_records, read_region_records, records_contain
+from .region_rules import Evidence, RegionRules, trusted
 from .results import read_metrics, read_trajectories, write_metrics, write_run
 from .scene import Scene, learn_scene
-from .selection import calibrate_selection, recording_errors
+from .selection import calibrate_selection, recording_errors, recording_sizes
+from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
 from .store import load_model, save_model
 from .streaming import StreamRunner
 from .tally import RegionTally
 from .targets import TARGET_NAMES, pose_targets, target_scale
-from .training import TrainingData, prepare_training_data, train_model
+from .training import prepare_training_data, train_model
 from .writer import ResultsWriter
 
 __all__ = [
     "METHODS",
+    "METRES_PER_RAD",
     "METRICS",
     "TARGET_NAMES",
+    "Calibration",
     "Estimate",
+    "Evidence",
     "FixScale",
     "Fixes",
     "Found",
     "FrameIdentities",
-    "LandmarkRegions",
+    "KnownPlaces",
     "Landmarks",
     "ModelConfig",
     "ModelFileError",
@@ -45,10 +53,12 @@ __all__ = [
     "PoseModel",
     "PoseRadius",
     "Promise",
+    "RegionRules",
     "RegionTally",
     "ResultsError",
     "ResultsWriter",
     "Scene",
+    "Sizing",
     "StreamRunner",
     "TrainingData",
     "VisualOdometry",
@@ -56,12 +66,15 @@ __all__ = [
     "as_trajectory",
     "calibrate_selection",
     "data_digest",
+    "depth_or_default",
     "fit_landmarks",
     "fit_pose_radius",
     "identify",
     "iter_region_records",
+    "joint_error",
     "learn_scene",
     "load_model",
+    "make_folds",
     "measure_depths",
     "measure_motions",
     "pose_errors",
@@ -73,10 +86,15 @@ __all__ = [
     "read_region_records",
     "read_trajectories",
     "recording_errors",
+    "recording_size",
+    "recording_sizes",
+    "recordings_needed",
     "records_contain",
+    "roughness",
     "save_model",
     "target_scale",
     "train_model",
+    "trusted",
     "write_metrics",
     "write_region_parquet",
     "write_run",

@@ -12,6 +12,7 @@ from conformodal.datasets import SplitKind
 from conformodal.vision import FineTuning, TrainingConfig, find_network, pick_device
 
 from .errors import OdometryError
+from .folds import Calibration
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,11 @@ class ModelConfig:
         Of :class:`~conformodal.conformal.SplitConformal`.
     test, calibration, used
         Shares of all frames or recordings, see :func:`~conformodal.datasets.make_split`.
+    calibrate_on
+        See :class:`~conformodal.odometry.Calibration`.
+    novelty_level
+        Images whose p-value of showing a known place is at most this get the whole space; None for 0.01 where frames
+        are held out one by one, and 0.1 where stretches are.
     finders
         Heads that the search for the pose starts from.
     local
@@ -60,11 +66,13 @@ class ModelConfig:
     margin: float = 0.02
     sigma_bins: float = 0.7
     alpha: float = 0.1
-    score: str = "density"
-    joint: str = "bonferroni"
+    score: str = "hpd_mid"
+    joint: str = "max"
     test: float = 0.2
     calibration: float = 0.16
     used: float | None = None
+    calibrate_on: Calibration = Calibration.AUTO
+    novelty_level: float | None = None
     finders: int = 3
     local: bool = True
     landmarks: bool = True
@@ -83,5 +91,7 @@ class ModelConfig:
         pick_device(self.device)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
+        if self.novelty_level is not None and not 0 <= self.novelty_level < 1:
+            raise OdometryError(f"novelty_level must be at least 0 and below 1, got {self.novelty_level}")
         if self.finders < 1:
             raise OdometryError(f"finders must be at least 1, got {self.finders}")

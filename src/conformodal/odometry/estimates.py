@@ -16,6 +16,7 @@ from conformodal.reasoning import Candidates, Observations
 from .answers import METHODS
 from .landmarks import Fixes
 from .model import Search
+from .region_rules import Evidence
 
 IntArray = npt.NDArray[np.int64]
 
@@ -47,12 +48,20 @@ class Estimate:
         All corners here, or None without an image.
     fixes
         Where landmarks have this frame, place by place; empty where none were recognised or looked for.
+    known_p
+        Conformal p-value of "this image shows a place that is known"; None without an image. The region is the whole
+        space where it is small.
+    evidence
+        What the region rests on; None without an image.
+    position_spread_m, orientation_spread_rad
+        How far off the pose may be, by its own account: spreads of the path's errors; None without an image. They grow
+        while the path is bridged by motion alone.
     features
         (F,) of the image, or None without one.
     proba, search
         Calibrated head's softmaxes, seven arrays (1, K_j), and what the search starts from; None without an image.
     reliable
-        False where image or motion could not be used; `problem` says why.
+        False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
     """
 
     timestamp_s: float
@@ -69,6 +78,10 @@ class Estimate:
     tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
     corners: Corners | None = None
     fixes: list[PoseFix] = field(default_factory=list)
+    known_p: float | None = None
+    evidence: Evidence | None = None
+    position_spread_m: float | None = None
+    orientation_spread_rad: float | None = None
 
 
 @dataclass(eq=False)
@@ -91,6 +104,8 @@ class OdometryRun:
         By method, see :data:`METHODS`; ``smoothed`` is the answer.
     unreadable
         Frames that could not be decoded, and why.
+    known_p, kinds
+        (m,) p-values of showing a known place, and what each region rests on (:class:`Evidence`).
     """
 
     frames: IntArray
@@ -102,6 +117,8 @@ class OdometryRun:
     fixes: list[Fixes]
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
+    known_p: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    kinds: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def trajectory(self) -> Trajectory:
@@ -110,8 +127,9 @@ class OdometryRun:
 
     @property
     def reliable(self) -> npt.NDArray[np.bool_]:
-        """(m,) whether motion since the frame before could be used; True for the first of a recording."""
-        return np.array([m is None or m.reliable for m in self.motions])
+        """(m,) whether a known place is shown and motion since the frame before could be used, if there is one."""
+        moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
+        return np.asarray(moving & (self.kinds != Evidence.UNKNOWN))
 
     def observations(self, at: IntArray) -> Observations:
         """What reasoning is given about the frames of one recording, by their places (m,) in `frames`."""

@@ -10,11 +10,14 @@ import numpy.typing as npt
 
 from conformodal.datasets import Sequence
 from conformodal.motion import MotionFrontEnd, describe
-from conformodal.poses import Trajectory
+from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import (
     LAG,
+    Candidates,
     OnlineReasoner,
+    bridge,
     interval_candidates,
+    moved,
     online,
     softmax_mean,
 )
@@ -26,6 +29,7 @@ from .estimates import Estimate, OdometryRun
 from .landmarks import Fixes
 from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
+from .region_rules import Evidence, trusted_only
 from .store import load_model
 
 IntArray = npt.NDArray[np.int64]
@@ -76,6 +80,7 @@ class VisualOdometry:
         self._reasoner.reset()
         self._last_s: float | None = None
         self._n_steps = 0
+        self._before: Candidates | None = None
 
     def step(self, image: npt.NDArray[np.uint8] | None, timestamp_s: float) -> Estimate:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
@@ -101,14 +106,23 @@ class VisualOdometry:
         proba = self.model.proba(features)
         search = self.model.search(features)
         fixes = self._fixes(image)
-        region = self.model.regions(proba, None if fixes is None else [fixes])
-        here = self.model.candidates(search, None if fixes is None else [fixes])[0]
+        known_p = self.model.known_p(features)
+        looked = None if fixes is None else [fixes]
+        region = self.model.regions(proba, looked, known_p=known_p)
+        kind = Evidence(int(self.model.kinds(known_p, looked)[0]))
+        here = self.model.candidates(search, looked)[0]
         motion = self._front_end.measure(image)
+        if kind is Evidence.UNKNOWN and self._before is not None and self._last_s is not None:
+            here = moved(self._before, motion, timestamp_s - self._last_s, self.model.prior)
+            here = self.model.with_fixes(here, [] if fixes is None else trusted_only(fixes.search))
         path = self._reasoner.push(here, motion, timestamp_s)
+        if kind is not Evidence.UNKNOWN or self._before is not None:  # nothing follows from an unknown first frame
+            self._before = here
         self._last_s = timestamp_s
         revised = as_trajectory(path)
-        reliable = motion is None or motion.reliable
-        problem = "" if reliable or motion is None else str(motion.status)
+        problems = [] if motion is None or motion.reliable else [str(motion.status)]
+        if kind is Evidence.UNKNOWN:
+            problems.append(f"like no place that is known (p = {known_p[0]:.2g})")
         return Estimate(
             timestamp_s,
             revised[-1:],
@@ -116,20 +130,24 @@ class VisualOdometry:
             region,
             here,
             motion,
-            reliable,
-            problem,
+            not problems,
+            "; ".join(problems),
             features[0],
             proba,
             search,
             self._front_end.tracks,
             self._front_end.corners,
             [] if fixes is None else fixes.search,
+            float(known_p[0]),
+            kind,
+            float(np.linalg.norm(path.position_spreads[-1])),
+            float(path.orientation_spreads_rad[-1]),
         )
 
     def _fixes(self, image: npt.NDArray[np.uint8]) -> Fixes | None:
         due = self._n_steps % self.fix_every == 0
         self._n_steps += 1
-        if not due or (self.model.landmarks is None and self.model.landmark_regions is None):
+        if not due or (self.model.landmarks is None and self.model.region_landmarks is None):
             return None
         return self.model.fixes(describe(image, self.model.camera))
 
@@ -189,12 +207,28 @@ class VisualOdometry:
         search = self.model.search(features)
         fixes = [self.model.fixes(motions.described[i]) for i in usable.tolist()]
         places = {frame: k for k, frame in enumerate(usable.tolist())}
+        known_p = self.model.known_p(features)
+        found = [motions.motions[i] for i in usable.tolist()]
+        kinds, candidates = self.model.kinds(known_p, fixes), self.model.candidates(search, fixes)
+        for number in np.unique(sequence.recording[usable]):
+            at = np.flatnonzero(sequence.recording[usable] == number)
+            own = self._bridged(
+                [candidates[t] for t in at],
+                kinds[at] != Evidence.UNKNOWN,
+                [found[t] for t in at],
+                sequence.timestamps_s[usable[at]],
+                [fixes[t] for t in at],
+            )
+            for t, here in zip(at.tolist(), own, strict=True):
+                candidates[t] = here
         run = OdometryRun(
             frames=usable,
             timestamps_s=sequence.timestamps_s[usable],
-            regions=self.model.regions(proba, fixes),
-            candidates=self.model.candidates(search, fixes),
-            motions=[motions.motions[i] for i in usable.tolist()],
+            regions=self.model.regions(proba, fixes, known_p=known_p),
+            known_p=known_p,
+            kinds=kinds,
+            candidates=candidates,
+            motions=found,
             submaps=[s for submap in motions.submaps if (s := submap.renumbered(places)) is not None],
             fixes=fixes,
             trajectories={},
@@ -202,6 +236,21 @@ class VisualOdometry:
         )
         run.trajectories = self._trajectories(run, proba, search.proba, sequence.recording[usable])
         return run
+
+    def _bridged(
+        self,
+        candidates: list[Candidates],
+        known: npt.NDArray[np.bool_],
+        motions: list[RelativeMotion | None],
+        timestamps_s: npt.NDArray[np.float64],
+        fixes: list[Fixes],
+    ) -> list[Candidates]:
+        """Frames of one recording that show nothing known have their neighbours' candidates, and trusted fixes."""
+
+        def seen(t: int, here: Candidates) -> Candidates:
+            return self.model.with_fixes(here, trusted_only(fixes[t].search))
+
+        return bridge(candidates, known, motions, timestamps_s, self.model.prior, seen)
 
     def _trajectories(
         self,

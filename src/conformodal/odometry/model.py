@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
+from conformodal.conformal.checks import Alpha
 from conformodal.datasets import Split
 from conformodal.motion import Described
 from conformodal.poses import PinholeCamera, PoseFix
@@ -26,9 +27,11 @@ from conformodal.vision import Backbone, Head, predict_proba
 
 from .errors import OdometryError
 from .identity import FrameIdentities
-from .landmarks import Fixes, LandmarkRegions, Landmarks
+from .known import KnownPlaces
+from .landmarks import Fixes, Landmarks
 from .local import LocalFinder
 from .radius import PoseRadius
+from .region_rules import RegionRules
 
 _FRAMES_AT_A_TIME = 256  # pooled: seven times some sixteen hundred cells each
 
@@ -67,12 +70,14 @@ class PoseModel:
         A finder without a network, which the search starts from as well; or None.
     landmarks
         A map of corners, which the search starts from as well; or None.
+    region_landmarks
+        A map that the region rests on: it knows nothing of the frames that calibrate; or None.
+    known
+        Places that the region's sources know; None where nothing tells them.
     bins
         Bins of the seven targets.
-    calibration
-        Calibrated sets from the softmax alone.
-    landmark_regions
-        What regions need to know of landmarks; or None.
+    rules
+        Calibrated thresholds, by kind of evidence.
     sign_reference
         (4,) quaternion against which signs are fixed.
     prior, scale
@@ -94,9 +99,10 @@ class PoseModel:
     finders: tuple[Head, ...]
     local: LocalFinder | None
     landmarks: Landmarks | None
+    region_landmarks: Landmarks | None
+    known: KnownPlaces | None
     bins: QuantileBins
-    calibration: SplitConformal
-    landmark_regions: LandmarkRegions | None
+    rules: RegionRules
     sign_reference: npt.NDArray[np.float64]
     prior: MotionPrior
     scale: SpreadScale
@@ -107,14 +113,14 @@ class PoseModel:
     radius: PoseRadius | None = None
 
     @property
+    def calibration(self) -> SplitConformal:
+        """Calibrated sets from the softmax alone, whatever the image."""
+        return self.rules.softmax
+
+    @property
     def n_calibration(self) -> int:
         """Calibration frames behind the thresholds."""
         return int(self.calibration.scores_.shape[0])
-
-    @property
-    def unbounded(self) -> bool:
-        """Whether a region is the whole space in some target, for want of calibration frames."""
-        return bool(np.isposinf(self.calibration_of(with_fixes=True).thresholds_).any())
 
     def proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
         """Softmax of the seven targets for features (n, F)."""
@@ -131,23 +137,30 @@ class PoseModel:
 
     def fixes(self, image: Described) -> Fixes:
         """Where an image could have been taken by its landmarks; at most one pose a place and map."""
-        own = None if self.landmark_regions is None else self.landmark_regions.landmarks
-        search, region = ([] if known is None else known.fixes(image) for known in (self.landmarks, own))
-        return Fixes(search, region)
+        search = [] if self.landmarks is None else self.landmarks.fixes(image)
+        if self.region_landmarks is self.landmarks:
+            return Fixes(search, search)
+        return Fixes(search, [] if self.region_landmarks is None else self.region_landmarks.fixes(image))
+
+    def known_p(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+        """(n,) p-values of "this image shows a place that is known", for features (n, F); 1 where nothing tells."""
+        return np.ones(len(features)) if self.known is None else self.known.p_values(features)
+
+    def kinds(self, known_p: npt.NDArray[np.float64], fixes: Sequence[Fixes] | None = None) -> npt.NDArray[np.int64]:
+        """(n,) what each region rests on, see :class:`~conformodal.odometry.Evidence`."""
+        return self.rules.kinds(known_p, None if fixes is None else [its.region for its in fixes])
 
     def calibration_of(self, *, with_fixes: bool) -> SplitConformal:
-        """What calibrates regions of images in which landmarks were looked for, or were not."""
-        return self._pooled_rule if with_fixes and self._pooled_rule is not None else self.calibration
-
-    @property
-    def _pooled_rule(self) -> SplitConformal | None:
-        return None if self.landmark_regions is None else self.landmark_regions.calibration
+        """What is calibrated on all frames, from softmax and landmarks or from the softmax alone."""
+        return self.rules.pooled if with_fixes and self.rules.pooled is not None else self.rules.softmax
 
     def regions(
         self,
         proba: Sequence[npt.NDArray[np.floating[Any]]],
         fixes: Sequence[Fixes] | None = None,
         rule: SplitConformal | None = None,
+        *,
+        known_p: npt.NDArray[np.float64] | None = None,
     ) -> Regions:
         """Calibrated regions of n images. All of one model's have the same bins.
 
@@ -159,18 +172,27 @@ class PoseModel:
             From :meth:`fixes`, of the same images; None where landmarks were not looked for, which is calibrated by
             itself.
         rule
-            In the place of :meth:`calibration_of`: the same at another rate, say.
+            Thresholds whatever the evidence, in the place of :attr:`rules`.
+        known_p
+            (n,) from :meth:`known_p`; None takes all images for known.
 
         Raises
         ------
         OdometryError
-            If there are not as many fixes as images.
+            If there are not as many fixes or p-values as images.
         """
-        rule = rule or self.calibration_of(with_fixes=fixes is not None)
-        pooled = self._pooled_rule
+        n, pooled = len(proba[0]), self.rules.pooled
+        p_values = np.ones(n) if known_p is None else np.asarray(known_p)
+        if len(p_values) != n:
+            raise OdometryError(f"{n} images need as many p-values, got {len(p_values)}")
+        if fixes is not None:
+            _check_as_many(fixes, n)
+        kinds = self.kinds(p_values, fixes)
+        limits = self.rules.thresholds(kinds) if rule is None else np.tile(rule.thresholds_, (n, 1))
         if pooled is not None and fixes is not None:
-            return Regions.concatenate([rule.predict(part) for _, part in self._pooled(proba, fixes, pooled)])
-        alone = rule.predict(list(proba))
+            parts = self._pooled(proba, fixes, pooled)
+            return Regions.concatenate([pooled.regions_at(part, limits[rows]) for rows, part in parts])
+        alone = self.rules.softmax.regions_at(list(proba), limits)
         if pooled is None:
             return alone
         masks = [on_cells(np.asarray(mask), self.bins, j) for j, mask in enumerate(alone.masks)]
@@ -196,7 +218,7 @@ class PoseModel:
         OdometryError
             If there are not as many fixes as images.
         """
-        rule = self._pooled_rule
+        rule = self.rules.pooled
         if rule is None or fixes is None:
             return self.calibration.score_samples(list(proba), targets)
         parts = self._pooled(proba, fixes, rule)
@@ -236,7 +258,7 @@ class PoseModel:
         volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
         return add_fixes(candidates, fixes, volume)
 
-    def recalibrate(self, alpha: float) -> None:
+    def recalibrate(self, alpha: Alpha) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.
 
         Raises
@@ -244,10 +266,19 @@ class PoseModel:
         ConformalError
             If `alpha` is outside (0, 1).
         """
-        self.calibration = self.calibration.at(alpha)
-        if self.landmark_regions is not None:
-            regions = self.landmark_regions
-            self.landmark_regions = replace(regions, calibration=regions.calibration.at(alpha))
+        self.rules = self.rules.at(alpha)
+
+    def set_novelty_level(self, level: float) -> None:
+        """Take images for unknown at another p-value: at most `level`; 0 takes none.
+
+        Raises
+        ------
+        OdometryError
+            If `level` is negative, or 1 or more.
+        """
+        if not 0 <= level < 1:
+            raise OdometryError(f"novelty level must be at least 0 and below 1, got {level}")
+        self.rules = replace(self.rules, level=0.0 if self.known is None else self.known.level(level))
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
         """Refuse images of another camera: poses were learnt through this one.

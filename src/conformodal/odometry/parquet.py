@@ -1,8 +1,8 @@
 """Regions as a Parquet file (extra ``arrow``): one row a frame, one column a target.
 
-``timestamp_s`` double, ``frame`` string, ``reliable`` bool, ``motion`` string; then for each target a column
-``list<fixed_size_list<double>[2]>``: sorted, disjoint intervals, ``[-inf, inf]`` for the whole line, an empty list for
-an empty set. It holds what ``regions.jsonl`` holds.
+``timestamp_s`` and ``known_p`` double, ``reliable`` bool, ``frame``, ``evidence`` and ``motion`` strings; then for each
+target a column ``list<fixed_size_list<double>[2]>``: sorted, disjoint intervals, ``[-inf, inf]`` for the whole line, an
+empty list for an empty set. It holds what ``regions.jsonl`` holds.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from .targets import TARGET_NAMES
 
 FILE = "regions.parquet"
 _ROWS_AT_A_TIME = 2000
+_PLAIN = ("timestamp_s", "frame", "reliable", "known_p", "evidence", "motion")
 
 
 def write_region_parquet(folder: Path) -> Path:
@@ -31,7 +32,8 @@ def write_region_parquet(folder: Path) -> Path:
     """
     pa, pq = _pyarrow()
     interval = pa.list_(pa.list_(pa.float64(), 2))
-    fields = [("timestamp_s", pa.float64()), ("frame", pa.string()), ("reliable", pa.bool_()), ("motion", pa.string())]
+    kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64()}
+    fields = [(name, kinds.get(name, pa.string())) for name in _PLAIN]
     schema = pa.schema([*fields, *((name, interval) for name in TARGET_NAMES)])
     path = folder / FILE
     with pq.ParquetWriter(path, schema) as writer:
@@ -63,7 +65,7 @@ def read_region_parquet(path: Path) -> list[dict[str, Any]]:
 def _records(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     for row in rows:
         intervals = {name: [[_open(a), _open(b)] for a, b in row.pop(name)] for name in TARGET_NAMES}
-        yield {**{k: row[k] for k in ("timestamp_s", "frame", "reliable", "motion")}, "intervals": intervals}
+        yield {**{k: row[k] for k in _PLAIN}, "intervals": intervals}
 
 
 def _bounded(parts: list[list[float | None]]) -> list[list[float]]:

@@ -14,19 +14,37 @@ import numpy.typing as npt
 from conformodal.poses import RelativeMotion, Trajectory
 
 from .errors import ResultsError
+from .region_rules import Evidence
 from .targets import TARGET_NAMES, pose_targets
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
 
 
 def region_record(
-    name: str, timestamp_s: float, motion: RelativeMotion | None, intervals: Sequence[npt.NDArray[np.float64]]
+    name: str,
+    timestamp_s: float,
+    motion: RelativeMotion | None,
+    intervals: Sequence[npt.NDArray[np.float64]],
+    known_p: float = 1.0,
+    kind: Evidence = Evidence.SOFTMAX,
 ) -> dict[str, Any]:
-    """The record of a frame: its name, time, motion since the frame before, and (m, 2) intervals a target."""
+    """The record of a frame.
+
+    Parameters
+    ----------
+    name, timestamp_s, motion
+        Of the frame, and since the frame before.
+    intervals
+        (m, 2) a target.
+    known_p, kind
+        See :class:`~conformodal.odometry.Estimate`.
+    """
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
-        "reliable": bool(motion is None or motion.reliable),
+        "reliable": bool(motion is None or motion.reliable) and kind is not Evidence.UNKNOWN,
+        "known_p": float(f"{known_p:.4g}"),
+        "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),
         # [null, null] is the whole line; [] an empty set
         "intervals": {

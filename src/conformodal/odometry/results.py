@@ -13,6 +13,7 @@ from .answers import METHODS
 from .errors import ResultsError
 from .estimates import OdometryRun
 from .records import METRICS, TRAJECTORY
+from .region_rules import Evidence
 from .writer import ResultsWriter
 
 
@@ -36,7 +37,8 @@ def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth:
         if truth is not None:
             writer.truth(truth)
         for i, name in enumerate(frame_names):
-            writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i))
+            said = float(run.known_p[i]), Evidence(int(run.kinds[i]))
+            writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i), *said)
 
 
 def read_trajectories(folder: Path) -> dict[str, Trajectory]:

@@ -13,7 +13,8 @@ from conformodal.motion import Described, Matcher, describe
 from conformodal.poses import PoseFix
 
 from .depths import measure_depths
-from .landmarks import Landmarks, fit_landmarks
+from .folds import Folds, make_folds
+from .landmarks import N_LEFT_OUT, Landmarks, fit_landmarks
 from .motions import Progress
 
 IntArray = npt.NDArray[np.int64]
@@ -30,9 +31,11 @@ class Scene:
     landmarks
         Of training and calibration frames; None where too few corners can be placed.
     region_landmarks
-        Of the training frames alone.
+        Of the frames that the region's sources learn from.
     calibration_fixes
-        Of every calibration frame, by these; empty without them.
+        Of every frame that calibrates, by a map that does not know it; empty without landmarks.
+    asked
+        (n,) those frames, fold by fold.
     """
 
     depth_m: float = math.nan
@@ -40,12 +43,21 @@ class Scene:
     landmarks: Landmarks | None = None
     region_landmarks: Landmarks | None = None
     calibration_fixes: list[list[PoseFix]] = field(default_factory=list)
+    asked: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
-def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, progress: Progress | None = None) -> Scene:
+def learn_scene(
+    sequence: Sequence,
+    split: Split,
+    folds: Folds | None = None,
+    *,
+    landmarks: bool = True,
+    progress: Progress | None = None,
+) -> Scene:
     """Look at the training and the calibration frames.
 
-    Two maps are made of them: one of all, for the search, and one that knows nothing of the calibration frames.
+    One map is made of all of them, for the search, and one for each fold, which knows nothing of the frames that it
+    answers.
 
     Parameters
     ----------
@@ -53,6 +65,8 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
         With poses.
     split
         Of its frames.
+    folds
+        From :func:`~conformodal.odometry.make_folds`; by default those of the split.
     landmarks
         Whether to look for landmarks.
     progress
@@ -66,6 +80,7 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
         If an image cannot be read; names the file.
     """
     truth = sequence.require_truth()
+    folds = folds or make_folds(sequence, split)
     depth, spread = measure_depths(sequence, split.train)
     frames = np.sort(np.concatenate((split.train, split.calibration)))
     if not (landmarks and np.isfinite(depth)):
@@ -76,15 +91,20 @@ def learn_scene(sequence: Sequence, split: Split, *, landmarks: bool = True, pro
         if progress is not None:
             progress("corners", len(described), len(frames))
     pieces = held_out_together(sequence.recording, split.kind, given_test=sequence.given_test)
+    stretches = held_out_together(sequence.recording, SplitKind.BLOCKS)
     matcher = Matcher()
 
-    def fit(known: IntArray, stage: str) -> Landmarks | None:
+    def fit(known: IntArray, stage: str, n_left_out: int = N_LEFT_OUT) -> Landmarks | None:
         report = None if progress is None else lambda done, total: progress(stage, done, total)
-        images, left_out = [described[i] for i in known.tolist()], pieces[known]
-        if len(np.unique(left_out)) < 2:  # one recording: without all of it nothing is left to learn spreads from
-            left_out = held_out_together(sequence.recording, SplitKind.BLOCKS)[known]
-        return fit_landmarks(images, truth[known], left_out, sequence.camera, depth, report, matcher)
+        left_out = stretches if len(np.unique(pieces[known])) < 2 else pieces
+        groups = left_out[known], stretches[known]
+        images = [described[i] for i in known.tolist()]
+        return fit_landmarks(images, truth[known], groups, sequence.camera, depth, report, matcher, n_left_out)
 
-    regions = fit(split.train, "landmarks of the training part")
-    fixes = [] if regions is None else [regions.fixes(described[i]) for i in split.calibration.tolist()]
-    return Scene(depth, spread, fit(frames, "landmarks"), regions, fixes)
+    everything, fixes, own = fit(frames, "landmarks"), [], None
+    for k, fold in enumerate(folds.folds):
+        alone = len(folds.folds) == 1
+        own = fit(fold.known, f"landmarks, part {k + 1}", N_LEFT_OUT if alone else N_LEFT_OUT // 4)
+        fixes += [[] if own is None else own.fixes(described[i]) for i in fold.asked.tolist()]
+    regions = everything if len(folds.region_frames) == len(frames) else own
+    return Scene(depth, spread, everything, regions, fixes if regions is not None else [], folds.asked)

@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.conformal import ConformodalError, QuantileBins, SplitConformal
+from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
 from conformodal.motion import LandmarkMap
 from conformodal.poses import PinholeCamera
@@ -31,12 +31,15 @@ from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, 
 from .errors import ModelFileError
 from .fix_scale import FixScale
 from .identity import FrameIdentities
-from .landmarks import LandmarkRegions, Landmarks
+from .known import KnownPlaces
+from .landmarks import Landmarks
 from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
+from .region_rules import RegionRules
+from .sizing import Sizing
 
-FORMAT = "conformodal-model-10"
+FORMAT = "conformodal-model-11"
 _JSON, _WEIGHTS = "model.json", "weights.safetensors"
 _LOCAL_NUMBERS = ("typical", "limit")
 _MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
@@ -58,6 +61,13 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
     arrays["calibration.scores"] = model.calibration.scores_
+    arrays |= {"calibration.matched": model.rules.matched, "calibration.known_p": model.rules.known_p}
+    if model.calibration.groups_ is not None:
+        arrays["calibration.groups"] = model.calibration.groups_
+    if model.rules.pooled is not None:
+        arrays["calibration.pooled_scores"] = model.rules.pooled.scores_
+    if model.known is not None:
+        arrays |= {"known.references": model.known.test.references, "known.groups": model.known.test.groups}
     if model.calibration.joint == "max":
         arrays["calibration.shift"], arrays["calibration.scale"] = (
             model.calibration.rule.loc_,
@@ -69,10 +79,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
         arrays |= {"local.offset": own.projection.offset, "local.components": own.projection.components}
         arrays |= {"local.references": own.references, "local.targets": own.targets}
         arrays["local.target_scale"] = own.target_scale
-    maps = {"landmarks": model.landmarks, "region_landmarks": None}
-    if model.landmark_regions is not None:
-        maps["region_landmarks"] = model.landmark_regions.landmarks
-        arrays["region_landmarks.scores"] = model.landmark_regions.calibration.scores_
+    shared = model.region_landmarks is model.landmarks  # what is the same map is stored once
+    maps = {"landmarks": model.landmarks, "region_landmarks": None if shared else model.region_landmarks}
     for name, known in maps.items():
         if known is not None:
             arrays |= {f"{name}.{k}": getattr(known.map, k) for k in _MAP_ARRAYS}
@@ -88,6 +96,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
             "alpha": str(model.calibration.alpha),
             "score": model.calibration.score.name,
             "joint": model.calibration.joint,
+            "novelty_level": model.rules.level,
+            "region_landmarks_shared": shared,
         },
         "prior": _finite(asdict(model.prior)),
         "scale": asdict(model.scale),
@@ -144,7 +154,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     head, *finders = (_head(name, record["head"], arrays) for name in names)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
     how = record["calibration"]
-    calibration = _calibration(bins, how, arrays, "calibration.scores")
+    landmarks = _landmarks("landmarks", record, arrays)
     scale = record["scale"]
     kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
     return PoseModel(
@@ -152,10 +162,13 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
         head=head,
         finders=tuple(finders),
         local=_local(record["local"], arrays),
-        landmarks=_landmarks("landmarks", record, arrays),
+        landmarks=landmarks,
+        region_landmarks=(
+            landmarks if how["region_landmarks_shared"] else _landmarks("region_landmarks", record, arrays)
+        ),
+        known=_known(arrays),
         bins=bins,
-        calibration=calibration,
-        landmark_regions=_landmark_regions(bins, record, arrays),
+        rules=_rules(bins, how, arrays),
         sign_reference=arrays["sign_reference"],
         prior=_prior(record["prior"]),
         scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
@@ -167,13 +180,28 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
     )
 
 
+def _rules(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> RegionRules:
+    pooled = None
+    if "calibration.pooled_scores" in arrays:
+        pooled = _calibration(fix_cells(bins), how, arrays, "calibration.pooled_scores")
+    softmax = _calibration(bins, how, arrays, "calibration.scores")
+    matched, known_p = arrays["calibration.matched"], arrays["calibration.known_p"]
+    return RegionRules(softmax, pooled, matched, known_p, float(how["novelty_level"]))
+
+
 def _calibration(
     bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], scores: str
 ) -> SplitConformal:
     calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
-    return calibration.calibrate_scores(arrays[scores])
+    return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
+
+
+def _known(arrays: dict[str, npt.NDArray[Any]]) -> KnownPlaces | None:
+    if "known.references" not in arrays:
+        return None
+    return KnownPlaces(NoveltyTest(arrays["known.references"], arrays["known.groups"]))
 
 
 def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Head:
@@ -198,7 +226,7 @@ def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -
     through = Projection(its["offset"], its["components"])
     settings = LocalSettings(**record["settings"])
     regression = LocalRegression(through, its["references"], its["targets"], its["target_scale"], settings)
-    return LocalFinder(regression, scale=FixScale(**record["scale"]), **{k: record[k] for k in _LOCAL_NUMBERS})
+    return LocalFinder(regression, scale=_fix_scale(record["scale"]), **{k: record[k] for k in _LOCAL_NUMBERS})
 
 
 def _landmarks_record(landmarks: Landmarks | None) -> dict[str, Any] | None:
@@ -213,17 +241,11 @@ def _landmarks(name: str, record: dict[str, Any], arrays: dict[str, npt.NDArray[
         return None
     its = {k: arrays[f"{name}.{k}"] for k in _MAP_ARRAYS}
     own = LandmarkMap(camera=_camera(record[name]["camera"]), depth_m=record[name]["depth_m"], **its)
-    return Landmarks(own, FixScale(**record[name]["scale"]))
+    return Landmarks(own, _fix_scale(record[name]["scale"]))
 
 
-def _landmark_regions(
-    bins: QuantileBins, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]
-) -> LandmarkRegions | None:
-    known = _landmarks("region_landmarks", record, arrays)
-    if known is None:
-        return None
-    scores = "region_landmarks.scores"
-    return LandmarkRegions(known, _calibration(fix_cells(bins), record["calibration"], arrays, scores))
+def _fix_scale(record: dict[str, Any]) -> FixScale:
+    return FixScale(**{**record, "trust_slopes": tuple(record["trust_slopes"])})
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:
@@ -244,8 +266,9 @@ def _prior(record: dict[str, Any]) -> MotionPrior:
 def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
     if record is None:
         return None
-    limits = {k: float("inf") if record[k] is None else float(record[k]) for k in ("radius_m", "radius_rad")}
-    return PoseRadius(**{**record, **limits, "promise": Promise(record["promise"])})
+    limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
+    named = {"promise": Promise(record["promise"]), "sizing": Sizing(record["sizing"])}
+    return PoseRadius(**{**record, "radius_rad": limit, **named})
 
 
 def _read_record(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from conformodal.reasoning import Candidates, Observations, interval_candidates,
 from .answers import OtherMethods, answers
 from .estimates import Estimate
 from .estimator import VisualOdometry
+from .region_rules import Evidence
 from .tally import RegionTally
 from .writer import ResultsWriter
 
@@ -61,10 +62,12 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable, n_fixed
-        Frames so far; the last: those in which landmarks were recognised.
+    n_answered, n_unreliable, n_fixed, n_unknown
+        Frames so far; the last two: those in which landmarks were recognised, and those that show no known place.
     answered
         Their places in the data set, if the truth is known.
+    by_recording
+        How many of them in each recording, by its number and in the order of the stream.
     motion
         How often which motion status.
     problems
@@ -85,8 +88,9 @@ class StreamRunner:
     ) -> None:
         self.odometry, self.writer, self.others = odometry, writer, others
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_fixed = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_fixed = self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
+        self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
@@ -152,14 +156,19 @@ class StreamRunner:
     ) -> None:
         model, motion = self.odometry.model, estimate.relative_motion
         self.n_answered += 1
+        self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
         self.n_fixed += bool(estimate.fixes)
         if motion is not None:
             self.motion[str(motion.status)] += 1
-        self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0))
+        assert estimate.known_p is not None
+        assert estimate.evidence is not None
+        self.n_unknown += estimate.evidence is Evidence.UNKNOWN
+        said = estimate.known_p, estimate.evidence
+        self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
         if self._truth is not None:
             here = self._truth[frame.index : frame.index + 1]
-            self._tallies.append(RegionTally.of(region, here, model.sign_reference))
+            self._tallies.append(RegionTally.of(region, here, model.sign_reference, np.array([estimate.evidence])))
             self.answered.append(frame.index)
         revised = estimate.revised
         assert revised is not None

@@ -12,6 +12,7 @@ from conformodal.conformal import Regions
 from conformodal.poses import Trajectory
 
 from .errors import OdometryError
+from .region_rules import Evidence
 from .targets import pose_targets
 
 
@@ -29,21 +30,31 @@ class RegionTally:
         It falls into.
     unbounded
         Whether it is the whole line.
+    kinds
+        (n,) what each region rests on, see :class:`~conformodal.odometry.Evidence`.
     """
 
     inside: npt.NDArray[np.bool_]
     length: npt.NDArray[np.float64]
     n_intervals: npt.NDArray[np.int64]
     unbounded: npt.NDArray[np.bool_]
+    kinds: npt.NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.inside)
 
     @classmethod
-    def of(cls, regions: Regions, truth: Trajectory, sign_reference: npt.NDArray[np.float64]) -> RegionTally:
-        """Of the regions of frames whose poses are known."""
+    def of(
+        cls,
+        regions: Regions,
+        truth: Trajectory,
+        sign_reference: npt.NDArray[np.float64],
+        kinds: npt.NDArray[np.int64] | None = None,
+    ) -> RegionTally:
+        """Of the regions of frames whose poses are known, and what each rests on; the softmax alone by default."""
+        kinds = np.full(len(regions), Evidence.SOFTMAX, dtype=np.int64) if kinds is None else kinds
         inside = regions.contains(pose_targets(truth, sign_reference))
-        return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded)
+        return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded, kinds)
 
     @classmethod
     def concatenate(cls, parts: Sequence[RegionTally]) -> RegionTally:

@@ -15,6 +15,7 @@ from conformodal.poses import RelativeMotion, Trajectory, tum_lines
 
 from .answers import METHODS
 from .records import REGIONS, TRAJECTORY, TRUTH, region_record
+from .region_rules import Evidence
 
 
 class ResultsWriter:
@@ -48,9 +49,11 @@ class ResultsWriter:
         timestamp_s: float,
         motion: RelativeMotion | None,
         intervals: Sequence[npt.NDArray[np.float64]],
+        known_p: float = 1.0,
+        kind: Evidence = Evidence.SOFTMAX,
     ) -> dict[str, Any]:
         """Write the region of the next frame; returns its record."""
-        record = region_record(name, timestamp_s, motion, intervals)
+        record = region_record(name, timestamp_s, motion, intervals, known_p, kind)
         self._lines(REGIONS, [json.dumps(record)])
         return record
 

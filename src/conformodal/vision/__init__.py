@@ -1,6 +1,6 @@
 """Images to probabilities: frozen features, trained heads (torch)."""
 
-from .backbone import Backbone, BackboneConfig, FeatureViews, feature_views, pick_device
+from .backbone import Backbone, BackboneConfig, FeatureViews, coarse_features, feature_views, pick_device
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .finetuning import FineTuning, fine_tune
@@ -27,6 +27,7 @@ __all__ = [
     "Projection",
     "TrainingConfig",
     "VisionError",
+    "coarse_features",
     "default_cache_dir",
     "extract_features",
     "feature_views",

@@ -51,6 +51,17 @@ def feature_views(n_features: int) -> FeatureViews:
     return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
+def coarse_features(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """The network's map (n, F) averaged over two by two cells: a global descriptor.
+
+    The training images have no part in it, unless the network was fine-tuned on them.
+    """
+    rows, columns = BackboneConfig.grid
+    network = features[:, feature_views(features.shape[1]).network]
+    cells = network.reshape(len(features), -1, rows // 2, 2, columns // 2, 2)
+    return np.asarray(cells.mean(axis=(3, 5)).reshape(len(features), -1), dtype=np.float32)
+
+
 @dataclass(frozen=True)
 class BackboneConfig:
     """Which features to take.

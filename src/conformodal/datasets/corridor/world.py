@@ -41,6 +41,13 @@ class Panel:
 class CorridorWorld:
     """A hallway of `n_modules` identical modules and the landmarks that tell some apart.
 
+    Parameters
+    ----------
+    n_modules, seed
+        Length of the hall, and seed of its textures.
+    rearranged
+        Whether desks and shelves have changed places and the poster is gone, as after furniture was moved.
+
     Raises
     ------
     DatasetError
@@ -49,14 +56,16 @@ class CorridorWorld:
 
     n_modules: int = 5
     seed: int = 0
+    rearranged: bool = False
     panels: list[Panel] = field(init=False, repr=False)
     mesh: trimesh.Trimesh = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.n_modules < 2:
             raise DatasetError(f"n_modules must be at least 2, got {self.n_modules}")
-        self.panels = [p for k in range(self.n_modules) for p in _module(k * MODULE_LENGTH)]
-        self.panels += _ends(self.length) + _landmarks(self.n_modules)
+        self.panels = [p for k in range(self.n_modules) for p in _module(k * MODULE_LENGTH, self.rearranged)]
+        landmarks = _landmarks(self.n_modules)
+        self.panels += _ends(self.length) + (landmarks[1:] if self.rearranged else landmarks)
         self.mesh = _mesh(self.panels)
 
     @property
@@ -75,7 +84,7 @@ class CorridorWorld:
         return segments
 
 
-def _module(x: float) -> list[Panel]:
+def _module(x: float, rearranged: bool) -> list[Panel]:
     h, w, p = HEIGHT, HALL_WIDTH, MODULE_LENGTH
     left, right = x + DOOR_LEFT, x + DOOR_RIGHT
     opening = right - left
@@ -93,13 +102,16 @@ def _module(x: float) -> list[Panel]:
         Panel((left, w, DOOR_HEIGHT), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
         Panel((left, w, 0), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
     ]
-    return panels + _room(x)
+    return panels + _room(x, rearranged)
 
 
-def _room(x: float) -> list[Panel]:
+def _room(x: float, rearranged: bool) -> list[Panel]:
     x0, x1, y0, y1, h = x + ROOM_LEFT, x + ROOM_RIGHT, ROOM_NEAR, ROOM_FAR, HEIGHT
     left, right = x + DOOR_LEFT, x + DOOR_RIGHT
     wide, deep = x1 - x0, y1 - y0
+    desk, shelf = ((x0, y1 - 0.7, 0), (x1 - 0.4, y1 - 1.9, 0))
+    if rearranged:
+        desk, shelf = ((x1 - 1.3, y1 - 0.7, 0), (x0, y0 + 0.4, 0))
     return [
         Panel((x0, y0, 0), (wide, 0, 0), (0, deep, 0), "room_floor"),
         Panel((x0, y0, h), (wide, 0, 0), (0, deep, 0), "room_ceiling"),
@@ -109,8 +121,8 @@ def _room(x: float) -> list[Panel]:
         Panel((x0, y0, 0), (left - x0, 0, 0), (0, 0, h), "room_near"),
         Panel((right, y0, 0), (x1 - right, 0, 0), (0, 0, h), "room_near", (right - x0, 0)),
         Panel((left, y0, DOOR_HEIGHT), (right - left, 0, 0), (0, 0, h - DOOR_HEIGHT), "room_near", (left - x0, 2.1)),
-        *_box((x0, y1 - 0.7, 0), (1.3, 0.7, 0.75), "desk"),
-        *_box((x1 - 0.4, y1 - 1.9, 0), (0.4, 1.1, 1.7), "shelf"),
+        *_box(desk, (1.3, 0.7, 0.75), "desk"),
+        *_box(shelf, (0.4, 1.1, 1.7), "shelf"),
     ]
 
 

@@ -23,7 +23,7 @@ def region_numbers(
 ) -> dict[str, Any]:
     """Coverage and size of the answer's regions and, under ``alone``, of those from the image's softmax only."""
     proba, targets = model.proba(features), pose_targets(truth, model.sign_reference)
-    plain = model.regions(proba)
+    plain = model.regions(proba, known_p=run.known_p)
     error = position_error(run, truth)
     return {
         **_numbers(run.regions, model, proba, run.fixes, targets, error),
@@ -43,12 +43,13 @@ def _numbers(
 ) -> dict[str, Any]:
     """Of the whole pose at alpha, and of each target at alpha as in the paper."""
     rule = model.calibration_of(with_fixes=fixes is not None)
-    single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_)
+    single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
     each = model.regions(proba, fixes, single)
     scores = model.scores(proba, targets, fixes)
     rank = rank_correlation(position_size(regions, model), error)
     return {
         "joint_coverage": float(regions.contains(targets, joint=True).mean()),
+        "abstained": float(regions.unbounded.any(axis=1).mean()),  # which count as covered
         "coverage": float(each.contains(targets).mean()),
         "length": in_deviations(np.minimum(each.length, _widths(model)), targets),
         "intervals": float(each.n_intervals.mean()),

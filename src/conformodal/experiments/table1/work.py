@@ -112,10 +112,14 @@ class Table1Worker:
         cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
         cost["smoothed"] = {
             "train_s": conformal_s,
-            "n_parameters": sum(_n_numbers(head) for head in (model.head, *model.finders))
+            "n_parameters": sum(_n_numbers(head) for head in {id(h): h for h in (model.head, *model.finders)}.values())
             + (0 if model.local is None else model.local.regression.size)
             + (0 if model.landmarks is None else model.landmarks.map.size)
-            + (0 if model.landmark_regions is None else model.landmark_regions.landmarks.map.size),
+            + (
+                0
+                if model.region_landmarks is None or model.region_landmarks is model.landmarks
+                else model.region_landmarks.map.size
+            ),
         }
         cost["classical"] = {"train_s": classical_s, "n_parameters": _n_numbers(classical.head)}
         trained = _Trained(task, data, model, classical, baselines, quantiles)
