@@ -16,6 +16,11 @@ def invoke(*arguments):
     return result
 
 
+def inside_band(coverage):
+    low, high = coverage["joint_band_99"]
+    return low <= coverage["joint_coverage"] <= high
+
+
 def test_demo(tmp_path):
     # benchmarks/main_job.py measures seeds 0 to 2, all above what is asserted; this one lies furthest from the line, so
     # that another processor's rounding does not decide
@@ -24,7 +29,7 @@ def test_demo(tmp_path):
     errors = metrics["errors"]
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
     assert errors["classical_smoothed"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
-    assert all(row["inside_band"] for row in metrics["coverage"]["targets"].values())
+    assert inside_band(metrics["coverage"])
     assert not metrics["coverage"]["whole_space"]
     assert metrics["ambiguity"]["n_places"] > 300
     assert metrics["ambiguity"]["share_held"] >= 0.95
@@ -39,4 +44,4 @@ def test_redkitchen_interleaved(redkitchen, tmp_path):
     assert metrics["n_answered"] == 200
     assert metrics["errors"]["classical"]["rmse_m"] <= 0.040
     assert metrics["errors"]["smoothed"]["rmse_m"] <= 0.020
-    assert all(row["inside_band"] for row in metrics["coverage"]["targets"].values())
+    assert inside_band(metrics["coverage"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.odometry import ResultsWriter
+from conformodal.odometry import Evidence, ResultsWriter
 from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
@@ -85,7 +85,7 @@ def test_clicking_through_the_page(browser, tmp_path, scheme):
     page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
     page.on("request", lambda request: asked.append(request.url))
     page.goto(path.as_uri())
-    canvases = ["plan", "space", "band-x", "band-y", "band-z", "size", "error", "angle"]
+    canvases = ["plan", "space", "band-x", "band-y", "band-z", "known", "size", "error", "angle"]
     first = {name: ink(page, name) for name in canvases}
     assert all(used > 200 for used, _ in first.values()), first
     assert page.inner_text("#label").startswith("frame-000, 0.00 s (1 of 60 shown)")
@@ -138,7 +138,7 @@ def test_a_run_without_truth_images_or_bounds_is_shown_too(browser, tmp_path):
     trouble = []
     page.on("pageerror", lambda error: trouble.append(str(error)))
     page.goto(page_of(tmp_path, {}).as_uri())
-    assert page.locator("canvas").count() == 6
+    assert page.locator("canvas").count() == 7
     assert page.locator("#frame").count() == 0
     page.fill("#scrub", "5")
     assert page.inner_text("#label").startswith("frame-005")
@@ -168,6 +168,23 @@ def test_a_page_of_a_thousand_real_frames_is_below_15_mb(redkitchen, tmp_path):
         pictures.add(sequence.image_paths[i].name, sequence.image(i))
     size = sum(map(len, pictures.kept.values())) / len(pictures.kept)
     assert 1000 * (size * 4 / 3 + 700) < 15e6
+
+
+def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
+    one = Trajectory(np.array([0.0, 0.1]), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))
+    whole = [np.array([[-np.inf, np.inf]])] * 7
+    with ResultsWriter(tmp_path) as writer:
+        writer.poses("smoothed", one)
+        writer.region("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, Evidence.LANDMARKS)
+        writer.region("b", 0.1, None, whole, 0.003, Evidence.UNKNOWN)
+    viewer = make_viewer(tmp_path, {}, 0.01)
+    assert viewer.known
+    data = json.loads(viewer.json)
+    assert data["level"] == 0.01
+    seen, unknown = data["frames"]
+    assert (seen["kp"], seen["ev"], seen["whole"], seen["ok"]) == (0.43, "landmarks", False, True)
+    assert (unknown["kp"], unknown["ev"], unknown["whole"], unknown["ok"]) == (0.003, "unknown", True, False)
+    assert unknown["size"] is None
 
 
 def test_names_cannot_leave_the_script(tmp_path):

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from conformodal.conformal import ConformodalError
-from conformodal.odometry import Estimate
+from conformodal.odometry import Estimate, Evidence
 
 P = ParamSpec("P")
 Report = Callable[[str, int, int], None]
@@ -79,7 +79,7 @@ def print_where(folder: Path) -> None:
 
 
 class StatusLine:
-    """One line that changes while a stream runs: frames, frames a second, reliable or not, intervals.
+    """One line that changes while a stream runs: frames, frames a second, known place or not, reliable or not.
 
     Parameters
     ----------
@@ -110,9 +110,17 @@ class StatusLine:
         self._recent.append(time.perf_counter())
         passed = self._recent[-1] - self._recent[0]
         fps = (len(self._recent) - 1) / passed if passed > 0 else 0.0
-        if estimate.region is None:
-            state = f"no answer: {estimate.problem}"
-        else:
-            counts = " ".join(f"{name}:{k}" for name, k in zip("xyz", estimate.region.n_intervals[0], strict=False))
-            state = f"{'reliable' if estimate.reliable else estimate.problem}, intervals {counts}"
-        self._progress.update(self._task, completed=done, fps=fps, state=state)
+        self._progress.update(self._task, completed=done, fps=fps, state=state_of(estimate))
+
+
+def state_of(estimate: Estimate) -> str:
+    """What became of a frame, in a few words."""
+    if estimate.region is None:
+        return f"no answer: {estimate.problem}"
+    if estimate.evidence is Evidence.UNKNOWN:
+        motion = estimate.relative_motion
+        lost = "" if motion is None or motion.reliable else f", {motion.status}"
+        return f"unknown place (p = {estimate.known_p:.2g}){lost}"
+    counts = " ".join(f"{name}:{k}" for name, k in zip("xyz", estimate.region.n_intervals[0], strict=False))
+    p = "" if estimate.known_p is None else f", known p {estimate.known_p:.2f}"
+    return f"{'reliable' if estimate.reliable else estimate.problem}{p}, intervals {counts}"

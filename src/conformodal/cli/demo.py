@@ -15,6 +15,7 @@ from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity, load_classical
 from conformodal.odometry import (
+    Evidence,
     ModelConfig,
     OdometryRun,
     PoseModel,
@@ -44,7 +45,7 @@ N_MODULES, N_LAPS = 5, 2
 # Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details. All
 # features, not their principal components: rooms differ in small things.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
-ALPHA = 0.04
+ALPHA = 0.02
 
 
 @kind_errors
@@ -79,7 +80,7 @@ def demo(
     outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
     write_metrics(out, outcome.metrics)
     write_page(out / "report.html", _page(outcome, sequence, model, world, alike, out))
-    say(outcome.metrics, whole_space=bool(outcome.run.regions.unbounded.any()))
+    say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
@@ -116,13 +117,14 @@ def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> 
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
         "n_fixed": sum(bool(fixes.search) for fixes in result.fixes),
+        "n_unknown": int(np.sum(result.kinds == Evidence.UNKNOWN)),
         "n_without_image": len(result.unreadable),
         "problems": {str(k): v for k, v in result.unreadable.items()},
         "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
         "stopped": "",
         "seconds": seconds,
     }
-    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference))
+    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference, result.kinds))
     metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
     return _Outcome(result, truth, metrics)
 
@@ -183,7 +185,7 @@ def _page(
     pictures = Thumbnails()
     for i in run.frames.tolist():
         pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    viewer = make_viewer(folder, pictures.kept)
+    viewer = make_viewer(folder, pictures.kept, model.rules.level)
     title = "conformodal: a corridor of identical rooms"
     return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
 

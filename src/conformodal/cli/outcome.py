@@ -17,7 +17,7 @@ from conformodal.experiments import (
     is_exchangeable,
     radius_table,
 )
-from conformodal.odometry import OdometryError, PoseModel, RegionTally, identify, provenance
+from conformodal.odometry import Evidence, OdometryError, PoseModel, RegionTally, identify, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors
@@ -94,6 +94,7 @@ def run_metrics(
     *,
     whole: bool = True,
     fixed_all: bool = True,
+    recording: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -111,11 +112,14 @@ def run_metrics(
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
     fixed_all
         Whether landmarks were looked for in all of them, as when a radius is calibrated.
+    recording
+        (n,) number of each frame's recording, see :func:`~conformodal.experiments.radius_table`.
     """
+    in_force = {"alpha": float(model.calibration.alpha), "novelty_level": float(model.rules.level)}
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
-        "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
+        "configuration": {**model.configuration, **in_force, "part": str(part)},
         "seed": model.split.seed,
         "split": str(model.split.kind),
         "split_note": _split_note(model, part, counts["n_answered"]),
@@ -126,12 +130,22 @@ def run_metrics(
         metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     radius = model.radius if whole and fixed_all and part is Part.ALL else None
-    metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth)
+    metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth, recording)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
+        shown = known.regions.kinds != Evidence.UNKNOWN
+        if shown.any() and not shown.all():
+            there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
+            metrics["errors_known_places"] = error_table(there, known.truth[shown])
         whole = whole and counts["n_answered"] == _n_frames(model, part)
         exchangeable = whole and is_exchangeable(model, str(part))
-        metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, fixed_all=fixed_all)
+        metrics["coverage"] = coverage_table(
+            known.regions,
+            model,
+            exchangeable=exchangeable,
+            fixed_all=fixed_all,
+            seen=part in (Part.TRAIN, Part.CALIBRATION),
+        )
     return metrics
 
 
@@ -139,9 +153,10 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     """The page's first lines."""
     lines = [
         f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
-        f"{metrics['n_unreliable']} frames without reliable motion, {metrics['n_without_image']} without an image; "
-        f"landmarks recognised in {metrics['n_fixed']}.",
+        f"{metrics['n_unreliable']} frames are not reliable (motion or place), {metrics['n_without_image']} without an "
+        f"image; landmarks recognised in {metrics['n_fixed']}.",
     ]
+    lines += [f"{line}." for line in _said_of_unknown(metrics)]
     if metrics["radius"] is not None:
         radius = metrics["radius"]
         lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
@@ -154,13 +169,16 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     fixed = f", landmarks recognised in {metrics['n_fixed']}" if metrics["n_fixed"] else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} without reliable motion{fixed}{lost}")
+    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{fixed}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
         console.print(f"  {name}: {why}", soft_wrap=True, markup=False)
+    for line in _said_of_unknown(metrics):
+        console.print(line, soft_wrap=True)
     if whole_space:
         console.print(
-            "[bold]The region is the whole space in some target[/]: too few calibration frames for this alpha, or too "
-            "many of them beyond the training range."
+            "[bold]The region of a known place is the whole space in some target[/]: too few calibration frames with "
+            "the same kind of evidence for this alpha, or too many of them beyond the training range.",
+            soft_wrap=True,
         )
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
@@ -168,16 +186,46 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
         console.print(
-            f"whole pose covered {coverage['joint_coverage']:.3f}, alpha = {coverage['alpha']} ({coverage['joint']}). "
-            + coverage["assumption"],
+            f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
+            f"({coverage['joint']}); {_abstained(coverage)}. " + coverage["assumption"],
             soft_wrap=True,
+            markup=False,
         )
+
+
+def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
+    """What became of the frames that show no place that is known; nothing if there are none."""
+    n, n_answered = metrics["n_unknown"], metrics["n_answered"]
+    if not n:
+        return []
+    frames = "frame" if n_answered == 1 else "frames"
+    shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
+    said = [f"{n} of {n_answered} {frames} {shows} no place that is known: {their} region is the whole space"]
+    rest = metrics.get("errors_known_places", {}).get("smoothed")
+    if rest is not None:
+        said.append(f"Without {it} the answer's RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
+    return said
+
+
+def _band(coverage: dict[str, Any]) -> str:
+    """The joint band, where there is one."""
+    if coverage["joint_band_99"] is None:
+        return ""
+    low, high = coverage["joint_band_99"]
+    return f" (99 % band {low:.3f} to {high:.3f})"
+
+
+def _abstained(coverage: dict[str, Any]) -> str:
+    """The share of frames whose region is the whole space in some target."""
+    return f"region is the whole space in {100 * coverage['abstained']:.1f} % of the frames"
 
 
 def _size(radius: dict[str, Any]) -> str:
     if radius["radius_m"] is None or radius["radius_deg"] is None:
         return "infinity, for want of recordings to calibrate it on"
-    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
+    low, high = min(radius["sizes"]), max(radius["sizes"])
+    over = f", the mean over recordings of sizes {low:.2f} to {high:.2f}" if low < high else ""
+    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees{over}"
 
 
 def _n_frames(model: PoseModel, part: Part) -> int | None:

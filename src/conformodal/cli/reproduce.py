@@ -223,7 +223,7 @@ def _note(seeds: int, epochs: int, networks: str, workers: int, fine_tune: str) 
         "searched for each, and the other networks with learning rate and dropout; theirs are batches of 32, ours of "
         "64. Noise is on the camera's pixels, in [0, 1], at test time only, for network and tracker alike. Regions are "
         "of single frames, "
-        "from softmax and landmarks. Whole pose covered: at alpha = 0.1 (bonferroni); promised for `interleaved` "
+        "from softmax and landmarks. Whole pose covered: at alpha = 0.1 (joint max); promised for `interleaved` "
         "without noise, otherwise an observation. Set length and intervals: a target at alpha = 0.1, as in the paper, "
         "in standard deviations. Size against error: rank correlation of the position region's size and the smoothed "
         "answer's error. "

@@ -24,6 +24,7 @@ from conformodal.datasets.streams import (
 )
 from conformodal.experiments import ClassicalRegressor, load_classical
 from conformodal.odometry import (
+    Evidence,
     OdometryError,
     PoseModel,
     ResultsWriter,
@@ -57,6 +58,13 @@ def run(
         Part.ALL
     ),
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,
+    novelty_level: Annotated[
+        float | None,
+        typer.Option(
+            help="Another level than the model was saved with: an image whose p-value of showing a known place is at "
+            "most this gets the whole space as its region."
+        ),
+    ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     pace: Annotated[
         Pace,
@@ -76,6 +84,8 @@ def run(
     loaded = load_model(model)
     if alpha is not None:
         loaded.recalibrate(alpha)
+    if novelty_level is not None:
+        loaded.set_novelty_level(novelty_level)
     stream = open_source(source, layout, camera=loaded.camera, topic=topic, as_trained=part is not Part.ALL)
     if isinstance(stream, SequenceStream):
         stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
@@ -106,7 +116,9 @@ def stream_through(
     live: LiveView | None = None,
     fix_every: int | None = None,
 ) -> tuple[dict[str, Any], bool]:
-    """Run a model on a stream, write everything; returns the metrics, and whether a region was the whole space.
+    """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
+
+    Such a region is the whole space in some target, although its image shows a place that is known.
 
     Raises
     ------
@@ -129,7 +141,8 @@ def stream_through(
                     if estimate is not None:
                         if estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
-                            whole_space = whole_space or bool(estimate.region.unbounded.any())
+                            for_want = estimate.evidence is not Evidence.UNKNOWN and estimate.region.unbounded.any()
+                            whole_space = whole_space or bool(for_want)
                         if live is not None:
                             live.log(frame, estimate, None if truth is None else truth[frame.index : frame.index + 1])
                         status.update(number, estimate)
@@ -156,12 +169,20 @@ def stream_through(
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     trajectories = read_trajectories(out) if needed else {}
     metrics = run_metrics(
-        model, classical, part, trajectories, known, counts, whole=whole, fixed_all=odometry.fix_every == 1
+        model,
+        classical,
+        part,
+        trajectories,
+        known,
+        counts,
+        whole=whole,
+        fixed_all=odometry.fix_every == 1,
+        recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
     )
     write_metrics(out, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(out)
-    lines, viewer = summary(stream.name, metrics), make_viewer(out, pictures.kept)
+    lines, viewer = summary(stream.name, metrics), make_viewer(out, pictures.kept, model.rules.level)
     write_page(out / "report.html", ReportContent(f"conformodal: {stream.name}", lines, metrics, viewer=viewer))
     return metrics, whole_space
 
@@ -171,6 +192,7 @@ def _counts(runner: StreamRunner) -> dict[str, Any]:
         "n_answered": runner.n_answered,
         "n_unreliable": runner.n_unreliable,
         "n_fixed": runner.n_fixed,
+        "n_unknown": runner.n_unknown,
         "n_without_image": runner.n_problems,
         "problems": runner.problems,
         "motion": dict(sorted(runner.motion.items())),

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
+from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import opponents_training, save_classical, train_classical
 from conformodal.odometry import (
+    TARGET_NAMES,
+    Calibration,
+    Evidence,
     Landmarks,
     ModelConfig,
     PoseModel,
@@ -29,6 +35,11 @@ from .sources import open_sequence
 
 _DEFAULT = ModelConfig()
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
+_WHERE = {
+    Evidence.SOFTMAX: "where landmarks are not looked for",
+    Evidence.UNMATCHED: "where no landmarks are trusted",
+    Evidence.LANDMARKS: "where landmarks are trusted",
+}
 
 
 @kind_errors
@@ -45,11 +56,15 @@ def train(
     alpha: Annotated[float, typer.Option(help="Miscoverage rate: the region may miss this share of poses.")] = (
         _DEFAULT.alpha
     ),
-    joint: Annotated[str, typer.Option(help="bonferroni, max: alpha for the whole pose; none: for each target.")] = (
-        _DEFAULT.joint
-    ),
+    joint: Annotated[
+        str,
+        typer.Option(
+            help="What alpha is for. max: the whole pose, with one threshold; bonferroni: the whole pose, alpha / 7 "
+            "for each target; none: each target alone, as in the paper."
+        ),
+    ] = (_DEFAULT.joint),
     score: Annotated[
-        str, typer.Option(help="Nonconformity score: density, linear_density, aps, hpd, or lac as in the paper.")
+        str, typer.Option(help="Nonconformity score: hpd_mid, hpd, aps, density, linear_density, or the paper's, lac.")
     ] = _DEFAULT.score,
     bins: Annotated[int, typer.Option(help="Bins per target (K).")] = _DEFAULT.n_bins,
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
@@ -62,9 +77,24 @@ def train(
     test: Annotated[
         float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
     ] = _DEFAULT.test,
-    calibration: Annotated[float, typer.Option(help="Share of all frames (or recordings) held out to calibrate.")] = (
-        _DEFAULT.calibration
-    ),
+    calibration: Annotated[
+        Calibration,
+        typer.Option(
+            help="What the regions are calibrated on. frames: the calibration part. stretches: stretches (or "
+            "recordings) of training and calibration part, each answered by sources that did not see it. auto: frames "
+            "for --split interleaved, else stretches."
+        ),
+    ] = _DEFAULT.calibrate_on,
+    calibration_share: Annotated[
+        float, typer.Option(help="Share of all frames (or recordings) held out to calibrate.")
+    ] = _DEFAULT.calibration,
+    novelty_level: Annotated[
+        float | None,
+        typer.Option(
+            help="An image whose p-value of showing a known place is at most this gets the whole space as its region; "
+            "0.01 by default where frames calibrate, 0.1 where stretches do."
+        ),
+    ] = _DEFAULT.novelty_level,
     used: Annotated[
         float | None, typer.Option(help="Share of all frames for training and calibration together; all the rest.")
     ] = None,
@@ -93,7 +123,9 @@ def train(
         score=score,
         joint=joint,
         test=test,
-        calibration=calibration,
+        calibration=calibration_share,
+        calibrate_on=calibration,
+        novelty_level=novelty_level,
         used=used,
         network=network,
         landmarks=landmarks,
@@ -137,6 +169,70 @@ def said_of(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
     return said
 
 
+def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
+    """What a user should know of the regions' calibration.
+
+    Parameters
+    ----------
+    model
+        Trained and calibrated.
+    config
+        What was asked for.
+    n_recordings
+        Recordings that training and calibration frames come from.
+    """
+    softmax, n_frames = model.calibration, model.n_calibration
+    by_frame, n = softmax.groups_ is None, softmax.n_units
+    unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
+    if by_frame:
+        said = [f"regions are calibrated on the {n} frames of the calibration part"]
+    else:
+        said = [
+            f"regions are calibrated on {n} {units}, {n_frames} frames of training and calibration part together; each "
+            f"is answered by sources that did not see its {unit}"
+        ]
+    if softmax.joint != config.joint:
+        said.append(
+            f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
+            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
+        )
+    if model.known is None:
+        said.append(
+            "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
+            "and there is only one"
+        )
+    elif model.rules.level < model.known.test.least_p:
+        said.append(
+            f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
+            f"{model.known.test.n_groups} pieces of the data no p-value is below {model.known.test.least_p:.3g}"
+        )
+    else:
+        said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
+    return said
+
+
+def units_needed(alpha: Alpha) -> int:
+    """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
+    return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
+
+
+def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
+    """Kinds of evidence whose region is the whole space in some target, with the reason."""
+    by_frame = model.calibration.groups_ is None
+    said, units = [], "frames" if by_frame else "stretches or recordings"
+    for kind, rule in model.rules.of.items():
+        if not len(rule.scores_):
+            said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
+        elif np.isposinf(rule.thresholds_).any():
+            said.append(
+                f"[bold]The region is the whole space in some target {_WHERE[kind]}:[/] {rule.n_units} {units} "
+                f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
+                f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
+            )
+    return said
+
+
 def train_on(
     sequence: Sequence, config: ModelConfig, out: Path, *, classical: bool, cache_dir: Path, report: Report
 ) -> PoseModel:
@@ -165,10 +261,9 @@ def train_on(
     )
     if config.landmarks:
         console.print(said_of(model.landmarks, model.camera))
-    if model.unbounded:
-        console.print(
-            f"[bold]The region is the whole space in some target:[/] {parts['calibration']} calibration frames are too "
-            f"few for alpha = {config.alpha} ({config.joint}), or too many lie beyond the training range. Take a "
-            "larger alpha or calibration share, or more frames."
-        )
+    used = np.concatenate((split.train, split.calibration))
+    for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
+        console.print(line, soft_wrap=True)
+    for line in said_of_whole_space(model, config):
+        console.print(line, soft_wrap=True)
     return model

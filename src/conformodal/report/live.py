@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets.streams import Frame
-from conformodal.odometry import Estimate
+from conformodal.odometry import Estimate, Evidence
 from conformodal.poses import Trajectory
 
 _MOST_CUBOIDS = 256
@@ -24,7 +24,10 @@ class LiveViewError(ConformodalError):
 
 
 class LiveView:
-    """Shows a run: image with tracks, all cuboids, candidates, the chosen trajectory, and the truth.
+    """Shows a run: image with tracks, all cuboids, candidates, the chosen trajectory, p-values, and the truth.
+
+    Where an image shows no place that is known, the region is the whole space and no cuboid is drawn; the status says
+    so.
 
     Parameters
     ----------
@@ -76,7 +79,12 @@ class LiveView:
         if estimate.region is None or estimate.pose is None or estimate.candidates is None:
             return
         here = estimate.pose.positions_xyz[0]
-        self._log("world/region", self._cuboids(estimate, here))
+        unknown = estimate.evidence is Evidence.UNKNOWN
+        self._log("world/region", rr.Clear(recursive=False) if unknown else self._cuboids(estimate, here))
+        if estimate.known_p is not None:
+            self._log("plots/known_p", rr.Scalars(estimate.known_p))
+        if estimate.position_spread_m is not None:
+            self._log("plots/spread_m", rr.Scalars(estimate.position_spread_m))
         masses = np.exp(estimate.candidates.position_log_mass)
         places = estimate.candidates.positions_xyz
         labels = [f"{mass:.2f}" for mass in masses]

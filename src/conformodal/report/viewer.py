@@ -31,9 +31,10 @@ class Viewer:
     has_images: bool
     truth: bool
     classical: bool
+    known: bool
 
 
-def make_viewer(folder: Path, images: Mapping[str, bytes]) -> Viewer:
+def make_viewer(folder: Path, images: Mapping[str, bytes], level: float | None = None) -> Viewer:
     """A viewer of a run's folder; of long runs, it shows at most a thousand frames, evenly spread.
 
     Parameters
@@ -42,6 +43,8 @@ def make_viewer(folder: Path, images: Mapping[str, bytes]) -> Viewer:
         What ``conformodal run`` wrote.
     images
         JPEG data by frame name. Where there are some, the frames shown are among those that have one.
+    level
+        P-value at or below which an image shows no place that is known; None draws no line at it.
 
     Raises
     ------
@@ -62,11 +65,13 @@ def make_viewer(folder: Path, images: Mapping[str, bytes]) -> Viewer:
     ruler = max((r for r in _RULERS_M if r <= max(extent.max() / 3, _RULERS_M[0])), default=_RULERS_M[0])
     data = {"frames": shown, "axes": flat, "up": up, "ruler": ruler, "truth": truth is not None}
     data["classical"] = classical is not None
+    data["level"] = level
+    known = any("kp" in frame for frame in shown)
     note = "" if len(shown) == len(answer) else f"{len(shown)} of {len(answer)} frames are shown, evenly spread."
     script = files("conformodal.report").joinpath("templates/viewer.js").read_text(encoding="utf-8")
     # "</" could end the script element early
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    return Viewer(text, script, note, bool(images), truth is not None, classical is not None)
+    return Viewer(text, script, note, bool(images), truth is not None, classical is not None, known)
 
 
 def _beside(path: Path, n: int) -> Trajectory | None:
@@ -85,8 +90,8 @@ def _frame(
     images: Mapping[str, bytes],
 ) -> dict[str, Any]:
     parts = [record["intervals"][target] for target in "xyz"]
-    known = all(None not in part for target in parts for part in target)
-    size = float(np.linalg.norm([sum(b - a for a, b in target) for target in parts])) if known else None
+    bounded = all(None not in part for target in parts for part in target)
+    size = float(np.linalg.norm([sum(b - a for a, b in target) for target in parts])) if bounded else None
     one = slice(i, i + 1)
     frame: dict[str, Any] = {
         "n": record["frame"],
@@ -97,7 +102,11 @@ def _frame(
         "q": _rounded(answer.orientations_quat_wxyz[i]),
         "iv": [[[None if e is None else round(e, 4) for e in part] for part in target] for target in parts],
         "size": None if size is None else round(size, 4),
+        # nothing but whole lines: there is no box to draw
+        "whole": all(target == [[None, None]] for target in parts),
     }
+    if "known_p" in record:  # runs of earlier versions have none
+        frame |= {"kp": record["known_p"], "ev": record["evidence"]}
     if record["frame"] in images:
         frame["img"] = base64.b64encode(images[record["frame"]]).decode()
     if classical is not None:

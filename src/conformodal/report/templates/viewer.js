@@ -43,6 +43,14 @@
     g.moveTo(p[0] - 6, p[1]); g.lineTo(p[0] + 6, p[1]); g.moveTo(p[0], p[1] - 6); g.lineTo(p[0], p[1] + 6); g.stroke();
   }
 
+  // a frame that shows no place that is known, and one whose region holds every position
+  const unknown = (f) => f.ev === "unknown";
+  function everywhere(g, w) {
+    g.fillStyle = css("--ink"); g.textAlign = "center";
+    g.fillText(unknown(frames[now]) ? "I do not know: the region is the whole space" : "the region is the whole space", w / 2, 30);
+    g.textAlign = "left";
+  }
+
   // where the camera looks, from its quaternion wxyz: the third column of the rotation
   const ahead = (q) => [2 * (q[1] * q[3] + q[0] * q[2]), 2 * (q[2] * q[3] - q[0] * q[1]), 1 - 2 * (q[1] ** 2 + q[2] ** 2)];
 
@@ -50,8 +58,9 @@
     const [g, w, h] = fit($("plan")), [a, b] = data.axes, f = frames[now], pad = 30;
     const scale = Math.min((w - 2 * pad) / (range[a][1] - range[a][0]), (h - 2 * pad) / (range[b][1] - range[b][0]));
     const at = (p) => [pad + (p[a] - range[a][0]) * scale, h - pad - (p[b] - range[b][0]) * scale];
-    g.fillStyle = css("--region"); g.globalAlpha = 0.45;
-    for (const u of f.iv[a]) for (const v of f.iv[b]) {
+    g.fillStyle = css("--region"); g.globalAlpha = f.whole ? 0.15 : 0.45;
+    if (f.whole) g.fillRect(0, 0, w, h);
+    else for (const u of f.iv[a]) for (const v of f.iv[b]) {
       const p = [0, 0, 0], q = [0, 0, 0];
       [p[a], q[a]] = ends(u, a); [p[b], q[b]] = ends(v, b);
       const [x0, y0] = at(p), [x1, y1] = at(q);
@@ -65,6 +74,7 @@
     mark(g, here, css("--answer"), "dot");
     if (f.classical) mark(g, at(f.classical), css("--classical"), "square");
     if (f.truth) mark(g, at(f.truth), css("--ink"), "cross");
+    if (f.whole) everywhere(g, w);
     g.fillStyle = css("--faint");
     g.fillText(`${axisNames[a]} (m) \u2192`, w - 60, h - 8); g.fillText(`${axisNames[b]} (m) \u2191`, 4, 14);
     g.fillRect(pad, h - 8, scale * data.ruler, 2); g.fillText(`${data.ruler} m`, pad, h - 12);
@@ -82,7 +92,7 @@
     };
     g.strokeStyle = css("--region"); g.lineWidth = 1.2;
     let boxes = 0;
-    for (const u of f.iv[0]) for (const v of f.iv[1]) for (const s of f.iv[2]) {
+    if (!f.whole) for (const u of f.iv[0]) for (const v of f.iv[1]) for (const s of f.iv[2]) {
       if (++boxes > 64) continue;
       const e = [ends(u, 0), ends(v, 1), ends(s, 2)];
       const corner = (i) => at([e[0][i & 1], e[1][(i >> 1) & 1], e[2][(i >> 2) & 1]]);
@@ -94,16 +104,17 @@
     if (data.truth) polyline(g, frames.map((f) => f.truth && at(f.truth)), css("--ink"), 1, [4, 3]);
     mark(g, at(f.p), css("--answer"), "dot");
     if (f.truth) mark(g, at(f.truth), css("--ink"), "cross");
+    if (f.whole) everywhere(g, w);
     g.fillStyle = css("--faint"); g.fillText("drag to turn, wheel to zoom", 6, h - 8);
   }
 
-  function chart(id, label, low, high, draw) {
+  function chart(id, label, low, high, draw, say = (v) => v.toPrecision(3)) {
     const canvas = $(id);
     if (!canvas) return;
     const [g, w, h] = fit(canvas), left = 48, bottom = 16, end = n > 1 ? frames[n - 1].t : t0 + 1;
     const x = (t) => left + (w - left - 6) * (t - t0) / (end - t0 || 1), y = (v) => h - bottom - (h - bottom - 6) * (v - low) / (high - low || 1);
     g.fillStyle = css("--faint"); g.textAlign = "right";
-    g.fillText(high.toPrecision(3), left - 4, 14); g.fillText(low.toPrecision(3), left - 4, h - bottom);
+    g.fillText(say(high), left - 4, 14); g.fillText(say(low), left - 4, h - bottom);
     g.textAlign = "left"; g.fillText(label, left + 4, 14);
     g.save(); g.beginPath(); g.rect(left, 0, w - left, h - bottom + 1); g.clip();
     draw(g, x, y);
@@ -115,8 +126,9 @@
   function charts() {
     const half = n > 1 ? (frames[n - 1].t - t0) / (n - 1) / 2 : 0.5;
     axisNames.forEach((name, a) => chart(`band-${name}`, `${name} (m)`, range[a][0], range[a][1], (g, x, y) => {
-      g.fillStyle = css("--region"); g.globalAlpha = 0.5;
+      g.fillStyle = css("--region");
       for (const f of frames) for (const part of f.iv[a]) {
+        g.globalAlpha = f.whole ? 0.2 : 0.5;
         const [low, high] = ends(part, a);
         g.fillRect(x(f.t - half), y(high), Math.max(x(f.t + half) - x(f.t - half), 1), Math.max(y(low) - y(high), 1));
       }
@@ -127,6 +139,15 @@
     }));
     const most = (key) => Math.max(...frames.map((f) => f[key] || 0), 1e-9);
     const line = (key) => (g, x, y) => polyline(g, frames.map((f) => (f[key] === null || f[key] === undefined ? null : [x(f.t), y(f[key])])), css("--answer"), 1.5);
+    // p-values on a scale of powers of ten: what matters is how small they are
+    const power = Math.log10, smallest = Math.min(data.level || 0.1, 0.1, ...frames.map((f) => f.kp || 1)), least = Math.floor(power(smallest) - 0.1);
+    chart("known", "known place? (p)", least, 0, (g, x, y) => {
+      for (const f of frames) if (f.kp) {
+        g.fillStyle = css(unknown(f) ? "--classical" : "--answer");
+        g.fillRect(x(f.t) - 1.5, y(power(f.kp)) - 1.5, 3, 3);
+      }
+      if (data.level) polyline(g, [[x(t0), y(power(data.level))], [x(n > 1 ? frames[n - 1].t : t0 + 1), y(power(data.level))]], css("--ink"), 1, [4, 3]);
+    }, (v) => String(10 ** v));
     chart("size", "size of the position's region (m)", 0, most("size"), line("size"));
     chart("error", "position error (m)", 0, Math.max(most("err"), most("cerr")), (g, x, y) => {
       if (data.classical) polyline(g, frames.map((f) => (f.cerr === null ? null : [x(f.t), y(f.cerr)])), css("--classical"), 1, [2, 2]);
@@ -135,11 +156,16 @@
     chart("angle", "orientation error (degrees)", 0, most("deg"), line("deg"));
   }
 
+  const p3 = (p) => (p < 0.1 ? p.toPrecision(1) : p.toFixed(2));
+  const sources = { softmax: "softmax alone, landmarks not looked for", unmatched: "softmax, no landmarks trusted", landmarks: "softmax and landmarks" };
+
   function words() {
     const f = frames[now], list = (p) => p.map((v) => v.toFixed(3)).join(", ");
     $("label").textContent = `${f.n}, ${(f.t - t0).toFixed(2)} s (${now + 1} of ${n} shown)`;
-    const counts = axisNames.map((name, a) => `${name} ${f.iv[a].length}`).join(", ");
-    const rows = [["chosen position (m)", list(f.p)], ["intervals", counts], ["motion", f.ok ? f.m : `not reliable: ${f.m}`]];
+    const counts = f.whole ? "the whole space" : axisNames.map((name, a) => `${name} ${f.iv[a].length}`).join(", ");
+    const rows = [["chosen position (m)", list(f.p)], ["intervals", counts], ["motion", f.ok || unknown(f) ? f.m : `not reliable: ${f.m}`]];
+    if (f.kp !== undefined) rows.push(["known place?", unknown(f) ? `p = ${p3(f.kp)}. I do not know: the region is the whole space` : `p = ${p3(f.kp)}`]);
+    if (f.ev && !unknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
     if (f.truth) rows.splice(1, 0, ["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
     if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
     $("words").replaceChildren(...rows.flatMap(([k, v]) => {
