@@ -93,7 +93,7 @@ def main() -> None:
     note = (
         f"Redkitchen, 64 % of the frames train, 16 % calibrate; median and range over seeds {seeds[0]} to {seeds[-1]}. "
         "Tuned with our labels on the training part; both methods then have the same features. Set length: mean over "
-        "x, y, z, bonferroni, alpha = 0.1. Features, s: fine-tuning and the features of all frames (cached where "
+        "x, y, z, joint max, alpha = 0.1. Features, s: fine-tuning and the features of all frames (cached where "
         "frozen, but for the first)."
     )
     write_table("finetuning", "Fine-tuning", "python benchmarks/finetuning.py", header, rows, note)
