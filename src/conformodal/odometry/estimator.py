@@ -29,7 +29,7 @@ from .estimates import Estimate, OdometryRun
 from .landmarks import Fixes
 from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
-from .region_rules import Evidence, trusted_only
+from .region_rules import Evidence, trusted, trusted_only
 from .store import load_model
 
 IntArray = npt.NDArray[np.int64]
@@ -116,7 +116,9 @@ class VisualOdometry:
             here = moved(self._before, motion, timestamp_s - self._last_s, self.model.prior)
             here = self.model.with_fixes(here, [] if fixes is None else trusted_only(fixes.search))
         path = self._reasoner.push(here, motion, timestamp_s)
-        if kind is not Evidence.UNKNOWN or self._before is not None:  # nothing follows from an unknown first frame
+        # nothing follows from an unknown first frame, unless landmarks are trusted in it
+        landed = fixes is not None and bool(trusted_only(fixes.search))
+        if kind is not Evidence.UNKNOWN or self._before is not None or landed:
             self._before = here
         self._last_s = timestamp_s
         revised = as_trajectory(path)
@@ -246,6 +248,8 @@ class VisualOdometry:
         fixes: list[Fixes],
     ) -> list[Candidates]:
         """Frames of one recording that show nothing known have their neighbours' candidates, and trusted fixes."""
+        if not known.any():  # then the path starts from frames in which landmarks are trusted
+            known = trusted([its.search for its in fixes])
 
         def seen(t: int, here: Candidates) -> Candidates:
             return self.model.with_fixes(here, trusted_only(fixes[t].search))
