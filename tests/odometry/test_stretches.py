@@ -8,6 +8,7 @@ from conformodal.odometry import (
     Calibration,
     Evidence,
     ModelConfig,
+    OdometryError,
     Scene,
     load_model,
     make_folds,
@@ -27,7 +28,7 @@ def trained(small_world, sequence):
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
     folds = make_folds(sequence, data.split, config.calibrate_on)
     # a map that is there already, and no fixes by it: to learn one for every fold takes longer than all else
-    scene = Scene(3.0, 0.3, known.landmarks, known.landmarks, [[] for _ in folds.asked])
+    scene = Scene(3.0, 0.3, known.landmarks, known.landmarks, [[] for _ in folds.asked], folds.asked)
     return train_model(data, config, scene=scene), data, folds
 
 
@@ -76,3 +77,11 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     back.recalibrate(0.5)
     assert (back.rules.thresholds(kinds[:2]) <= model.rules.thresholds(kinds[:2])).all()
     np.testing.assert_array_equal(back.calibration.groups_, model.calibration.groups_)
+
+
+def test_a_scene_of_other_folds_is_refused(trained):
+    model, data, folds = trained
+    config = ModelConfig(calibrate_on=Calibration.STRETCHES, training=TrainingConfig(epochs=1))
+    other = Scene(3.0, 0.3, model.landmarks, model.landmarks, [[] for _ in folds.asked], folds.asked[::-1])
+    with pytest.raises(OdometryError, match="same folds"):
+        train_model(data, config, scene=other)
