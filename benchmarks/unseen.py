@@ -2,8 +2,11 @@
 
 python benchmarks/unseen.py [--seeds 10 11 12 13 14] [--runs FOLDER] [--only redkitchen corridor]
 
-Every training is stored in the folder of runs and is not repeated. The same script measures older sources
-(PYTHONPATH=OLD/src), which answer with their own defaults.
+The numbers of a seed and a world are kept in the folder of runs and not measured again. The same script measures an
+older source, with its own defaults, on redkitchen:
+
+git worktree add old 3346ed2 && PYTHONPATH=old/src python benchmarks/unseen.py --only redkitchen --runs old-out \
+    --table unseen_before
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from conformodal.odometry import (
     VisualOdometry,
     pose_targets,
     prepare_training_data,
+    provenance,
     train_model,
 )
 from conformodal.vision import FeatureCache, default_cache_dir
@@ -235,6 +239,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--runs", type=Path, default=ROOT / "unseen-out")
     parser.add_argument("--only", nargs="+", default=["redkitchen", "corridor"])
+    parser.add_argument("--table", default="unseen")
     asked = parser.parse_args()
     asked.runs.mkdir(parents=True, exist_ok=True)
     cache = FeatureCache(default_cache_dir())
@@ -246,12 +251,16 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as scratch:
                 found = {"redkitchen": redkitchen, "corridor": corridor}[world](seed, cache, Path(scratch))
             part = file.with_suffix(".part")
-            part.write_text(json.dumps({"world": world, "seed": seed, "found": found}))
+            part.write_text(
+                json.dumps({"world": world, "seed": seed, "source": provenance()["source_revision"], "found": found})
+            )
             part.replace(file)
     results = [json.loads(file.read_text()) for file in sorted(asked.runs.glob("*-*.json"))]
     seeds = {world: sorted(r["seed"] for r in results if r["world"] == world) for world in ("corridor", "redkitchen")}
+    sources = sorted({str(r["source"]) for r in results})
     note = (
-        f"alpha = {ALPHA}; seeds {seeds}; frames of all seeds together, coverage as the mean over runs and its range. "
+        f"alpha = {ALPHA}; seeds {seeds}; measured with source {', '.join(sources)}; frames of all seeds together, "
+        "coverage as the mean over runs and its range. "
         f"redkitchen: the first or the last {KNOWN_SHARE:.0%} of the recording are known and cut into training, "
         "calibration and test part; disturbances change the test part of the first. Corridor: a flight of "
         f"{N_FLIGHT} frames that nobody trained on. The whole space counts as covered and as abstained. Nothing is "
@@ -261,7 +270,9 @@ def main() -> None:
         "share of all frames. Milliseconds a frame include the network, tracking and landmarks, once for whole "
         "sequences, beside another busy program."
     )
-    write_page("unseen", "Where the camera has never been", "python benchmarks/unseen.py", [*table(results), "", note])
+    write_page(
+        asked.table, "Where the camera has never been", "python benchmarks/unseen.py", [*table(results), "", note]
+    )
 
 
 if __name__ == "__main__":

@@ -21,10 +21,10 @@ def parts_of(sizes, kind, calibration, **options):
 def test_frames_are_the_training_and_the_calibration_part():
     _, split, folds = parts_of([120], "interleaved", Calibration.FRAMES)
     (fold,) = folds.folds
-    np.testing.assert_array_equal(fold.known, split.train)
-    np.testing.assert_array_equal(fold.asked, split.calibration)
+    np.testing.assert_array_equal(fold.train, split.train)
+    np.testing.assert_array_equal(fold.held_out, split.calibration)
     np.testing.assert_array_equal(folds.region_frames, split.train)
-    np.testing.assert_array_equal(folds.asked, split.calibration)
+    np.testing.assert_array_equal(folds.held_out, split.calibration)
     assert folds.units is None
     assert len(np.unique(folds.pieces)) == 120  # every frame is new by itself
 
@@ -36,14 +36,14 @@ def test_stretches_part_the_used_frames(sizes, kind, seed):
     _, split, folds = parts_of(sizes, kind, Calibration.STRETCHES, seed=seed)
     used = np.sort(np.concatenate((split.train, split.calibration)))
     assert len(folds.folds) == 5
-    np.testing.assert_array_equal(np.sort(folds.asked), used)  # each is asked once
+    np.testing.assert_array_equal(np.sort(folds.held_out), used)  # each is held out once
     np.testing.assert_array_equal(folds.region_frames, used)
     for fold in folds.folds:
-        np.testing.assert_array_equal(np.sort(np.concatenate((fold.known, fold.asked))), used)
-        assert not np.isin(folds.units[fold.known], folds.units[fold.asked]).any()
-        assert (np.diff(fold.known) > 0).all()
-        assert not np.isin(split.test, fold.known).any()
-        assert not np.isin(split.test, fold.asked).any()
+        np.testing.assert_array_equal(np.sort(np.concatenate((fold.train, fold.held_out))), used)
+        assert not np.isin(folds.units[fold.train], folds.units[fold.held_out]).any()
+        assert (np.diff(fold.train) > 0).all()
+        assert not np.isin(split.test, fold.train).any()
+        assert not np.isin(split.test, fold.held_out).any()
     np.testing.assert_array_equal(folds.pieces, folds.units)
 
 
@@ -73,7 +73,7 @@ def test_auto_asks_frames_where_single_frames_are_held_out(kind, by_frame):
 
 def test_folds_are_those_of_the_seed():
     one, same, other = (
-        parts_of([300], "blocks", Calibration.STRETCHES, seed=seed)[2].folds[0].asked for seed in (0, 0, 1)
+        parts_of([300], "blocks", Calibration.STRETCHES, seed=seed)[2].folds[0].held_out for seed in (0, 0, 1)
     )
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)

@@ -28,13 +28,13 @@ def trained(small_world, sequence):
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
     folds = make_folds(sequence, data.split, config.calibrate_on)
     # a map that is there already, and no fixes by it: to learn one for every fold takes longer than all else
-    scene = Scene(3.0, 0.3, known.landmarks, known.landmarks, [[] for _ in folds.asked], folds.asked)
+    scene = Scene(3.0, 0.3, known.landmarks, known.landmarks, [[] for _ in folds.held_out], folds.held_out)
     return train_model(data, config, scene=scene), data, folds
 
 
 def test_thresholds_are_those_of_stretches(trained):
     model, _, folds = trained
-    groups = folds.units[folds.asked]
+    groups = folds.units[folds.held_out]
     np.testing.assert_array_equal(model.calibration.groups_, groups)
     np.testing.assert_array_equal(model.rules.pooled.groups_, groups)
     rule = model.rules.of[Evidence.UNMATCHED]
@@ -60,7 +60,7 @@ def test_frames_are_as_new_as_their_stretch_is(trained):
     """Each calibration frame has the p-value of its own score among the references, without its stretch."""
     model, _, folds = trained
     of = dict(zip(folds.region_frames.tolist(), model.known.test.left_out_p_values(), strict=True))
-    np.testing.assert_array_equal(model.rules.known_p, [of[i] for i in folds.asked.tolist()])
+    np.testing.assert_array_equal(model.rules.known_p, [of[i] for i in folds.held_out.tolist()])
 
 
 def test_stretches_are_saved_and_loaded(trained, tmp_path):
@@ -82,6 +82,6 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
 def test_a_scene_of_other_folds_is_refused(trained):
     model, data, folds = trained
     config = ModelConfig(calibrate_on=Calibration.STRETCHES, training=TrainingConfig(epochs=1))
-    other = Scene(3.0, 0.3, model.landmarks, model.landmarks, [[] for _ in folds.asked], folds.asked[::-1])
-    with pytest.raises(OdometryError, match="same folds"):
+    other = Scene(3.0, 0.3, model.landmarks, model.landmarks, [[] for _ in folds.held_out], folds.held_out[::-1])
+    with pytest.raises(OdometryError, match="other folds"):
         train_model(data, config, scene=other)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, RelativeMotion
-from conformodal.reasoning import Candidates, MotionPrior, Observations, bridge, moved, viterbi
+from conformodal.reasoning import Candidates, MotionPrior, Observations, bridge, predict_candidates, viterbi
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 SIGMA, STEP = 0.01, 0.1
@@ -56,12 +56,12 @@ def test_all_candidates_turn_alike_and_none_is_preferred():
     one, other, turn = turns(3, seed=1)
     motion = RelativeMotion(MotionStatus.OK, turn.as_matrix(), rotation_sigma_rad=SIGMA)
     start = candidates(one, other)
-    ahead = moved(start, motion, STEP, PRIOR)
+    ahead = predict_candidates(start, motion, STEP, PRIOR)
     assert angles(ahead, one * turn)[0] == pytest.approx(0, abs=1e-7)
     assert angles(ahead, other * turn)[1] == pytest.approx(0, abs=1e-7)
     np.testing.assert_allclose(np.exp(ahead.orientation_log_mass), 0.5)
     np.testing.assert_allclose(np.exp(ahead.position_log_mass), 1 / 3)
-    again = moved(ahead, motion, STEP, PRIOR, back=True)
+    again = predict_candidates(ahead, motion, STEP, PRIOR, back=True)
     for k, rotation in enumerate((one, other)):
         assert angles(again, rotation)[k] == pytest.approx(0, abs=1e-7)
 
@@ -127,5 +127,5 @@ def test_a_path_through_a_gap_ends_where_the_rotations_lead():
 def test_candidates_themselves_are_not_changed():
     start = candidates(*turns(2))
     before = replace(start, position_spreads=start.position_spreads.copy())
-    moved(start, None, STEP, PRIOR)
+    predict_candidates(start, None, STEP, PRIOR)
     np.testing.assert_array_equal(start.position_spreads, before.position_spreads)

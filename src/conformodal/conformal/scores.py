@@ -23,10 +23,11 @@ class Score(Protocol):
     ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
     probabilities' own floating type. A row's scores may depend on nothing but that row.
 
-    Three attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
+    Four attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
     (n, K * cells). ``normalised`` (bool): scores of different targets can be compared as they are, so that one
-    threshold over all of them needs no scales. ``elementwise`` (bool): a bin's score depends on its own probability and
-    width alone and never rises with the probability; sets are then found without computing a score.
+    threshold over all of them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
+    ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never rises with the
+    probability; sets are then found without computing a score.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Density:
 
     name = "density"
     elementwise = True
+    per_unit = True
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """``-proba / widths``."""
@@ -78,6 +80,7 @@ class LinearDensity:
     """
 
     name = "linear_density"
+    per_unit = True
 
     def __init__(self, cells: int = 4) -> None:
         if cells < 1:
@@ -190,6 +193,11 @@ def resolve_score(score: str | Score) -> Score:
     if not callable(getattr(score, "of_bins", None)):
         raise ConformalError(f"score must be a name or have of_bins(proba, widths), got {type(score).__name__}")
     return score
+
+
+def is_per_unit(score: Score) -> bool:
+    """Whether scores have a unit, one over that of the target; False if `score` does not say."""
+    return bool(getattr(score, "per_unit", False))
 
 
 def cells_of(score: Score) -> int:

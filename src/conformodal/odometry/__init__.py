@@ -2,7 +2,6 @@
 
 from .answers import METHODS, OtherMethods, answers, as_trajectory
 from .config import ModelConfig
-from .data import TrainingData
 from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
@@ -28,6 +27,7 @@ from .streaming import StreamRunner
 from .tally import RegionTally
 from .targets import TARGET_NAMES, pose_targets, target_scale
 from .training import prepare_training_data, train_model
+from .training_data import TrainingData
 from .writer import ResultsWriter
 
 __all__ = [

@@ -12,34 +12,33 @@ import numpy.typing as npt
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
 from conformodal.conformal.calibration import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
-from conformodal.poses import PoseFix
+from conformodal.conformal.scores import is_per_unit
 from conformodal.reasoning import fix_cells, pool_fixes
 
 from .config import ModelConfig
-from .data import TrainingData
-from .errors import OdometryError
 from .folds import Fold, Folds
 from .known import KnownPlaces
 from .region_rules import RegionRules, trusted
 from .scene import Scene
 from .targets import TARGET_NAMES
+from .training_data import TrainingData
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
-    """What a head says of the frames of a fold that it did not see.
+class FoldPrediction:
+    """What the head of a fold says of the frames that were held out from it.
 
     Attributes
     ----------
     fold
-        Frames that the head learnt from, and those asked.
+        Which frames.
     bins
         Of the head.
     proba
-        Seven arrays (m, K_j), of the frames asked.
+        Seven arrays (m, K_j), of the held-out frames.
     """
 
     fold: Fold
@@ -55,7 +54,7 @@ def bins_of(data: TrainingData, rows: IntArray, config: ModelConfig) -> Quantile
 def calibrate_regions(
     data: TrainingData,
     folds: Folds,
-    held_out: Sequence[HeldOut],
+    predictions: Sequence[FoldPrediction],
     scene: Scene,
     known: KnownPlaces | None,
     config: ModelConfig,
@@ -66,44 +65,44 @@ def calibrate_regions(
     ----------
     data, folds, config
         As in training.
-    held_out
+    predictions
         One a fold.
     scene
-        Its fixes are of the frames asked, fold by fold.
+        Learnt with the same folds.
     known
         Places that the region's sources know; None where nothing can be told.
-
-    Raises
-    ------
-    OdometryError
-        If the scene was learnt with other folds.
     """
-    asked = folds.asked
-    if scene.region_landmarks is not None and not np.array_equal(scene.asked, asked):
-        raise OdometryError(
-            f"the scene has answers to {len(scene.asked)} frames, and {len(asked)} others calibrate; learn the scene "
-            "with the same folds"
-        )
-    units = None if folds.units is None else folds.units[asked]
-    joint = choose_joint(config, len(asked) if units is None else len(np.unique(units)))
+    held_out, landmarks = folds.held_out, scene.region_landmarks is not None
+    units = None if folds.units is None else folds.units[held_out]
+    joint = choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
+    # scores per unit of the target are compared in units of its spread, which no calibration frame chose
+    spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
+
+    def rule(bins: QuantileBins) -> SplitConformal:
+        made = SplitConformal(bins, config.alpha, config.score, joint)
+        made.rule.keep_scale()
+        if is_per_unit(made.score):
+            made.rule.scale_ = 1 / spread
+        return made
+
+    softmax_scores, pooled_scores, start = [], [], 0
+    for part in predictions:
+        targets, end = data.targets[part.fold.held_out], start + len(part.fold.held_out)
+        softmax_scores.append(rule(part.bins).score_samples(part.proba, targets))
+        if landmarks:
+            cells, fixes = fix_cells(part.bins), scene.calibration_fixes[start:end]
+            pooled = pool_fixes(part.proba, fixes, part.bins, cells, data.sign_reference)
+            pooled_scores.append(rule(cells).score_samples(pooled, targets))
+        start = end
     bins = bins_of(data, folds.region_frames, config)
-    scores = [_rule(part.bins, config, joint, part, data).score_samples(*_of(part, data)) for part in held_out]
-    # where several parts answer, the scales of the first are as good as any: they only balance the targets
-    softmax = _rule(bins, config, joint, held_out[0], data).calibrate_scores(np.concatenate(scores), units)
-    pooled, matched = None, np.zeros(len(asked), dtype=bool)
-    if scene.region_landmarks is not None:
-        scores, done = [], 0
-        for part in held_out:
-            fixes = scene.calibration_fixes[done : done + len(part.fold.asked)]
-            scores.append(_pooled_scores(part, fixes, data, config, joint, held_out[0]))
-            done += len(fixes)
-        pooled = _rule(fix_cells(bins), config, joint, held_out[0], data)
-        pooled.calibrate_scores(np.concatenate(scores), units)
-        matched = trusted(scene.calibration_fixes)
-    if known is None:
-        return RegionRules(softmax, pooled, matched, np.ones(len(asked)), 0.0)
-    p_values = _p_values(known, folds, data)
-    return RegionRules(softmax, pooled, matched, p_values, known.level(config.novelty_level))
+    p_values = np.ones(len(held_out)) if known is None else _p_values(known, folds, data)
+    return RegionRules(
+        softmax=rule(bins).calibrate_scores(np.concatenate(softmax_scores), units),
+        pooled=rule(fix_cells(bins)).calibrate_scores(np.concatenate(pooled_scores), units) if landmarks else None,
+        matched=trusted(scene.calibration_fixes) if landmarks else np.zeros(len(held_out), dtype=bool),
+        known_p=p_values,
+        level=0.0 if known is None else known.level(config.novelty_level),
+    )
 
 
 def choose_joint(config: ModelConfig, n_units: int) -> Joint:
@@ -123,34 +122,8 @@ def choose_joint(config: ModelConfig, n_units: int) -> Joint:
     return joint
 
 
-def _rule(bins: QuantileBins, config: ModelConfig, joint: Joint, scale: HeldOut, data: TrainingData) -> SplitConformal:
-    rule = SplitConformal(bins, config.alpha, config.score, joint)
-    rule.rule.keep_scale()
-    if rule.score.name in ("density", "linear_density"):
-        # these have the units of their targets; any scale that the calibration did not choose will do
-        rule.rule.scale_ = 1 / np.maximum(data.targets[scale.fold.known].std(axis=0), 1e-9)
-    return rule
-
-
-def _of(part: HeldOut, data: TrainingData) -> tuple[list[FloatArray], npt.NDArray[np.float64]]:
-    return part.proba, data.targets[part.fold.asked]
-
-
-def _pooled_scores(
-    part: HeldOut,
-    fixes: Sequence[Sequence[PoseFix]],
-    data: TrainingData,
-    config: ModelConfig,
-    joint: Joint,
-    scale: HeldOut,
-) -> FloatArray:
-    cells = fix_cells(part.bins)
-    pooled = pool_fixes(part.proba, fixes, part.bins, cells, data.sign_reference)
-    return _rule(cells, config, joint, scale, data).score_samples(pooled, data.targets[part.fold.asked])
-
-
 def _p_values(known: KnownPlaces, folds: Folds, data: TrainingData) -> npt.NDArray[np.float64]:
-    """Of the frames that calibrate, each without what is new together with it."""
+    """Of the frames that calibrate, each without its own piece."""
     if len(folds.folds) == 1:
-        return known.p_values(data.features[folds.asked])
-    return known.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.asked)]
+        return known.p_values(data.features[folds.held_out])
+    return known.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.held_out)]

@@ -17,8 +17,8 @@ from conformodal.reasoning import (
     OnlineReasoner,
     bridge,
     interval_candidates,
-    moved,
     online,
+    predict_candidates,
     softmax_mean,
 )
 from conformodal.vision import FeatureCache, extract_features
@@ -113,7 +113,7 @@ class VisualOdometry:
         here = self.model.candidates(search, looked)[0]
         motion = self._front_end.measure(image)
         if kind is Evidence.UNKNOWN and self._before is not None and self._last_s is not None:
-            here = moved(self._before, motion, timestamp_s - self._last_s, self.model.prior)
+            here = predict_candidates(self._before, motion, timestamp_s - self._last_s, self.model.prior)
             here = self.model.with_fixes(here, [] if fixes is None else trusted_only(fixes.search))
         path = self._reasoner.push(here, motion, timestamp_s)
         # nothing follows from an unknown first frame, unless landmarks are trusted in it

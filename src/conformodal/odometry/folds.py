@@ -1,4 +1,4 @@
-"""Who answers whom in calibration: held-out frames, or stretches that each lack their own sources."""
+"""Folds of the calibration: frames that are held out once, or stretches, each answered by sources of the others."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ N_FOLDS = 5
 class Calibration(StrEnum):
     """What the thresholds of a region are calibrated on.
 
-    ``frames``: the calibration part; what is promised is a frame exchangeable with it. ``stretches``: training and
-    calibration part together, cut into stretches, or recordings where there are enough for alpha; each is answered by
-    sources that did not see it, and the promise is about a frame drawn at random from a new stretch. ``auto``: frames
-    where the split holds out single frames, else stretches.
+    ``frames``: the calibration part; the promise is about a frame exchangeable with its frames. ``stretches``: training
+    and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is answered
+    by sources that did not see it, and the promise is about a frame drawn at random from a new stretch. ``auto``:
+    frames where the split holds out single frames, else stretches.
     """
 
     AUTO = "auto"
@@ -33,10 +33,10 @@ class Calibration(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Frames that sources learn from, and frames that these sources answer."""
+    """Frames that sources learn from, and frames that are held out from them and answered by them."""
 
-    known: IntArray
-    asked: IntArray
+    train: IntArray
+    held_out: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +50,9 @@ class Folds:
     region_frames
         Frames that the sources of the region itself learn from.
     units
-        (n,) labels of all frames: what is exchangeable; None where every asked frame is.
+        (n,) labels of all frames: what is exchangeable; None where every held-out frame is.
     pieces
-        (n,) labels of all frames: what is new together when a new image is.
+        (n,) labels of all frames: frames of one piece are held out together in the novelty test.
     """
 
     folds: list[Fold]
@@ -61,9 +61,9 @@ class Folds:
     pieces: IntArray
 
     @property
-    def asked(self) -> IntArray:
+    def held_out(self) -> IntArray:
         """The frames that calibrate, fold by fold."""
-        return np.concatenate([fold.asked for fold in self.folds])
+        return np.concatenate([fold.held_out for fold in self.folds])
 
 
 def make_folds(

@@ -13,6 +13,7 @@ from conformodal.motion import Described, Matcher, describe
 from conformodal.poses import PoseFix
 
 from .depths import measure_depths
+from .errors import OdometryError
 from .folds import Folds, make_folds
 from .landmarks import N_LEFT_OUT, Landmarks, fit_landmarks
 from .motions import Progress
@@ -34,7 +35,7 @@ class Scene:
         Of the frames that the region's sources learn from.
     calibration_fixes
         Of every frame that calibrates, by a map that does not know it; empty without landmarks.
-    asked
+    calibration_frames
         (n,) those frames, fold by fold.
     """
 
@@ -43,7 +44,22 @@ class Scene:
     landmarks: Landmarks | None = None
     region_landmarks: Landmarks | None = None
     calibration_fixes: list[list[PoseFix]] = field(default_factory=list)
-    asked: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    calibration_frames: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def check_folds(self, folds: Folds) -> None:
+        """Refuse folds that hold out other frames than those that the fixes are of.
+
+        Raises
+        ------
+        OdometryError
+            If they do.
+        """
+        own, others = self.calibration_frames, folds.held_out
+        if self.region_landmarks is not None and not np.array_equal(own, others):
+            raise OdometryError(
+                f"the scene was learnt with other folds: it has fixes of {len(own)} frames, and {len(others)} frames, "
+                "not the same or in another order, calibrate"
+            )
 
 
 def learn_scene(
@@ -104,7 +120,7 @@ def learn_scene(
     everything, fixes, own = fit(frames, "landmarks"), [], None
     for k, fold in enumerate(folds.folds):
         alone = len(folds.folds) == 1
-        own = fit(fold.known, f"landmarks, part {k + 1}", N_LEFT_OUT if alone else N_LEFT_OUT // 4)
-        fixes += [[] if own is None else own.fixes(described[i]) for i in fold.asked.tolist()]
+        own = fit(fold.train, f"landmarks, part {k + 1}", N_LEFT_OUT if alone else N_LEFT_OUT // 4)
+        fixes += [[] if own is None else own.fixes(described[i]) for i in fold.held_out.tolist()]
     regions = everything if len(folds.region_frames) == len(frames) else own
-    return Scene(depth, spread, everything, regions, fixes if regions is not None else [], folds.asked)
+    return Scene(depth, spread, everything, regions, fixes if regions is not None else [], folds.held_out)

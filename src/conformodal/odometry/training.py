@@ -35,9 +35,8 @@ from conformodal.vision import (
     soft_cross_entropy,
 )
 
-from .calibrating import HeldOut, bins_of, calibrate_regions
+from .calibrating import FoldPrediction, bins_of, calibrate_regions
 from .config import ModelConfig
-from .data import TrainingData
 from .folds import Folds, make_folds
 from .identity import identify
 from .known import KnownPlaces
@@ -46,6 +45,7 @@ from .model import PoseModel
 from .motions import Progress
 from .scene import Scene, learn_scene
 from .targets import pose_targets, target_scale
+from .training_data import TrainingData
 
 IntArray = npt.NDArray[np.int64]
 
@@ -113,6 +113,7 @@ def train_model(
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     if scene is None:
         scene = learn_scene(data.sequence, data.split, folds, landmarks=config.landmarks, progress=progress)
+    scene.check_folds(folds)
     everything = np.sort(np.concatenate((data.split.train, data.split.calibration)))
     seed = config.training.seed
 
@@ -132,21 +133,21 @@ def train_model(
     own_bins = bins_of(data, folds.region_frames, config)
     heads, fold_bins = [], []
     for k, fold in enumerate(folds.folds):
-        fold_bins.append(bins_of(data, fold.known, config))  # values beyond them count against calibration
+        fold_bins.append(bins_of(data, fold.train, config))  # values beyond them count against calibration
         stage = f"training, part {k + 1}" if len(folds.folds) > 1 else "training"
-        heads.append(fit(fold.known, fold_bins[-1], stage))
-    held_out = [
-        HeldOut(fold, bins, predict_proba(head, data.features[fold.asked]))
+        heads.append(fit(fold.train, fold_bins[-1], stage))
+    predictions = [
+        FoldPrediction(fold, bins, predict_proba(head, data.features[fold.held_out]))
         for fold, bins, head in zip(folds.folds, fold_bins, heads, strict=True)
     ]
     finders = tuple(fit(everything, own_bins, f"finder {k + 1}", seed + _SEED_STEP * k) for k in range(config.finders))
     # sources of the region that learn from all frames are those of the search
     head = finders[0] if len(folds.region_frames) == len(everything) else heads[-1]
     known = KnownPlaces.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
-    rules = calibrate_regions(data, folds, held_out, scene, known, config)
-    modes = [candidates for part in held_out for candidates in mode_candidates(part.proba, part.bins)]
+    rules = calibrate_regions(data, folds, predictions, scene, known, config)
+    modes = [candidates for part in predictions for candidates in mode_candidates(part.proba, part.bins)]
     strangeness, local = None, None
-    found = _local_finder(data, everything, folds.asked, config, progress) if config.local else None
+    found = _local_finder(data, everything, folds.held_out, config, progress) if config.local else None
     if found is not None:  # errors of the search, as far as frames that nobody saw can tell of them
         local, answers = found
         strangeness = local.strangeness(answers)
@@ -163,7 +164,7 @@ def train_model(
         rules=rules,
         sign_reference=data.sign_reference,
         prior=_motion_prior(data, scene),
-        scale=fit_spread_scale(modes, truth[folds.asked], strangeness),
+        scale=fit_spread_scale(modes, truth[folds.held_out], strangeness),
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
@@ -180,11 +181,11 @@ def _motion_prior(data: TrainingData, scene: Scene) -> MotionPrior:
 def _local_finder(
     data: TrainingData,
     frames: IntArray,
-    asked: IntArray,
+    held_out: IntArray,
     config: ModelConfig,
     progress: Progress | None,
 ) -> tuple[LocalFinder, LocalAnswers] | None:
-    """A local finder among `frames`, and its answers to those `asked` when it may not see their pieces.
+    """A local finder among `frames`, and its answers to those `held_out` when it may not see their pieces.
 
     None where all images look the same or there is nothing to leave out.
     """
@@ -203,8 +204,8 @@ def _local_finder(
     finder = make_finder(regression, left_out)
     if finder is None:
         return None
-    queries = regression.references[np.searchsorted(frames, asked)]
-    return finder, regression.predict_projected(queries, (pieces[asked], pieces[frames]))
+    queries = regression.references[np.searchsorted(frames, held_out)]
+    return finder, regression.predict_projected(queries, (pieces[held_out], pieces[frames]))
 
 
 def _record(config: ModelConfig, sequence: Sequence, folds: Folds) -> dict[str, Any]:

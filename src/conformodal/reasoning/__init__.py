@@ -4,7 +4,7 @@ A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` t
 :func:`viterbi`, :func:`online`. :func:`smooth` makes any path finer.
 """
 
-from .bridging import bridge, moved
+from .bridging import bridge, predict_candidates
 from .candidates import (
     Candidates,
     SpreadScale,
@@ -44,12 +44,12 @@ __all__ = [
     "greedy",
     "interval_candidates",
     "mode_candidates",
-    "moved",
     "on_cells",
     "online",
     "orientation_cost",
     "pool_fixes",
     "position_cost",
+    "predict_candidates",
     "smooth",
     "smooth_orientations",
     "smooth_positions",

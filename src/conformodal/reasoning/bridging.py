@@ -15,7 +15,7 @@ from .candidates import Candidates
 from .prior import MotionPrior
 
 
-def moved(
+def predict_candidates(
     neighbour: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior, *, back: bool = False
 ) -> Candidates:
     """Where the camera can be a time step after a frame, or before it: the prediction of a Bayes filter.
@@ -83,9 +83,9 @@ def bridge(
     first = int(np.argmax(known))
     for t in range(first + 1, len(found)):
         if not known[t]:
-            here = moved(found[t - 1], motions[t], steps[t - 1], prior)
+            here = predict_candidates(found[t - 1], motions[t], steps[t - 1], prior)
             found[t] = here if seen is None else seen(t, here)
     for t in range(first - 1, -1, -1):
-        here = moved(found[t + 1], motions[t + 1], steps[t], prior, back=True)
+        here = predict_candidates(found[t + 1], motions[t + 1], steps[t], prior, back=True)
         found[t] = here if seen is None else seen(t, here)
     return found

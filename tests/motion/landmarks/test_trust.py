@@ -45,7 +45,7 @@ def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m)
     assert 1 > shares[2] > shares[3] > 0
 
 
-def test_fixes_are_trusted_where_the_place_is_known_and_not_where_it_is_hidden(world_of, stated_camera, depth_m):
+def test_fixes_are_trusted_where_the_place_is_known_and_another_place_has_none(world_of, stated_camera, depth_m):
     world = world_of(n=80)
     times = np.arange(80) / 10
     quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
@@ -58,5 +58,4 @@ def test_fixes_are_trusted_where_the_place_is_known_and_not_where_it_is_hidden(w
     assert len(shown) == 10
     assert min(fix.trust for fix in shown) > 0.5
     other = world_of(n=80, seed=9)  # a place that is not in the map
-    strange = [fix for i in range(5, 75, 7) for fix in found.fixes(other.see(other.poses_se3[i], seed=900 + i))]
-    assert all(fix.trust < 0.5 for fix in strange)
+    assert [fix for i in range(5, 75, 7) for fix in found.fixes(other.see(other.poses_se3[i], seed=900 + i))] == []
