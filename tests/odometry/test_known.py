@@ -37,7 +37,7 @@ def test_test_frames_are_known(model, features):
     for u in (0.05, 0.1, 0.2, 0.5):
         assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
     assert (model.kinds(p) == Evidence.UNKNOWN).mean() < 0.05
-    assert model.rules.level == 0.01
+    assert model.rules.level == 0.015
     np.testing.assert_array_equal(model.known.test.groups, model.split.train)  # every training frame by itself
 
 
@@ -97,7 +97,7 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     assert load_model(tmp_path).rules.level == 0.2
     strict.set_novelty_level(0.0)
     assert (strict.kinds(p) != Evidence.UNKNOWN).all()
-    assert model.rules.level == 0.01
+    assert model.rules.level == 0.015
     for level in (-0.1, 1.0, np.nan):
         with pytest.raises(OdometryError, match="novelty level"):
             strict.set_novelty_level(level)

@@ -92,7 +92,7 @@ def train(
         float | None,
         typer.Option(
             help="An image whose p-value of showing a known place is at most this gets the whole space as its region; "
-            "0.01 by default where frames calibrate, 0.1 where stretches do."
+            "0.015 by default where frames calibrate, 0.1 where stretches do."
         ),
     ] = _DEFAULT.novelty_level,
     used: Annotated[

@@ -13,9 +13,9 @@ from conformodal.vision import coarse_features
 
 FloatArray = npt.NDArray[np.float64]
 
-# Levels unless asked otherwise: the probability that an image of a known place is taken for unknown. With K stretches
-# no p-value is below 1 / (K + 1), so a lower level would reject nothing. benchmarks/unseen.py has what follows.
-LEVEL_FRAMES, LEVEL_STRETCHES = 0.01, 0.1
+# Levels unless asked otherwise: the probability that an image of a known place is taken for unknown, chosen with
+# benchmarks/novelty.py. With K stretches no p-value is below 1 / (K + 1), so a lower level would reject nothing.
+LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class KnownPlaces:
     def level(self, asked: float | None) -> float:
         """The level that is asked for; one below the least p-value takes no image for unknown.
 
-        None asks for 0.01 where single frames were left out, and for 0.1 where stretches or recordings were, but at
+        None asks for 0.015 where single frames were left out, and for 0.1 where stretches or recordings were, but at
         least for the least p-value that so few pieces can give.
         """
         if asked is not None:
