@@ -43,10 +43,10 @@ def main() -> None:
         cells = [f"{np.mean(share):.3f} ({min(share):.2f} to {max(share):.2f})" for share in shares]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     note = (
-        f"Share of frames with a p-value of at most the level (columns), mean and range over corridors with seeds "
-        f"{SEEDS}; split interleaved, every frame a piece of its own. Held-out frames of the known place are exchangeable with "
-        "the reference frames: at most the level is taken for unknown in the mean. The default, 0.015, was chosen on "
-        "this table; what follows on other seeds: [unseen.md](unseen.md)."
+        "Share of frames with a p-value of at most the level (columns), mean and range over corridors with seeds "
+        f"{SEEDS}; split interleaved, every frame a piece of its own. Held-out frames of the known place are "
+        "exchangeable with the reference frames: at most the level is taken for unknown in the mean. The default, "
+        "0.015, was chosen on this table; what follows on other seeds: [unseen.md](unseen.md)."
     )
     write_page("novelty", "The level of the novelty test", "python benchmarks/novelty.py", [*lines, "", note])
 

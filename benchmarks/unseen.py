@@ -274,8 +274,8 @@ def main() -> None:
         "promised where frames are not exchangeable with those that calibrated (all rows but the test part of "
         "`interleaved`); settings were chosen on redkitchen with seed 10 and, the level of novelty, on corridors with "
         "seeds 20 to 22 (novelty.md); the other seeds were used for testing only. Flagged: `reliable` is False. "
-        "Absolute pose: of the landmarks' poses that are trusted, a share of all frames. Milliseconds a frame include the network, tracking and landmarks, once for whole "
-        "sequences, beside another busy program."
+        "Absolute pose: of the landmarks' poses that are trusted, a share of all frames. Milliseconds a frame include "
+        "the network, tracking and landmarks, once for whole sequences, beside another busy program."
     )
     write_page(
         asked.table, "Where the camera has never been", "python benchmarks/unseen.py", [*table(results), "", note]
