@@ -31,7 +31,7 @@ from conformodal.reasoning import (
     PosePath,
     fit_spread_scale,
     greedy,
-    interval_candidates,
+    interval_means,
     mode_candidates,
     online,
     smooth,
@@ -93,10 +93,10 @@ def methods(
     blind = replace(seen, motions=without_directions(motions))
     apart = replace(seen, submaps=())
     still = replace(seen, motions=[None] * len(times))
-    cuboids = interval_candidates(proba, model.calibration.predict(proba))
+    intervals = interval_means(proba, model.calibration.predict(proba))
     found = {
         "softmax mean": bare(mean[:, :3], normalise_quat(mean[:, 3:])),
-        "greedy, as in the paper": greedy(replace(seen, candidates=cuboids)),
+        "greedy, the paper's reasoning": greedy(intervals, seen.motions, seen.timestamps_s),
         "viterbi, no relative motion": viterbi(still, prior),
         "viterbi, near peaks split at half their height": viterbi(rough, prior),
         "neighbours alone": bare(neighbours[:, :3], normalise_quat(neighbours[:, 3:])),

@@ -15,7 +15,6 @@ from conformodal.reasoning import (
     PosePath,
     ReasoningError,
     fit_motion_prior,
-    greedy,
     online,
     orientation_cost,
     position_cost,
@@ -125,7 +124,7 @@ def test_a_vague_candidate_is_no_bridge_between_places_out_of_reach(vague_m):
     assert (viterbi(seen, quick).positions_xyz[5:, 0] == 5).all()
 
 
-def test_viterbi_mends_a_wrong_start_and_greedy_does_not():
+def test_viterbi_mends_a_wrong_start():
     t, positions, rotations = path()
     candidates = ambiguous(positions, rotations)
     first = candidates[0]
@@ -139,48 +138,10 @@ def test_viterbi_mends_a_wrong_start_and_greedy_does_not():
     assert np.linalg.norm(found.positions_xyz - positions, axis=1).max() < 0.5
     quats = found.orientations_quat_wxyz
     assert angle_between_quats(quats, rotations.as_quat(scalar_first=True)).max() < 0.01
-    followed = greedy(Observations(candidates, motions, t)).positions_xyz
-    assert np.linalg.norm(followed[1:19] - positions[1:19], axis=1).min() > 1
 
 
 def vars_orientation(c):
     return c.orientations_quat_wxyz, c.orientation_spreads_rad, c.orientation_log_mass
-
-
-def test_greedy_follows_the_papers_equations_to_the_letter():
-    rng = np.random.default_rng(3)
-    _, positions, rotations = path(6)
-    motions = exact_motions(positions, rotations)
-    candidates = []
-    for _ in range(6):
-        q = rng.normal(size=(4, 4))
-        q /= np.linalg.norm(q, axis=1, keepdims=True)
-        p = rng.normal(size=(5, 3))
-        candidates.append(Candidates(p, np.ones((5, 3)), np.sort(rng.random(5))[::-1], q, np.ones(4), np.zeros(4)))
-    found = greedy(Observations(candidates, motions, np.arange(6)))
-    found_p, found_q = found.positions_xyz, found.orientations_quat_wxyz
-    p_prev, q_prev = candidates[0].positions_xyz[0], candidates[0].orientations_quat_wxyz[0]
-    for t in range(1, 6):
-        R_prev = Rotation.from_quat(q_prev, scalar_first=True).as_matrix()
-        q_next = Rotation.from_matrix(R_prev @ motions[t].R_prev_next).as_quat(scalar_first=True)
-        distance = [
-            min(np.linalg.norm(q - q_next), np.linalg.norm(q + q_next)) for q in candidates[t].orientations_quat_wxyz
-        ]
-        q_prev_new = candidates[t].orientations_quat_wxyz[int(np.argmin(distance))]
-        t_rel = R_prev @ motions[t].direction_prev
-        miss = [np.linalg.norm(t_rel - (p - p_prev) / np.linalg.norm(p - p_prev)) for p in candidates[t].positions_xyz]
-        p_prev, q_prev = candidates[t].positions_xyz[int(np.argmin(miss))], q_prev_new
-        np.testing.assert_array_equal(found_p[t], p_prev)
-        np.testing.assert_array_equal(found_q[t], q_prev)
-
-
-def test_greedy_takes_the_most_probable_where_motion_is_unknown():
-    _, positions, rotations = path(3)
-    candidates = ambiguous(positions, rotations)
-    motions = [None, None, RelativeMotion(MotionStatus.LOST)]
-    found = greedy(Observations(candidates, motions, np.arange(3)))
-    np.testing.assert_array_equal(found.positions_xyz, [c.positions_xyz[0] for c in candidates])
-    np.testing.assert_array_equal(found.orientations_quat_wxyz, [c.orientations_quat_wxyz[0] for c in candidates])
 
 
 def test_costs_are_bounded_and_smallest_at_the_truth():

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.poses import Trajectory
-from conformodal.reasoning import Candidates, MotionPrior, Observations, PosePath, greedy, smooth, viterbi
+from conformodal.reasoning import IntervalMeans, MotionPrior, Observations, PosePath, greedy, smooth, viterbi
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -20,7 +20,7 @@ OtherMethods = Callable[[npt.NDArray[np.float32], Observations, MotionPrior], di
 
 
 def answers(
-    seen: Observations, paper: Sequence[Candidates], mean: FloatArray, prior: MotionPrior
+    seen: Observations, paper: Sequence[IntervalMeans], mean: FloatArray, prior: MotionPrior
 ) -> dict[str, Trajectory]:
     """The answer and what it is compared with, but for the fixed-lag search.
 
@@ -29,7 +29,7 @@ def answers(
     seen
         n frames of one recording.
     paper
-        The paper's candidates of the same frames.
+        Intervals of the same frames, which the paper's reasoning chooses among.
     mean
         (n, 7) means of the softmax.
     prior
@@ -39,7 +39,7 @@ def answers(
     paths = {
         "smoothed": smooth(best, seen, prior),
         "viterbi": best,
-        "greedy": greedy(Observations(paper, seen.motions, seen.timestamps_s)),
+        "greedy": greedy(paper, seen.motions, seen.timestamps_s),
     }
     found = {name: as_trajectory(path) for name, path in paths.items()}
     found["softmax_mean"] = Trajectory(seen.timestamps_s, mean[:, :3], mean[:, 3:])

@@ -16,7 +16,7 @@ from conformodal.reasoning import (
     Candidates,
     OnlineReasoner,
     bridge,
-    interval_candidates,
+    interval_means,
     online,
     predict_candidates,
     softmax_mean,
@@ -264,7 +264,7 @@ class VisualOdometry:
         recording: IntArray,
     ) -> dict[str, Trajectory]:
         mean = softmax_mean(search, self.model.bins)
-        paper = interval_candidates(proba, self.model.calibration.predict(proba))
+        paper = interval_means(proba, self.model.calibration.predict(proba))
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         prior = self.model.prior
         for number in np.unique(recording):  # motion is never linked across recordings

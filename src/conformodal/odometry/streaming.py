@@ -13,7 +13,7 @@ from conformodal.conformal import Regions
 from conformodal.datasets.streams import Frame, SourceError
 from conformodal.motion import Corners, build_submaps
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning import Candidates, Observations, interval_candidates, softmax_mean
+from conformodal.reasoning import Candidates, IntervalMeans, Observations, interval_means, softmax_mean
 
 from .answers import OtherMethods, answers
 from .estimates import Estimate
@@ -34,7 +34,7 @@ class _Pending:
 
     timestamp_s: float
     candidates: Candidates
-    paper: Candidates
+    paper: IntervalMeans
     mean: npt.NDArray[np.float64]
     motion: RelativeMotion | None
     features: npt.NDArray[np.float32] | None
@@ -178,7 +178,7 @@ class StreamRunner:
         assert estimate.proba is not None
         assert estimate.search is not None
         assert estimate.corners is not None
-        paper = interval_candidates(estimate.proba, model.calibration.predict(estimate.proba))[0]
+        paper = interval_means(estimate.proba, model.calibration.predict(estimate.proba))[0]
         mean = softmax_mean(estimate.search.proba, model.bins)[0]
         kept = None if self.others is None else features
         self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept, estimate.corners))

@@ -1,7 +1,7 @@
 """Choosing among candidate poses with the help of relative motion. NumPy and SciPy only.
 
-A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` to a :class:`PosePath`: :func:`greedy`,
-:func:`viterbi`, :func:`online`. :func:`smooth` makes any path finer.
+A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` to a :class:`PosePath`: :func:`viterbi`,
+:func:`online`. :func:`smooth` makes any path finer. :func:`greedy` is the paper's reasoning.
 """
 
 from .bridging import bridge, predict_candidates
@@ -14,7 +14,7 @@ from .candidates import (
 )
 from .errors import ReasoningError
 from .fixes import add_fixes
-from .greedy import greedy
+from .greedy import IntervalMeans, greedy, interval_means
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .orientations import smooth_orientations
@@ -28,6 +28,7 @@ __all__ = [
     "LAG",
     "Candidates",
     "Decoder",
+    "IntervalMeans",
     "MotionPrior",
     "Observations",
     "OnlineReasoner",
@@ -43,6 +44,7 @@ __all__ = [
     "fix_cells",
     "greedy",
     "interval_candidates",
+    "interval_means",
     "mode_candidates",
     "on_cells",
     "online",

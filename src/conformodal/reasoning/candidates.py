@@ -1,8 +1,8 @@
 """From probabilities to candidate poses, position and orientation apart.
 
 :func:`mode_candidates`, the default, cuts a target's range into basins, one a peak of the softmax, at the valleys
-between; a basin stands for its mean. :func:`interval_candidates` takes the paper's: one a cuboid of the region, at
-the mean of its intervals. Cut off at the region's ends the mean is worse (twice, on hand-held video), and a path of
+between; a basin stands for its mean. :func:`interval_candidates` takes cuboids of the region as the paper does, each
+at the mean of its intervals. Cut off at the region's ends the mean is worse (twice, on hand-held video), and a path of
 hundreds of frames cannot be confined to regions that are right nine times in ten.
 
 Means are taken in bin coordinates: bins have unequal widths, labels are spread evenly over bin numbers, so only
@@ -126,10 +126,17 @@ def mode_candidates(
 def interval_candidates(
     proba: Probabilities, regions: Regions, *, max_candidates: int = MAX_CANDIDATES
 ) -> list[Candidates]:
-    """Candidates of every frame as in the paper: the cuboids of its region, each at the means of its intervals.
+    """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
-    Where a target's set is empty, its most probable bin stands in.
+    Where a target's set is empty, its most probable bin stands in. :func:`~conformodal.reasoning.greedy` chooses among
+    all cuboids, as the paper does.
     """
+    pieces = interval_pieces(proba, regions)
+    return [_combine(here, SpreadScale(), -np.inf, max_candidates) for here in pieces]
+
+
+def interval_pieces(proba: Probabilities, regions: Regions) -> list[list[Pieces]]:
+    """The intervals of every frame's region, seven :class:`Pieces` a frame; an empty set has its most probable bin."""
     # a score that cuts bins into cells gives regions over cells: each holds its share of the bin's probability
     cells = [k // p.shape[1] for k, p in zip(regions.bins.sizes, proba, strict=True)]
     proba = [np.repeat(p / c, c, axis=1) if c > 1 else p for c, p in zip(cells, proba, strict=True)]
@@ -140,7 +147,7 @@ def interval_candidates(
             best = int(np.argmax(p[i]))
             intervals = [(int(a), int(b)) for a, b in runs] or [(best, best + 1)]
             pieces.append(_pieces(p[i].astype(np.float64), intervals, e))
-        found.append(_combine(pieces, SpreadScale(), -np.inf, max_candidates))
+        found.append(pieces)
     return found
 
 
@@ -150,7 +157,9 @@ def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pieces:
+class Pieces:
+    """Runs of bins of one target: means, spreads and log masses (m,), or (m, d) for combinations of d targets."""
+
     mean: FloatArray
     spread: FloatArray
     log_mass: FloatArray
@@ -170,7 +179,7 @@ def _mean(weights: FloatArray, edges: FloatArray, first: int = 0) -> tuple[Float
     return np.interp(mean, grid, edges), np.maximum((high - low) / 2, 1e-9)
 
 
-def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> _Pieces:
+def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> Pieces:
     means, spreads, masses = [], [], []
     for a, b in runs:
         weights = p[a:b] + 1e-12
@@ -178,7 +187,7 @@ def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> _P
         means.append(float(mean))
         spreads.append(float(spread))
         masses.append(float(weights.sum()))
-    return _Pieces(np.array(means), np.array(spreads), np.log(masses))
+    return Pieces(np.array(means), np.array(spreads), np.log(masses))
 
 
 def _basins(p: FloatArray, mode_bins: int) -> list[tuple[int, int]]:
@@ -198,7 +207,7 @@ def _basins(p: FloatArray, mode_bins: int) -> list[tuple[int, int]]:
     return list(zip(cuts, [*cuts[1:], len(p)], strict=True))
 
 
-def _product(targets: list[_Pieces], limit: int) -> _Pieces:
+def _product(targets: list[Pieces], limit: int) -> Pieces:
     """Combinations of one piece a target, the `limit` most probable, most probable first."""
     mean, spread, log_mass = np.empty((1, 0)), np.empty((1, 0)), np.zeros(1)
     for pieces in targets:
@@ -208,10 +217,10 @@ def _product(targets: list[_Pieces], limit: int) -> _Pieces:
         mean = np.column_stack((mean[left], pieces.mean[right]))
         spread = np.column_stack((spread[left], pieces.spread[right]))
         log_mass = total[best]
-    return _Pieces(mean, spread, log_mass)
+    return Pieces(mean, spread, log_mass)
 
 
-def _combine(pieces: list[_Pieces], scale: SpreadScale, min_log_mass: float, limit: int) -> Candidates:
+def _combine(pieces: list[Pieces], scale: SpreadScale, min_log_mass: float, limit: int) -> Candidates:
     positions = _product([pieces[j] for j in POSITION], limit)
     quats = _product([pieces[j] for j in ORIENTATION], limit)
     norm = np.linalg.norm(quats.mean, axis=1)
