@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
-from .relative_pose import estimate_relative_motion
+from .relative_pose import MIN_TRACKS, estimate_relative_motion
 from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
 from .two_view import TwoViewSolver, solve_poselib
 
@@ -65,7 +65,9 @@ class MotionFrontEnd:
             self._bank()
 
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
-        """Motion from the frame measured last to this one; None for the first frame of a recording.
+        """Motion from the frame measured last to this one.
+
+        None for the first frame of a recording; if that is blank, a motion that says so.
 
         Where corners had to be renewed on the way, rotations are chained and the direction, which would need the
         lengths of the parts, is left out.
@@ -79,6 +81,8 @@ class MotionFrontEnd:
         self._forget_bank()
         self.tracker.mark()
         self.corners = self.tracker.corners()
+        if first and self.tracker.n_at_mark < MIN_TRACKS:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
         return motion
 
     def _advance(self, image: npt.NDArray[np.uint8]) -> None:

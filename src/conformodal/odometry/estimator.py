@@ -26,6 +26,7 @@ from conformodal.vision import FeatureCache, extract_features
 from .answers import METHODS, answers, as_trajectory
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
+from .frame import as_frames, as_image, as_time
 from .landmarks import Fixes
 from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
@@ -82,7 +83,7 @@ class VisualOdometry:
         self._n_steps = 0
         self._before: Candidates | None = None
 
-    def step(self, image: npt.NDArray[np.uint8] | None, timestamp_s: float) -> Estimate:
+    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
 
         The pose is the best given all frames so far, and `revised` those before it, better known by now;
@@ -92,14 +93,12 @@ class VisualOdometry:
         Raises
         ------
         OdometryError
-            If the timestamp is not later than the one before.
+            If the timestamp is not finite, or not later than the one before; nothing has changed then.
         """
-        if self._last_s is not None and not timestamp_s > self._last_s:
-            raise OdometryError(f"timestamps must increase: {timestamp_s} s follows {self._last_s} s")
-        expected = (self.model.camera.height, self.model.camera.width, 3)
-        if image is None or image.shape != expected or image.dtype != np.uint8:
-            found = "no image" if image is None else f"image is {image.dtype} {image.shape}, expected uint8 {expected}"
-            return Estimate(timestamp_s, None, None, None, None, None, False, found)
+        timestamp_s = as_time(timestamp_s, self._last_s)
+        image = as_image(image, self.model.camera)
+        if isinstance(image, str):
+            return Estimate(timestamp_s, None, None, None, None, None, False, image)
         prepared = self.model.backbone.prepare(image)[None]
         # rounded as the cache rounds, so that a stream and a data set give the same numbers
         features = self.model.backbone.describe(prepared).astype(np.float32)
@@ -153,9 +152,11 @@ class VisualOdometry:
             return None
         return self.model.fixes(describe(image, self.model.camera))
 
-    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
-        """Show a frame of the stream that wants no answer: corners are followed through it."""
-        self._front_end.pass_by(image)
+    def pass_by(self, image: npt.ArrayLike) -> None:
+        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
+        found = as_image(image, self.model.camera)
+        if not isinstance(found, str):
+            self._front_end.pass_by(found)
 
     def run(self, sequence: Sequence) -> Trajectory:
         """The smoothed trajectory of a whole sequence; :meth:`process` gives all the rest."""
@@ -189,10 +190,10 @@ class VisualOdometry:
         Raises
         ------
         OdometryError
-            If no frame can be read, or the camera is another one.
+            If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
         """
         self.model.check_camera(sequence.camera)
-        wanted = np.arange(len(sequence)) if frames is None else np.asarray(frames, dtype=np.int64)
+        wanted = np.arange(len(sequence)) if frames is None else as_frames(frames, len(sequence))
         if motions is None:
             motions = measure_motions(sequence, wanted, progress)
         usable = np.array([i for i in wanted.tolist() if i in motions.motions], dtype=np.int64)

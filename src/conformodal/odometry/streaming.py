@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -111,13 +112,16 @@ class StreamRunner:
         return RegionTally.concatenate(self._tallies)
 
     def push(self, frame: Frame) -> Estimate | None:
-        """Take the next frame; None where it wants no answer.
+        """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
 
         Raises
         ------
         SourceError
             If its timestamp is not later than the one before.
         """
+        if not math.isfinite(frame.timestamp_s):
+            self._note(frame, f"timestamp is {frame.timestamp_s} s, expected a finite number")
+            return None
         if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
             raise SourceError(
                 f"time goes back: {frame.name} at {frame.timestamp_s} s follows {self._last.name} at "
@@ -134,9 +138,7 @@ class StreamRunner:
             return None
         estimate = self.odometry.step(frame.image, frame.timestamp_s)
         if estimate.region is None or estimate.candidates is None or estimate.features is None:
-            self.n_problems += 1
-            if len(self.problems) < _PROBLEMS_KEPT:
-                self.problems[frame.name] = frame.problem or estimate.problem
+            self._note(frame, frame.problem or estimate.problem)
             return estimate
         self._take(frame, estimate, estimate.region, estimate.candidates, estimate.features)
         return estimate
@@ -145,6 +147,11 @@ class StreamRunner:
         """Write the answers that waited for more frames; also what a run that is stopped ends with."""
         self._flush(everything=True)
         self._pool.shutdown()
+
+    def _note(self, frame: Frame, problem: str) -> None:
+        self.n_problems += 1
+        if len(self.problems) < _PROBLEMS_KEPT:
+            self.problems[frame.name] = problem
 
     def _take(
         self,

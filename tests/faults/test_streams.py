@@ -1,0 +1,218 @@
+"""What a stream may bring: images of other kinds, times that are none, blank frames."""
+
+import re
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.datasets import read_sevenscenes
+from conformodal.datasets.streams import Frame
+from conformodal.odometry import Evidence, OdometryError, ResultsWriter, StreamRunner, VisualOdometry, load_model
+
+H, W = 120, 160
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def images(small_world):
+    sequence = read_sevenscenes(small_world.folder)
+    return [sequence.image(i) for i in range(50, 54)]
+
+
+@pytest.fixture(scope="module")
+def plain(model, images):
+    odometry = VisualOdometry(model)
+    return [odometry.step(image, 0.1 * k) for k, image in enumerate(images)]
+
+
+def same(one, other):
+    """Answers are the same to the last bit."""
+    np.testing.assert_array_equal(one.features, other.features)
+    np.testing.assert_array_equal(one.pose.positions_xyz, other.pose.positions_xyz)
+    np.testing.assert_array_equal(one.pose.orientations_quat_wxyz, other.pose.orientations_quat_wxyz)
+    assert one.region.intervals(0)[0].tolist() == other.region.intervals(0)[0].tolist()
+    assert (one.reliable, one.problem) == (other.reliable, other.problem)
+
+
+def read_only(image):
+    found = image.copy()
+    found.flags.writeable = False
+    return found
+
+
+SAME_IMAGE = {
+    "BGR turned to RGB by a view": lambda image: np.ascontiguousarray(image[:, :, ::-1])[:, :, ::-1],
+    "turned by two views": lambda image: np.ascontiguousarray(image[::-1, ::-1])[::-1, ::-1],
+    "mirrored by a view": lambda image: np.ascontiguousarray(image[:, ::-1])[:, ::-1],
+    "a view of every second pixel": lambda image: np.repeat(np.repeat(image, 2, 0), 2, 1)[::2, ::2],
+    "planes first in memory": lambda image: np.ascontiguousarray(image.transpose(2, 0, 1)).transpose(1, 2, 0),
+    "columns first in memory": np.asfortranarray,
+    "colours of four": lambda image: np.dstack((image, image[:, :, :1]))[:, :, :3],
+    "read-only": read_only,
+    "a Pillow image": Image.fromarray,
+    "a masked array without a mask": np.ma.asarray,
+    "a memory view": lambda image: memoryview(np.ascontiguousarray(image)),
+}
+
+
+@pytest.mark.parametrize("how", SAME_IMAGE)
+def test_the_same_pixels_have_the_same_answer(model, images, plain, how):
+    odometry = VisualOdometry(model)
+    for k, image in enumerate(images):
+        same(odometry.step(SAME_IMAGE[how](image), 0.1 * k), plain[k])
+
+
+class Broken:
+    def __array__(self, *_args, **_how):
+        raise RuntimeError("the camera is gone")
+
+
+NO_IMAGE = {
+    "none": (None, "no image"),
+    "a list": ([[1, 2], [3, 4]], "int64 .2, 2."),
+    "a ragged list": ([[1], [2, 3]], "no array"),
+    "nested lists of the right shape": (np.zeros((H, W, 3), int).tolist(), "int64"),
+    "a text": ("frame.png", "image is <U9"),
+    "bytes": (b"\x00" * 20, "image is .S"),
+    "a number": (3, "int64 ..,"),
+    "an empty array": (np.zeros((0, 0, 3), np.uint8), r"uint8 .0, 0, 3."),
+    "grey": (np.zeros((H, W), np.uint8), r"uint8 .120, 160."),
+    "grey with one channel": (np.zeros((H, W, 1), np.uint8), "160, 1"),
+    "with alpha": (np.zeros((H, W, 4), np.uint8), "160, 4"),
+    "planes first": (np.zeros((3, H, W), np.uint8), "3, 120"),
+    "transposed": (np.zeros((W, H, 3), np.uint8), "160, 120"),
+    "half the size": (np.zeros((H // 2, W // 2, 3), np.uint8), "60, 80"),
+    "a batch": (np.zeros((1, H, W, 3), np.uint8), "1, 120"),
+    "floats": (np.zeros((H, W, 3)), "float64"),
+    "float32 from 0 to 1": (np.ones((H, W, 3), np.float32), "float32"),
+    "NaN": (np.full((H, W, 3), np.nan), "float64"),
+    "16 bits": (np.zeros((H, W, 3), np.uint16), "uint16"),
+    "signed": (np.zeros((H, W, 3), np.int8), "int8"),
+    "boolean": (np.zeros((H, W, 3), bool), "bool"),
+    "objects": (np.full((H, W, 3), None), "object"),
+    "masked": (np.ma.masked_equal(np.zeros((H, W, 3), np.uint8), 0), "masked"),
+    "what raises": (Broken(), "the camera is gone"),
+    "a grey Pillow image": (Image.new("L", (W, H)), r"120, 160\)"),
+    "a Pillow image with a palette": (Image.new("P", (W, H)), r"120, 160\)"),
+}
+
+
+@pytest.mark.parametrize("what", NO_IMAGE)
+def test_what_is_no_image_costs_one_frame(model, images, plain, what):
+    image, match = NO_IMAGE[what]
+    odometry = VisualOdometry(model)
+    same(odometry.step(images[0], 0.0), plain[0])
+    lost = odometry.step(image, 0.05)
+    assert not lost.reliable
+    assert lost.region is None
+    assert lost.pose is None
+    assert re.search(match, lost.problem), lost.problem
+    odometry.pass_by(image)
+    same(odometry.step(images[1], 0.1), plain[1])
+
+
+TIMES = {
+    "NaN": np.nan,
+    "infinite": np.inf,
+    "minus infinity": -np.inf,
+    "none": None,
+    "a text": "soon",
+    "complex": 1j,
+    "two": np.array([1.0, 2.0]),
+    "a list": [1.0],
+    "too large for a float": 10**400,
+    "not a time": np.datetime64("NaT"),
+    "a signalling NaN": Decimal("sNaN"),
+}
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("what", TIMES)
+def test_a_time_that_is_none_is_an_error_and_changes_nothing(model, images, plain, what, first):
+    odometry = VisualOdometry(model)
+    if first:
+        with pytest.raises(OdometryError, match="timestamp"):
+            odometry.step(images[0], TIMES[what])
+    same(odometry.step(images[0], 0.0), plain[0])
+    if not first:
+        with pytest.raises(OdometryError, match="timestamp"):
+            odometry.step(images[1], TIMES[what])
+    same(odometry.step(images[1], 0.1), plain[1])
+
+
+@pytest.mark.parametrize("time", [0.1, 0.05, -1.0, 0, False])
+def test_time_does_not_go_back(model, images, plain, time):
+    odometry = VisualOdometry(model)
+    for k in (0, 1):
+        same(odometry.step(images[k], 0.1 * k), plain[k])
+    with pytest.raises(OdometryError, match=r"increase: .* s follows 0\.1 s"):
+        odometry.step(images[2], time)
+    same(odometry.step(images[2], 0.2), plain[2])
+
+
+BLANK = {
+    "black": np.zeros((H, W, 3), np.uint8),
+    "white": np.full((H, W, 3), 255, np.uint8),
+    "grey": np.full((H, W, 3), 128, np.uint8),
+    "covered": np.random.default_rng(0).integers(0, 4, (H, W, 3), dtype=np.uint8),
+    "a smooth slope": np.repeat(np.linspace(0, 255, W).astype(np.uint8)[None, :, None], H, 0).repeat(3, 2),
+}
+
+
+@pytest.mark.parametrize("what", BLANK)
+def test_a_blank_first_frame_is_like_no_known_place(model, images, what):
+    odometry = VisualOdometry(model)
+    first = odometry.step(BLANK[what], 0.0)
+    assert not first.reliable
+    assert first.evidence is Evidence.UNKNOWN
+    assert "no place that is known" in first.problem
+    assert odometry.step(images[0], 0.1).pose is not None
+
+
+@pytest.mark.parametrize("what", [name for name in BLANK if name != "covered"])  # noise has corners
+def test_a_blank_first_frame_is_not_reliable_without_the_test_of_novelty(small_world, what):
+    model = load_model(small_world.model)
+    model.set_novelty_level(0.0)
+    first = VisualOdometry(model).step(BLANK[what], 0.0)
+    assert not first.reliable
+    assert first.problem == "too_few_corners"
+
+
+FRAMES = {
+    "negative": [-1, 2],
+    "beyond the end": [0, 10**6],
+    "decreasing": [3, 2],
+    "twice": [2, 2],
+    "a mask": np.ones(5, bool),
+    "fractions": [0.5, 1.5],
+    "two dimensions": [[0, 1]],
+    "a text": ["a"],
+    "one number": 3,
+}
+
+
+@pytest.mark.parametrize("what", FRAMES)
+def test_frames_to_answer_are_increasing_indices(model, small_world, what):
+    with pytest.raises(OdometryError, match="frames must"):
+        VisualOdometry(model).process(read_sevenscenes(small_world.folder), FRAMES[what])
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("at", [0, 2])
+def test_a_frame_without_a_time_is_left_out_of_the_results(model, images, tmp_path, time, at):
+    runner = StreamRunner(VisualOdometry(model), ResultsWriter(tmp_path))
+    frames = [Frame(f"frame{k}", 0.1 * k, image) for k, image in enumerate(images)]
+    frames.insert(at, Frame("bad", time, images[0]))
+    answers = [runner.push(frame) for frame in frames]
+    runner.finish()
+    assert answers.pop(at) is None
+    assert all(answer.pose is not None for answer in answers)
+    assert list(runner.problems) == ["bad"]
+    assert "finite" in runner.problems["bad"]
+    assert (runner.n_answered, runner.n_problems) == (4, 1)
