@@ -1,6 +1,7 @@
 """Motion between frames: corners, flow, two-view geometry, submaps and landmarks (OpenCV, PoseLib)."""
 
-from .frontend import MotionFrontEnd
+from .essential import EssentialFrontEnd
+from .frontend import FrontEnd, MotionFrontEnd
 from .landmarks import Described, LandmarkMap, Matcher, build_map, describe, match
 from .relative_pose import estimate_relative_motion
 from .submaps import build_submaps
@@ -12,6 +13,8 @@ __all__ = [
     "CornerTracker",
     "Corners",
     "Described",
+    "EssentialFrontEnd",
+    "FrontEnd",
     "LandmarkMap",
     "Matcher",
     "MotionFrontEnd",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +15,25 @@ from .two_view import TwoViewSolver, solve_poselib
 
 # With fewer of the marked corners left than this, motion so far is banked and measured afresh from here.
 _REMARK_BELOW = 60
+
+
+class FrontEnd(Protocol):
+    """What turns images of one camera into relative motions."""
+
+    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None
+    corners: Corners
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        ...
+
+    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+        """Show a frame that no motion is asked for."""
+        ...
+
+    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one."""
+        ...
 
 
 class MotionFrontEnd:

@@ -1,7 +1,7 @@
 """The estimator: trained models, streams and sequences."""
 
 from .answers import METHODS, OtherMethods, answers, as_trajectory
-from .config import ModelConfig
+from .config import Method, ModelConfig
 from .depths import measure_depths
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
@@ -13,6 +13,7 @@ from .known import KnownPlaces
 from .landmarks import Fixes, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
+from .paper import PaperOdometry
 from .parquet import read_region_parquet, write_region_parquet
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
@@ -44,12 +45,14 @@ __all__ = [
     "FrameIdentities",
     "KnownPlaces",
     "Landmarks",
+    "Method",
     "ModelConfig",
     "ModelFileError",
     "MotionRecord",
     "OdometryError",
     "OdometryRun",
     "OtherMethods",
+    "PaperOdometry",
     "PoseModel",
     "PoseRadius",
     "Promise",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Self
 
 from conformodal.conformal import ConformalError, QuantileBins
 from conformodal.conformal.calibration import as_joint
@@ -15,12 +17,21 @@ from .errors import OdometryError
 from .folds import Calibration
 
 
+class Method(StrEnum):
+    """Which system."""
+
+    CONFORMODAL = "conformodal"
+    PAPER = "paper"  # the paper's, as it stands
+
+
 @dataclass(frozen=True)
 class ModelConfig:
     """Settings of a pose model.
 
     Attributes
     ----------
+    method
+        This project's system, or the paper's: see :meth:`paper`.
     split
         ``interleaved``, ``blocks``, ``recordings`` or ``given``.
     n_bins
@@ -36,7 +47,7 @@ class ModelConfig:
     calibrate_on
         See :class:`~conformodal.odometry.Calibration`.
     novelty_level
-        Images whose p-value of showing a known place is at most this get the whole space; None for 0.01 where frames
+        Images whose p-value of showing a known place is at most this get the whole space; None for 0.015 where frames
         are held out one by one, and 0.1 where stretches are.
     finders
         Heads that the search for the pose starts from.
@@ -61,6 +72,7 @@ class ModelConfig:
         If a setting cannot be used; before any frame is read.
     """
 
+    method: Method = Method.CONFORMODAL
     split: SplitKind = SplitKind.INTERLEAVED
     n_bins: int = 50
     margin: float = 0.02
@@ -93,5 +105,40 @@ class ModelConfig:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
         if self.novelty_level is not None and not 0 <= self.novelty_level < 1:
             raise OdometryError(f"novelty_level must be at least 0 and below 1, got {self.novelty_level}")
-        if self.finders < 1:
+        if self.finders < (self.method is not Method.PAPER):
             raise OdometryError(f"finders must be at least 1, got {self.finders}")
+        if self.method is Method.PAPER:
+            wrong = {k: getattr(self, k) for k, v in _PAPER.items() if getattr(self, k) != v}
+            if wrong or self.training.components is not None:
+                raise OdometryError(f"the paper's system has no settings {wrong or 'training.components'}")
+
+    @classmethod
+    def paper(cls, **settings: Any) -> Self:
+        """The paper's system (Parente et al. 2024, sections 2 and 3) and nothing else.
+
+        Features of the whole network, averaged over the image; one softmax a dimension, with one-hot labels; quantile
+        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself; no other source of poses,
+        no search and no smoother. What the paper leaves open is as elsewhere here: image size, a frozen network,
+        optimiser, epochs, and a hidden layer before the softmaxes. `settings` are the other attributes.
+
+        Raises
+        ------
+        OdometryError
+            If a setting is one that the paper's system does not have.
+        """
+        training = replace(settings.pop("training", TrainingConfig()), components=None)
+        return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
+
+
+# What the paper's system is: other values of these are not the paper's.
+_PAPER: dict[str, Any] = {
+    "margin": 0.0,
+    "sigma_bins": 0.0,
+    "score": "lac",
+    "joint": "none",
+    "calibrate_on": Calibration.FRAMES,
+    "novelty_level": 0.0,
+    "finders": 0,
+    "local": False,
+    "landmarks": False,
+}

@@ -101,7 +101,9 @@ class OdometryRun:
     fixes
         Where each frame could be by its landmarks; one :class:`Fixes` a frame.
     trajectories
-        By method, see :data:`METHODS`; ``smoothed`` is the answer.
+        By method, see :data:`METHODS`.
+    answer
+        Which of them is the answer.
     unreadable
         Frames that could not be decoded, and why.
     known_p, kinds
@@ -119,11 +121,12 @@ class OdometryRun:
     unreadable: dict[int, str] = field(default_factory=dict)
     known_p: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     kinds: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    answer: str = METHODS[0]
 
     @property
     def trajectory(self) -> Trajectory:
         """The answer."""
-        return self.trajectories[METHODS[0]]
+        return self.trajectories[self.answer]
 
     @property
     def reliable(self) -> npt.NDArray[np.bool_]:

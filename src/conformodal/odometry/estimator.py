@@ -24,6 +24,7 @@ from conformodal.reasoning import (
 from conformodal.vision import FeatureCache, extract_features
 
 from .answers import METHODS, answers, as_trajectory
+from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
 from .frame import as_frames, as_image, as_time
@@ -52,12 +53,16 @@ class VisualOdometry:
     Raises
     ------
     OdometryError
-        If `fix_every` is less than 1.
+        If `fix_every` is less than 1, or the model is the paper's, which :class:`PaperOdometry` runs.
     """
+
+    answer = METHODS[0]
 
     def __init__(self, model: PoseModel, lag: int = LAG, fix_every: int = 1) -> None:
         if fix_every < 1:
             raise OdometryError(f"fix_every must be at least 1, got {fix_every}")
+        if model.method is Method.PAPER:
+            raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
         self.lag = lag
         self.fix_every = fix_every

@@ -25,6 +25,7 @@ from conformodal.reasoning import (
 )
 from conformodal.vision import Backbone, Head, predict_proba
 
+from .config import Method
 from .errors import OdometryError
 from .identity import FrameIdentities
 from .known import KnownPlaces
@@ -111,6 +112,11 @@ class PoseModel:
     known_frames: FrameIdentities
     configuration: dict[str, Any] = field(default_factory=dict)
     radius: PoseRadius | None = None
+
+    @property
+    def method(self) -> Method:
+        """Which system it belongs to."""
+        return Method(self.configuration.get("method", Method.CONFORMODAL))
 
     @property
     def calibration(self) -> SplitConformal:

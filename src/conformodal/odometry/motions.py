@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import ImageError, Sequence
-from conformodal.motion import Corners, Described, MotionFrontEnd, build_submaps, describe
+from conformodal.motion import Corners, Described, FrontEnd, MotionFrontEnd, build_submaps, describe
 from conformodal.poses import RelativeMotion, Submap
 
 IntArray = npt.NDArray[np.int64]
@@ -38,7 +38,14 @@ class MotionRecord:
     described: dict[int, Described] = field(default_factory=dict)
 
 
-def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
+def measure_motions(
+    sequence: Sequence,
+    frames: IntArray,
+    progress: Progress | None = None,
+    *,
+    front_end: FrontEnd | None = None,
+    landmarks: bool = True,
+) -> MotionRecord:
     """Relative motions and submaps of `frames` of a sequence, followed through all frames between them.
 
     Parameters
@@ -49,9 +56,13 @@ def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | N
         Increasing indices.
     progress
         Called with the stage, frames done and frames in all.
+    front_end
+        Measures them; :class:`~conformodal.motion.MotionFrontEnd` by default.
+    landmarks
+        Whether submaps are built and images described, so that landmarks can be recognised in them.
     """
     answer = set(frames.tolist())
-    front_end = MotionFrontEnd(sequence.camera)
+    front_end = front_end or MotionFrontEnd(sequence.camera)
     found = MotionRecord({}, {})
     recording = None
     corners: dict[int, Corners] = {}
@@ -70,8 +81,9 @@ def measure_motions(sequence: Sequence, frames: IntArray, progress: Progress | N
             continue
         if i in answer:
             found.motions[i] = front_end.measure(image)
-            corners[i] = front_end.corners
-            found.described[i] = describe(image, sequence.camera)
+            if landmarks:
+                corners[i] = front_end.corners
+                found.described[i] = describe(image, sequence.camera)
         else:
             front_end.pass_by(image)
         if progress is not None:

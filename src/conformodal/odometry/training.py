@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,13 +34,14 @@ from conformodal.vision import (
 )
 
 from .calibrating import FoldPrediction, bins_of, calibrate_regions
-from .config import ModelConfig
-from .folds import Folds, make_folds
+from .config import Method, ModelConfig
+from .folds import make_folds
 from .identity import identify
 from .known import KnownPlaces
 from .local import LocalFinder, make_finder
 from .model import PoseModel
 from .motions import Progress
+from .paper import record_of, stage_of, train_paper
 from .scene import Scene, learn_scene
 from .targets import pose_targets, target_scale
 from .training_data import TrainingData
@@ -76,7 +75,8 @@ def prepare_training_data(
         used=config.used,
         given_test=sequence.given_test,
     )
-    backbone = Backbone(BackboneConfig.for_images(sequence.camera.width, sequence.camera.height, config.network))
+    size = sequence.camera.width, sequence.camera.height
+    backbone = Backbone(BackboneConfig.for_images(*size, config.network, whole=config.method is Method.PAPER))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     backbone.to(pick_device(config.device))
@@ -89,9 +89,9 @@ def prepare_training_data(
             bins.sizes,
             config.fine_tuning,
             cache,
-            _stage(progress, "fine-tuning"),
+            stage_of(progress, "fine-tuning"),
         )
-    stage = _stage(progress, "features")
+    stage = stage_of(progress, "features")
     features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
     return TrainingData(sequence, split, backbone, features, targets, reference)
 
@@ -108,8 +108,10 @@ def train_model(
 
     The finders are trained on training and calibration part: the region must not know the frames that calibrate it, but
     the search for the pose, of which nothing is promised, may, as a plain regressor would. So does the scene, which is
-    learnt from both as well unless it is given.
+    learnt from both as well unless it is given. Of the paper's method there are a head and its calibration alone.
     """
+    if config.method is Method.PAPER:
+        return train_paper(data, config, checkpoint_dir=checkpoint_dir, progress=progress)
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     if scene is None:
         scene = learn_scene(data.sequence, data.split, folds, landmarks=config.landmarks, progress=progress)
@@ -127,7 +129,7 @@ def train_model(
             replace(config.training, seed=seed),
             projection=data.projection(rows, config.training.components),
             checkpoint_dir=checkpoint_dir,
-            progress=_stage(progress, stage),
+            progress=stage_of(progress, stage),
         )
 
     own_bins = bins_of(data, folds.region_frames, config)
@@ -168,7 +170,7 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
-        configuration=_record(config, data.sequence, folds),
+        configuration=record_of(config, data.sequence, "frames" if folds.units is None else "stretches"),
     )
 
 
@@ -199,19 +201,10 @@ def _local_finder(
         target_scale(targets),
         pieces[frames],
         views=feature_views(features.shape[1]),
-        progress=_stage(progress, "neighbours"),
+        progress=stage_of(progress, "neighbours"),
     )
     finder = make_finder(regression, left_out)
     if finder is None:
         return None
     queries = regression.references[np.searchsorted(frames, held_out)]
     return finder, regression.predict_projected(queries, (pieces[held_out], pieces[frames]))
-
-
-def _record(config: ModelConfig, sequence: Sequence, folds: Folds) -> dict[str, Any]:
-    names = {"split": str(config.split), "calibrate_on": "frames" if folds.units is None else "stretches"}
-    return {**asdict(config), **names, "data": sequence.name, "n_frames": len(sequence)}
-
-
-def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else lambda done, total: progress(stage, done, total)

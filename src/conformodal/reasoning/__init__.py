@@ -1,7 +1,7 @@
 """Choosing among candidate poses with the help of relative motion. NumPy and SciPy only.
 
 A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` to a :class:`PosePath`: :func:`viterbi`,
-:func:`online`. :func:`smooth` makes any path finer. :func:`greedy` is the paper's reasoning.
+:func:`online`. :func:`smooth` makes any path finer. :class:`Greedy` is the paper's reasoning.
 """
 
 from .bridging import bridge, predict_candidates
@@ -14,7 +14,7 @@ from .candidates import (
 )
 from .errors import ReasoningError
 from .fixes import add_fixes
-from .greedy import IntervalMeans, greedy, interval_means
+from .greedy import Greedy, IntervalMeans, greedy, interval_means
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .orientations import smooth_orientations
@@ -28,6 +28,7 @@ __all__ = [
     "LAG",
     "Candidates",
     "Decoder",
+    "Greedy",
     "IntervalMeans",
     "MotionPrior",
     "Observations",

@@ -56,20 +56,62 @@ def interval_means(proba: Sequence[npt.NDArray[np.floating[Any]]], regions: Regi
     return found
 
 
-def greedy(
-    intervals: Sequence[IntervalMeans], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
-) -> PosePath:
-    """Choose one combination of intervals a frame, among all of them.
+class Greedy:
+    """The paper's reasoning on a stream: :meth:`push` chooses one combination of intervals a frame, among all of them.
 
     Orientation: the q that minimises ``|q - q_next|`` with ``q_next = quaternion(R_prev R_rel)``; q and -q count as
     one. The square of that distance is a sum over components, so each is minimised by itself. Position: the p that
     minimises ``| t_rel - (p - p_prev) / |p - p_prev| |`` with t_rel turned into the world by the orientation chosen
-    before. Where a motion is unknown, the most probable combination is taken.
+    before. In the first frame, and where the motion is unknown, the most probable combination is taken.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self._place: FloatArray | None = None
+        self._quat: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
+
+    def push(self, here: IntervalMeans, motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
+        """The pose (a path of one) of the next frame.
+
+        Parameters
+        ----------
+        here
+            Its intervals.
+        motion
+            From the frame before to it; None where nothing is known of it.
+        timestamp_s
+            Seconds.
+        """
+        best = [int(np.argmax(mass)) for mass in here.log_mass]
+        if self._place is not None and motion is not None and motion.R_prev_next is not None:
+            rotation_prev = Rotation.from_quat(self._quat, scalar_first=True)
+            q_next = (rotation_prev * Rotation.from_matrix(motion.R_prev_next)).as_quat(scalar_first=True)
+            best[3:] = _nearest_quat(here.means[3:], q_next)
+            if motion.direction_prev is not None:
+                best[:3] = _along(here.means[:3], self._place, rotation_prev.apply(motion.direction_prev))
+        chosen, spreads = (np.array([v[k] for v, k in zip(of, best, strict=True)]) for of in (here.means, here.spreads))
+        self._place = chosen[:3]
+        norm = float(np.linalg.norm(chosen[3:]))
+        if norm > _LEAST_NORM:  # components that cancel say nothing
+            self._quat = chosen[3:] / norm
+        turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
+        return PosePath(
+            np.array([timestamp_s]), self._place[None], spreads[None, :3], self._quat[None], np.array([turn])
+        )
+
+
+def greedy(
+    intervals: Sequence[IntervalMeans], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
+) -> PosePath:
+    """:class:`Greedy` on n frames of one recording.
 
     Parameters
     ----------
     intervals
-        Of n frames of one recording.
+        Of each frame.
     motions
         ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
     timestamps_s
@@ -86,29 +128,8 @@ def greedy(
             f"greedy needs as many frames as motions and timestamps, at least one: got {len(intervals)} frames, "
             f"{len(motions)} motions, {len(times)} timestamps"
         )
-    chosen: list[list[int]] = []
-    place, quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    places, quats = [], []
-    for t, (here, motion) in enumerate(zip(intervals, motions, strict=True)):
-        best = [int(np.argmax(mass)) for mass in here.log_mass]
-        if t and motion is not None and motion.R_prev_next is not None:
-            rotation_prev = Rotation.from_quat(quat, scalar_first=True)
-            q_next = (rotation_prev * Rotation.from_matrix(motion.R_prev_next)).as_quat(scalar_first=True)
-            best[3:] = _nearest_quat(here.means[3:], q_next)
-            if motion.direction_prev is not None:
-                best[:3] = _along(here.means[:3], place, rotation_prev.apply(motion.direction_prev))
-        place = np.array([here.means[j][best[j]] for j in range(3)])
-        raw = np.array([here.means[j][best[j]] for j in range(3, 7)])
-        norm = float(np.linalg.norm(raw))
-        quat = raw / norm if norm > _LEAST_NORM else quat  # components that cancel say nothing
-        chosen.append(best)
-        places.append(place)
-        quats.append(quat)
-    spreads = np.array(
-        [[its.spreads[j][best[j]] for j in range(7)] for its, best in zip(intervals, chosen, strict=True)]
-    )
-    turns = 2 * np.sqrt(np.mean(spreads[:, 3:] ** 2, axis=1))  # a quaternion moves half as far as the rotation turns
-    return PosePath(times, np.array(places), spreads[:, :3], np.array(quats), turns)
+    path = Greedy()
+    return PosePath.join([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
 
 
 def _nearest_quat(means: Sequence[FloatArray], q_next: FloatArray) -> list[int]:

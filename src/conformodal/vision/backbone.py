@@ -71,23 +71,28 @@ class BackboneConfig:
     name
         Network; its ImageNet weights come with a package, no download.
     block
-        Last block to run. Block 7 of Lite0 has 80 channels at a sixteenth of the resolution; later ones know
-        more of what and less of where.
+        Last block to run; None for the whole network but its classifier. Block 7 of Lite0 has 80 channels at a
+        sixteenth of the resolution; later ones know more of what and less of where.
     width, height
         Input size in pixels.
     grid
-        Rows and columns the map is averaged into. A global average would throw position away.
+        Rows and columns the map is averaged into. A global average, (1, 1), throws position away.
     """
 
     name: str = "efficientnet_lite0"
-    block: int = 7
+    block: int | None = 7
     width: int = 320
     height: int = 240
     grid: tuple[int, int] = (6, 8)
 
     @classmethod
-    def for_images(cls, width: int, height: int, name: str = "efficientnet_lite0") -> BackboneConfig:
+    def for_images(
+        cls, width: int, height: int, name: str = "efficientnet_lite0", *, whole: bool = False
+    ) -> BackboneConfig:
         """The default features of a network for images of a size.
+
+        `whole` asks for those that a classifier would get, as the paper does: of the whole network, averaged over the
+        image.
 
         Raises
         ------
@@ -95,7 +100,8 @@ class BackboneConfig:
             If the network is unknown.
         """
         w = min(MAX_WIDTH, width)
-        return cls(name=name, block=find_network(name).block, width=w, height=max(1, round(height * w / width)))
+        network, size = find_network(name), (w, max(1, round(height * w / width)))
+        return cls(name, None, *size, grid=(1, 1)) if whole else cls(name, network.block, *size)
 
 
 def pick_device(name: str) -> torch.device:

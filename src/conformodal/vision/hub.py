@@ -43,8 +43,8 @@ class HubNetwork:
         """
         return _default_block(self.model)
 
-    def load(self, block: int) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
-        """Layers up to a hidden state, mean and scale of pixels in 0 to 255, and a digest of the weights."""
+    def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
+        """Layers up to a hidden state, or all; mean and scale of pixels in 0 to 255, and a digest of the weights."""
         loaded, mean, scale = _load(self.model)
         digest = hashlib.sha256()
         for name, tensor in sorted(loaded.state_dict().items()):
@@ -54,9 +54,9 @@ class HubNetwork:
 
 
 class _HiddenState(nn.Module):
-    """One hidden state of a model."""
+    """One hidden state of a model; None for the last, after all layers."""
 
-    def __init__(self, model: Any, block: int) -> None:
+    def __init__(self, model: Any, block: int | None) -> None:
         super().__init__()
         self.model, self.block = model, block
 
@@ -68,6 +68,9 @@ class _HiddenState(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Map (n, channels, h, w) of images (n, 3, H, W)."""
+        if self.block is None:
+            last: torch.Tensor = self.model(pixel_values=x).last_hidden_state
+            return last
         states = self.model(pixel_values=x, output_hidden_states=True).hidden_states
         if not 0 <= self.block < len(states):
             raise VisionError(f"block must be 0 to {len(states) - 1}, got {self.block}")

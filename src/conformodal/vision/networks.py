@@ -26,8 +26,8 @@ class Network(Protocol):
         """The block to take features from, by default."""
         ...
 
-    def load(self, block: int) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
-        """Layers up to a block, mean and scale of pixels in 0 to 255, and what identifies weights and code."""
+    def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
+        """Layers up to a block, None for all but the classifier; mean and scale of pixels in 0 to 255; an identity."""
         ...
 
 
@@ -50,16 +50,19 @@ class LiteNetwork:
     package: str
     block: int
 
-    def load(self, block: int) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
+    def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
         """See :class:`Network`."""
         file = self.weights()
         network = EfficientNet.from_name(self.name)
         # weights_only: tensors and nothing else, so the file cannot run code
         network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
         blocks = list(network._blocks)
-        if not 0 <= block < len(blocks):
+        last = len(blocks) - 1 if block is None else block
+        if not 0 <= last < len(blocks):
             raise VisionError(f"block must be 0 to {len(blocks) - 1} for {self.name}, got {block}")
-        layers = [network._conv_stem, network._bn0, network._swish, *blocks[: block + 1]]
+        layers = [network._conv_stem, network._bn0, network._swish, *blocks[: last + 1]]
+        if block is None:
+            layers += [network._conv_head, network._bn1, network._swish]
         identity = file.read_bytes() + metadata.version("efficientnet-lite-pytorch").encode()
         return layers, _PIXEL_MEAN, _PIXEL_SCALE, identity
 
