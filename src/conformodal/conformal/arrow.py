@@ -8,13 +8,16 @@ key ``conformodal.edges``, as JSON.
 from __future__ import annotations
 
 import json
+import os
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from .bins import QuantileBins
+from .checks import as_doubles
 from .errors import ConformalError
 from .regions import Regions
 
@@ -39,7 +42,7 @@ def regions_to_arrow(regions: Regions) -> pa.Table:
     columns = []
     for j in range(regions.bins.n_targets):
         offsets, ends = regions.flat_intervals(j)
-        pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), 2)
+        pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
         columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
     edges = json.dumps([e.tolist() for e in regions.bins.edges_])
     names = [f"target_{j}" for j in range(len(columns))]
@@ -52,25 +55,33 @@ def regions_from_arrow(table: pa.Table) -> Regions:
     Raises
     ------
     ConformalError
-        If the edges or a column are missing, or an interval does not start and end on edges.
+        If the edges or a column are missing or damaged, a value is missing, or an interval does not start and end on
+        edges.
     """
+    _need_pyarrow()
+    import pyarrow as pa  # noqa: PLC0415
+
+    if not isinstance(table, pa.Table):
+        raise ConformalError(f"table must be an Arrow table, got {type(table).__name__}")
     raw = (table.schema.metadata or {}).get(_EDGES)
     if raw is None:
         raise ConformalError("table has no 'conformodal.edges' in its metadata; it was not made by Regions.to_arrow")
-    bins = QuantileBins.from_edges(json.loads(raw))
+    try:
+        bins = QuantileBins.from_edges(json.loads(raw))
+    except ValueError as exc:  # of JSON, of its text, and of the edges
+        raise ConformalError(f"the table's 'conformodal.edges' are no edges: {exc}") from None
     masks, unbounded = [], np.zeros((table.num_rows, bins.n_targets), dtype=bool)
     for j, edges in enumerate(bins.edges_):
         name = f"target_{j}"
         if name not in table.column_names:
             raise ConformalError(f"table has no column {name!r}; found {table.column_names}")
-        column = table.column(name).combine_chunks()
-        counts = np.asarray(column.value_lengths())
-        ends = np.asarray(column.flatten().flatten(), dtype=np.float64).reshape(-1, 2)
+        counts, ends = _ends(table.column(name), name)
         rows = np.repeat(np.arange(table.num_rows), counts)
         whole = np.isinf(ends).all(axis=1)
         unbounded[rows[whole], j] = True
         at = np.searchsorted(edges, ends[~whole])
-        if (at >= edges.size).any() or not np.array_equal(edges[at], ends[~whole]):
+        outside = (at >= edges.size).any() or not np.array_equal(edges[at], ends[~whole])
+        if outside or (at[:, 0] >= at[:, 1]).any() or (ends[whole] != (-np.inf, np.inf)).any():
             raise ConformalError(f"column {name!r} holds an interval that does not start and end on the edges")
         steps = np.zeros((table.num_rows, edges.size), dtype=np.int8)
         np.add.at(steps, (rows[~whole], at[:, 0]), 1)
@@ -79,12 +90,42 @@ def regions_from_arrow(table: pa.Table) -> Regions:
     return Regions(bins, masks, unbounded)
 
 
+def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Intervals a row (n,), and the ends of all (m, 2)."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    try:
+        column = pa.concat_arrays(chunks.chunks) if chunks.num_chunks else pa.array([], chunks.type)
+        pairs = column.flatten()
+        numbers = pairs.flatten()
+        counts = np.asarray(column.value_lengths(), dtype=np.float64)
+        lengths = np.full(len(pairs), 2) if pa.types.is_fixed_size_list(pairs.type) else pairs.value_lengths()
+        missing = column.null_count + pairs.null_count + numbers.null_count
+        if missing or len(numbers) != 2 * len(pairs) or (np.asarray(lengths) != 2).any():
+            raise ConformalError(f"column {name!r} holds a missing value, or an interval without two ends")
+        return counts.astype(np.int64), as_doubles(numbers, f"column {name!r}").reshape(-1, 2)
+    except (pa.ArrowException, AttributeError, TypeError):
+        raise ConformalError(f"column {name!r} must hold lists of pairs of numbers, got {chunks.type}") from None
+
+
 def write_regions(regions: Regions, path: str | PathLike[str]) -> None:
-    """Write `regions` as a Parquet file."""
+    """Write `regions` as a Parquet file; a file that is there already stays whole until the new one is.
+
+    Raises
+    ------
+    ConformalError
+        If the file cannot be written.
+    """
     _need_pyarrow()
     from pyarrow import parquet  # noqa: PLC0415
 
-    parquet.write_table(regions_to_arrow(regions), Path(path))
+    part = Path(path).with_name(f"{Path(path).name}.{os.getpid()}.part")
+    try:
+        parquet.write_table(regions_to_arrow(regions), part)
+        part.replace(path)
+    except OSError as exc:
+        part.unlink(missing_ok=True)
+        raise ConformalError(f"{path} cannot be written: {exc}") from None
 
 
 def read_regions(path: str | PathLike[str]) -> Regions:
@@ -101,6 +142,9 @@ def read_regions(path: str | PathLike[str]) -> Regions:
 
     try:
         table = parquet.read_table(Path(path))
-    except (OSError, pa.ArrowInvalid) as exc:
+    except (OSError, pa.ArrowException) as exc:
         raise ConformalError(f"{path} cannot be read as a Parquet file: {exc}") from None
-    return regions_from_arrow(table)
+    try:
+        return regions_from_arrow(table)
+    except ConformalError as exc:
+        raise ConformalError(f"{path}: {exc}") from None

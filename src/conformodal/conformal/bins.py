@@ -9,12 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from .blocks import for_blocks
-from .checks import as_targets
+from .checks import as_doubles, as_targets
 from .errors import ConformalError, NotCalibratedError
+from .scalars import as_count, as_number
 
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
 _CONSTANT_HALF_WIDTH = 1e-6
 _TABLE_CELLS = 16_384
+# of a Gaussian over bin numbers; a narrower one is one-hot, and its exponents would overflow
+_LEAST_SIGMA = 1e-100
+# bins of a target; a row of probabilities over as many takes 8 MB
+MOST_BINS = 1_000_000
 
 
 class QuantileBins:
@@ -28,7 +33,7 @@ class QuantileBins:
     Parameters
     ----------
     n_bins
-        Bins per target (K in the paper), at least 1.
+        Bins per target (K in the paper), at least 1 and at most a million.
     margin
         Share of the training range by which the outer bins reach beyond it at either end. With 0, as in the paper,
         every value beyond the training range scores ``+inf``; a few such in the calibration data, where alpha is
@@ -42,12 +47,8 @@ class QuantileBins:
     edges_: list[npt.NDArray[np.float64]]
 
     def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
-        if isinstance(n_bins, bool) or not isinstance(n_bins, (int, np.integer)) or n_bins < 1:
-            raise ConformalError(f"n_bins must be a whole number, at least 1, got {n_bins!r}")
-        if not (np.isfinite(margin) and margin >= 0):
-            raise ConformalError(f"margin must be a share of the range, at least 0, got {margin!r}")
-        self.n_bins = int(n_bins)
-        self.margin = float(margin)
+        self.n_bins = as_count(n_bins, "n_bins", 1, MOST_BINS)
+        self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
         """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d).
@@ -55,15 +56,22 @@ class QuantileBins:
         Raises
         ------
         ConformalError
-            If `y` is empty, not finite or of another shape.
+            If `y` is empty, not finite or of another shape, or its values are so large or so close together that
+            float64 cannot hold bins between them.
         """
         arr = as_targets(y)
         if arr.shape[0] == 0:
             raise ConformalError("y must hold at least one sample to place bins, got shape (0, d)")
         levels = np.linspace(0.0, 1.0, self.n_bins + 1)
-        self.edges_ = [_place(np.quantile(column, levels), column) for column in arr.T]
-        for edges in self.edges_:
-            edges[[0, -1]] += self.margin * (edges[-1] - edges[0]) * np.array([-1.0, 1.0])
+        placed = []
+        with np.errstate(over="ignore", invalid="ignore"):  # what is out of range is told below
+            for column in arr.T:
+                edges = _place(np.quantile(column, levels), column)
+                edges[[0, -1]] += self.margin * (edges[-1] - edges[0]) * np.array([-1.0, 1.0])
+                placed.append(edges)
+        for j, edges in enumerate(placed):
+            _check_edges(edges, f"bins of target {j}, values from {arr[:, j].min():g} to {arr[:, j].max():g}, edges")
+        self.edges_ = placed
         return self
 
     @classmethod
@@ -73,14 +81,16 @@ class QuantileBins:
         Raises
         ------
         ConformalError
-            If a vector has fewer than two edges, or they do not increase.
+            If a vector has fewer than two edges, or they are not finite or do not increase.
         """
-        arrays = [np.array(e, dtype=np.float64) for e in edges]
+        try:
+            arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
+        except TypeError:
+            raise ConformalError(f"edges must hold one vector a target, got {type(edges).__name__}") from None
         if not arrays:
             raise ConformalError("edges must hold at least one target")
         for j, e in enumerate(arrays):
-            if e.ndim != 1 or e.size < 2 or not np.isfinite(e).all() or not (np.diff(e) > 0).all():
-                raise ConformalError(f"edges of target {j} must be finite and strictly increasing, at least two")
+            _check_edges(e, f"edges of target {j}")
         bins = cls(max(e.size for e in arrays) - 1)
         bins.edges_ = arrays
         return bins
@@ -116,10 +126,9 @@ class QuantileBins:
         Raises
         ------
         ConformalError
-            If `cells` is below 1.
+            If `cells` is below 1 or too many, or a bin is too narrow to be cut.
         """
-        if cells < 1:
-            raise ConformalError(f"cells must be at least 1, got {cells}")
+        cells = as_count(cells, "cells", 1, max(1, MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         return QuantileBins.from_edges(fine) if cells > 1 else self
 
@@ -164,13 +173,12 @@ class QuantileBins:
         ConformalError
             If `sigma_bins` is negative or `y` does not fit the bins.
         """
-        if not sigma_bins >= 0:
-            raise ConformalError(f"sigma_bins must be at least 0, got {sigma_bins}")
+        sigma_bins = as_number(sigma_bins, "sigma_bins", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
         soft = []
         for j, (e, k) in enumerate(zip(edges, self.sizes, strict=True)):
-            if sigma_bins == 0:
+            if sigma_bins < _LEAST_SIGMA:
                 one = QuantileBins.from_edges([e]).encode(np.clip(arr[:, j], e[0], e[-1]))
                 soft.append((np.arange(k) == one) * 1.0)
                 continue
@@ -179,6 +187,21 @@ class QuantileBins:
             weights = np.exp(log - log.max(axis=1, keepdims=True))
             soft.append(weights / weights.sum(axis=1, keepdims=True))
         return soft
+
+
+def _check_edges(edges: npt.NDArray[np.float64], what: str) -> None:
+    if edges.ndim != 1 or edges.size < 2:
+        raise ConformalError(f"{what}: must be a vector of at least two, got shape {edges.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        widths = np.diff(edges)
+    bad = ~(np.isfinite(edges[1:]) & np.isfinite(edges[:-1]) & (widths > 0))
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise ConformalError(
+            f"{what}: must be finite and strictly increasing, found {edges[at]:g}, {edges[at + 1]:g} at {at}, {at + 1}"
+        )
+    if not np.isfinite(widths).all():
+        raise ConformalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
 
 
 def _finder(edges: npt.NDArray[np.float64], n_values: int) -> Callable[..., npt.NDArray[np.int64]]:

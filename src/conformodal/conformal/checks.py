@@ -1,44 +1,172 @@
-"""Checks at the entry of the conformal core: arrays come out in one form, or an error names what is wrong."""
+"""Checks at the entry of the conformal core: arrays come out in one form, or an error names what is wrong.
+
+Every array passes :func:`as_reals`: it makes the numbers real, of native byte order, and float32 or float64.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from decimal import Decimal
-from fractions import Fraction
-from numbers import Rational
+from numbers import Real
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import issparse
 
 from .blocks import for_blocks
 from .errors import ConformalError
+from .scalars import Alpha, as_alpha, brief
 
-Alpha: TypeAlias = float | str | Decimal | Fraction
 Probabilities: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
+FloatArray: TypeAlias = npt.NDArray[np.floating[Any]]
+
+__all__ = [
+    "Alpha",
+    "Probabilities",
+    "as_alpha",
+    "as_array",
+    "as_doubles",
+    "as_finite",
+    "as_flags",
+    "as_probabilities",
+    "as_reals",
+    "as_scores",
+    "as_table",
+    "as_targets",
+    "check_block",
+    "check_rows",
+]
 
 # float16 softmax rows of a few hundred classes sum to one within about this
 ROW_SUM_TOLERANCE = 5e-3
+_DEEPEST_LIST = 4
 
 
-def as_alpha(alpha: Alpha, name: str = "alpha") -> Fraction:
-    """Read a miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055.
+def as_array(values: Any, name: str) -> npt.NDArray[Any]:
+    """Return any array-like as an array of whatever dtype; its masked entries would be lost, so it must have none.
 
     Raises
     ------
     ConformalError
-        If `alpha` is no number strictly between 0 and 1.
+        On masked entries, sparse matrices, ragged lists, and objects that cannot be read as an array.
     """
+    _refuse_masked(values, name)
+    if issparse(values):
+        raise ConformalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
     try:
-        if isinstance(alpha, bool):
-            raise TypeError
-        value = Fraction(alpha) if isinstance(alpha, (Rational, Decimal)) else Fraction(str(alpha))
-    except (ValueError, TypeError, OverflowError):
-        raise ConformalError(f"{name} must be a number strictly between 0 and 1, got {alpha!r}") from None
-    if not 0 < value < 1:
-        hint = f"; did you mean {1 - float(value) / 100:g}?" if 1 < value < 100 else ""
-        raise ConformalError(f"{name} must lie strictly between 0 and 1 (a miscoverage rate), got {alpha}{hint}")
-    return value
+        if callable(getattr(values, "detach", None)):  # a tensor of torch, with a gradient or on a device
+            values = values.detach().cpu()
+            if "float8" in str(values.dtype) or "bfloat16" in str(values.dtype):
+                values = values.float()  # NumPy has no such type; float32 holds all its numbers
+        return np.asarray(values)
+    except MemoryError:
+        raise
+    except Exception as exc:  # whatever a foreign class raises
+        why = " ".join(str(exc).split())
+        raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {why}") from None
+
+
+def _refuse_masked(values: Any, name: str, depth: int = 0) -> None:
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.names is None:
+        mask = np.ma.getmaskarray(values)
+        if mask.any():
+            at = np.argwhere(mask)[0].tolist()
+            raise ConformalError(f"{name} must not hold masked entries, found one at position {at}")
+    elif isinstance(values, (list, tuple)) and depth < _DEEPEST_LIST:
+        for value in values:
+            if isinstance(value, (list, tuple, np.ma.MaskedArray)):
+                _refuse_masked(value, name, depth + 1)
+
+
+def as_reals(values: Any, name: str) -> FloatArray:
+    """Return any array-like of real numbers as a float32 or float64 array of native byte order.
+
+    What is float32 or float64 already is not copied. float16 becomes float32, which holds all its numbers; whole
+    numbers, booleans, ``longdouble`` and objects become float64.
+
+    Raises
+    ------
+    ConformalError
+        On complex numbers, text, dates, missing values, and what :func:`as_array` refuses.
+    """
+    if type(values) is np.ndarray and values.dtype.char in "fd" and values.dtype.isnative:
+        return values
+    arr = as_array(values, name)
+    if arr.dtype.kind == "O":
+        return _from_objects(arr, name)
+    if arr.dtype.kind not in "biuf":
+        raise ConformalError(f"{name} must be numeric, of real numbers, got dtype {arr.dtype}")
+    short = arr.dtype.kind == "f" and arr.dtype.itemsize <= 4
+    with np.errstate(over="ignore"):
+        found: FloatArray = arr.astype(np.float32) if short else arr.astype(np.float64, copy=False)
+    if arr.dtype.itemsize > 8 and not np.array_equal(np.isinf(found), np.isinf(arr)):
+        raise ConformalError(f"{name} holds a number too large for float64, dtype {arr.dtype}")
+    return found
+
+
+def _from_objects(arr: npt.NDArray[Any], name: str) -> npt.NDArray[np.float64]:
+    found = np.empty(arr.shape)
+    for at, value in np.ndenumerate(arr):
+        place = f" at position {list(at)}" if at else ""
+        if not isinstance(value, (Real, Decimal, np.bool_)):
+            what = brief(value) if value is None or isinstance(value, (str, complex)) else type(value).__name__
+            raise ConformalError(f"{name} must be numeric, of real numbers, found {what}{place}")
+        try:
+            found[at] = float(value)
+        except (OverflowError, ValueError):
+            raise ConformalError(f"{name} holds a number too large for float64{place}") from None
+    return found
+
+
+def as_doubles(values: Any, name: str) -> npt.NDArray[np.float64]:
+    """:func:`as_reals` in float64."""
+    return as_reals(values, name).astype(np.float64, copy=False)
+
+
+def as_finite(values: Any, name: str, shape: str) -> npt.NDArray[np.float64]:
+    """Return finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters.
+
+    Raises
+    ------
+    ConformalError
+        On another number of axes, values that are not finite, or what :func:`as_reals` refuses.
+    """
+    arr = as_doubles(values, name)
+    if arr.ndim != sum(map(str.isalpha, shape)):
+        raise ConformalError(f"{name} must be finite, of shape {shape}, got shape {arr.shape}")
+    if not np.isfinite(arr).all():
+        at = np.argwhere(~np.isfinite(arr))[0]
+        raise ConformalError(f"{name} must be finite, of shape {shape}, found {arr[tuple(at)]} at {at.tolist()}")
+    return arr
+
+
+def as_scores(values: Any, name: str = "scores") -> FloatArray:
+    """Return scores in float32 or float64: anything but NaN, infinities included.
+
+    Raises
+    ------
+    ConformalError
+        On NaN, or what :func:`as_reals` refuses.
+    """
+    arr = as_reals(values, name)
+    if np.isnan(arr).any():
+        raise ConformalError(f"{name} must not hold NaN; a sample that cannot be scored should score +inf")
+    return arr
+
+
+def as_flags(values: Any, name: str, ndim: int) -> npt.NDArray[np.bool_]:
+    """Return booleans with `ndim` axes, not copied if they are an array already.
+
+    Raises
+    ------
+    ConformalError
+        On another dtype or number of axes, or what :func:`as_array` refuses.
+    """
+    arr = values if type(values) is np.ndarray else as_array(values, name)
+    if arr.dtype != np.bool_ or arr.ndim != ndim:
+        raise ConformalError(f"{name} must be boolean, with {ndim} axes, got {arr.dtype} {arr.shape}")
+    return arr
 
 
 def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) -> npt.NDArray[np.float64]:
@@ -47,50 +175,31 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
     Raises
     ------
     ConformalError
-        On another shape, another number of targets than `n_targets`, or values that are not finite.
+        On another shape, another number of targets than `n_targets`, values that are not finite, or what
+        :func:`as_reals` refuses.
     """
-    try:
-        arr = np.asarray(y, dtype=np.float64)
-    except (TypeError, ValueError) as exc:
-        raise ConformalError(f"{name} must be numeric, got {type(y).__name__}: {exc}") from None
-    if arr.ndim == 1:
-        arr = arr[:, None]
+    given = as_doubles(y, name)
+    arr = given[:, None] if given.ndim == 1 else given
     if arr.ndim != 2 or arr.shape[1] == 0:
-        raise ConformalError(f"{name} must have shape (n,) or (n, d) with d >= 1, got {np.shape(y)}")
+        raise ConformalError(f"{name} must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
     if n_targets is not None and arr.shape[1] != n_targets:
-        raise ConformalError(f"{name} has {arr.shape[1]} target(s), shape {np.shape(y)}; expected {n_targets}")
+        raise ConformalError(f"{name} has {arr.shape[1]} target(s), shape {given.shape}; expected {n_targets}")
     if not np.isfinite(arr).all():
         row, col = np.argwhere(~np.isfinite(arr))[0]
         raise ConformalError(f"{name} must be finite, found {arr[row, col]} in row {row}, target {col}")
     return arr
 
 
-def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
-    """Return one label a sample.
-
-    Raises
-    ------
-    ConformalError
-        On another shape than (n,), or NaN labels.
-    """
-    labels = np.asarray(groups)
-    if labels.shape != (n,):
-        raise ConformalError(f"{name} must have one label a sample, shape ({n},), got {labels.shape}")
-    if labels.dtype.kind == "f" and np.isnan(labels).any():
-        raise ConformalError(f"{name} must not hold NaN")
-    return labels
-
-
 def as_probabilities(
     proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
-) -> list[npt.NDArray[np.floating[Any]]]:
+) -> list[FloatArray]:
     """Return one checked ``(n, K_j)`` array per target, without copying what is already an array.
 
     Parameters
     ----------
     proba
         ``(n, d, K)`` when all targets have K bins, ``(n, K)`` for a single target, or a list of d arrays
-        ``(n, K_j)``.
+        ``(n, K_j)``. Lists of lists of lists that can be read as either are read as ``(n, d, K)``.
     n_bins
         Bins per target, ``[K_1, ..., K_d]``.
     name
@@ -101,28 +210,53 @@ def as_probabilities(
     Raises
     ------
     ConformalError
-        On a shape that does not fit the bins, NaN, negative values, or rows that do not sum to one.
+        On a shape that does not fit the bins, NaN, negative values, rows that do not sum to one, or what
+        :func:`as_reals` refuses.
     """
-    parts: list[npt.NDArray[Any]]
+    return as_table(proba, n_bins, name, check)[0]
+
+
+def as_table(
+    proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
+) -> tuple[list[FloatArray], FloatArray | None]:
+    """:func:`as_probabilities`, and all targets as one ``(n, d, K)`` array if they came as one."""
     d = len(n_bins)
-    if isinstance(proba, (list, tuple)) and len(proba) == d and all(np.ndim(p) == 2 for p in proba):
-        parts = [np.asarray(p) for p in proba]
+    whole: FloatArray | None = None
+    if isinstance(proba, (list, tuple)) and _one_a_target(proba, n_bins):
+        parts = [as_reals(part, f"{name} of target {j}") for j, part in enumerate(proba)]
     else:
-        arr = np.asarray(proba)
-        if arr.ndim == 2 and d == 1:
-            arr = arr[:, None, :]
-        if arr.ndim != 3 or arr.shape[1] != d:
-            raise ConformalError(f"{name} must have shape (n, {d}, K) or be a list of {d} arrays, got {arr.shape}")
-        parts = [arr[:, j] for j in range(d)]
-    n = parts[0].shape[0]
+        whole = as_reals(proba, name)
+        if whole.ndim == 2 and d == 1:
+            whole = whole[:, None, :]
+        if whole.ndim != 3 or whole.shape[1] != d:
+            raise ConformalError(f"{name} must have shape (n, {d}, K) or be a list of {d} arrays, got {whole.shape}")
+        parts = [whole[:, j] for j in range(d)]
+    n = parts[0].shape[0] if parts[0].ndim else 0
     for j, (part, k) in enumerate(zip(parts, n_bins, strict=True)):
         if part.shape != (n, k):
             raise ConformalError(f"{name} of target {j} has shape {part.shape}, expected ({n}, {k}): {k} bins")
-        if not np.issubdtype(part.dtype, np.floating):
-            parts[j] = part.astype(np.float64)
         if check:
-            check_rows(parts[j], f"{name} of target {j}")
-    return parts
+            check_rows(part, f"{name} of target {j}")
+    return parts, whole
+
+
+def _one_a_target(proba: Sequence[Any], n_bins: Sequence[int]) -> bool:
+    """Whether a list holds one (n, K_j) array for each target, rather than one (d, K) table for each sample."""
+    d = len(n_bins)
+    if len(proba) != d:
+        return False
+    if not all(isinstance(part, (list, tuple)) for part in proba):
+        return all(getattr(part, "ndim", 2) == 2 for part in proba)
+    if not all(part and _is_row(part[0]) for part in proba):
+        return False
+    # d tables of d rows, all with as many bins: what NumPy makes of them, (n, d, K)
+    return len(set(n_bins)) > 1 or any(len(part) != d for part in proba)
+
+
+def _is_row(row: Any) -> bool:
+    if isinstance(row, (list, tuple)):
+        return not (row and isinstance(row[0], (list, tuple)))
+    return getattr(row, "ndim", 0) == 1
 
 
 def check_rows(part: npt.NDArray[Any], name: str) -> None:

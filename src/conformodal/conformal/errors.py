@@ -11,5 +11,9 @@ class ConformalError(ConformodalError):
     """Raised by :mod:`conformodal.conformal`: probabilities, targets, alpha or bins that cannot be used."""
 
 
+class ConformalTypeError(ConformalError, TypeError):
+    """What scikit-learn wants told as a ``TypeError``: sparse matrices, and objects that are no numbers."""
+
+
 class NotCalibratedError(ConformalError):
     """A prediction was asked of a calibrator (or bins) that has not been fitted yet."""

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .checks import as_groups
+from .checks import as_array, as_doubles, as_finite, as_scores
 from .errors import ConformalError
+from .grouping import as_groups, factorise
 
 FloatArray = npt.NDArray[np.float64]
 _ROWS = 256
+_LARGEST_SQUARE = 1e300
 
 
 class NoveltyTest:
@@ -51,18 +53,19 @@ class NoveltyTest:
     """
 
     def __init__(self, references: npt.ArrayLike, groups: npt.ArrayLike) -> None:
-        known = np.asarray(references)
-        if known.ndim != 2 or known.size == 0 or not np.isfinite(known).all():
-            raise ConformalError(f"references must be finite, of shape (n, k), got shape {known.shape}")
-        self.groups = as_groups(groups, len(known))
-        _, group, sizes = np.unique(self.groups, return_inverse=True, return_counts=True)
+        self._double = as_finite(references, "references", "(n, k)")
+        if self._double.size == 0:
+            raise ConformalError(f"references must be finite, of shape (n, k), got shape {self._double.shape}")
+        self.groups = as_groups(groups, len(self._double))
+        _, group = factorise(self.groups)
+        sizes = np.bincount(group)
         if len(sizes) < 2:
             raise ConformalError(f"a novelty test needs two groups of reference samples or more, got {len(sizes)}")
-        self.references = known
+        given = as_array(references, "references")  # float16 stays: it takes a quarter of the room
+        self.references = given.astype(given.dtype.newbyteorder("=")) if given.dtype.char in "efd" else self._double
         self.n_groups = len(sizes)
         self.weights_: FloatArray = 1 / sizes[group]
-        self._double = known.astype(np.float64)
-        self._square = (self._double**2).sum(axis=1)
+        self._square = _squares(self._double, "references")
         self.scores_ = self._nearest(self._double, group)
         order = np.argsort(self.scores_, kind="stable")
         self._sorted = self.scores_[order]
@@ -71,21 +74,23 @@ class NoveltyTest:
 
     def scores(self, samples: npt.ArrayLike) -> FloatArray:
         """Novelty scores (m,) of samples (m, k)."""
-        new = np.asarray(samples, dtype=np.float64)
+        new = as_doubles(samples, "samples")
         if new.ndim != 2 or new.shape[1] != self.references.shape[1]:
             raise ConformalError(f"samples must have shape (m, {self.references.shape[1]}), got {new.shape}")
+        new = as_finite(new, "samples", "(m, k)")
         return self._nearest(new)
 
     def p_values(self, scores: npt.ArrayLike) -> FloatArray:
         """``(1 + sum over groups of the share of their scores that are at least as large) / (K + 1)``, (m,)."""
-        at_least = self._from[np.searchsorted(self._sorted, np.asarray(scores), side="left")]
+        at_least = self._from[np.searchsorted(self._sorted, as_scores(scores), side="left")]
         return np.asarray((1 + at_least) / (self.n_groups + 1))
 
     def left_out_p_values(self) -> FloatArray:
         """P-values (n,) of the reference samples, each among the other groups alone."""
         own = np.empty(len(self.scores_))
-        for label in np.unique(self.groups):
-            mine = np.flatnonzero(self.groups == label)
+        _, group = factorise(self.groups)
+        for code in range(self.n_groups):
+            mine = np.flatnonzero(group == code)
             ranked = np.sort(self.scores_[mine])
             own[mine] = 1 - np.searchsorted(ranked, self.scores_[mine], side="left") / len(mine)
         at_least = self._from[np.searchsorted(self._sorted, self.scores_, side="left")]
@@ -100,8 +105,16 @@ class NoveltyTest:
         found = np.empty(len(samples))
         for start in range(0, len(samples), _ROWS):
             rows = slice(start, start + _ROWS)
-            square = (samples[rows] ** 2).sum(axis=1)[:, None] + self._square - 2 * samples[rows] @ self._double.T
+            square = _squares(samples[rows], "samples")[:, None] + self._square - 2 * samples[rows] @ self._double.T
             if group is not None:
                 square[group[rows, None] == group] = np.inf
             found[rows] = np.sqrt(np.maximum(square.min(axis=1), 0))
         return found
+
+
+def _squares(samples: FloatArray, name: str) -> FloatArray:
+    with np.errstate(over="ignore"):
+        squares = (samples**2).sum(axis=1)
+    if not (squares < _LARGEST_SQUARE).all():
+        raise ConformalError(f"{name} must be so small that float64 holds their squared distances, below 1e150")
+    return np.asarray(squares)

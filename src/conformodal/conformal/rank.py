@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .checks import Alpha, as_alpha
+from .checks import Alpha, as_alpha, as_scores
 from .errors import ConformalError
+from .scalars import as_count
 
 
 def conformal_rank(n: int, alpha: Alpha) -> int:
@@ -39,10 +40,8 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     >>> conformal_rank(8, 0.1)
     9
     """
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
-        raise ConformalError(f"n must be a whole number of calibration scores, at least 0, got {n!r}")
-    rate = as_alpha(alpha)
-    return -((int(n) + 1) * (rate.numerator - rate.denominator) // rate.denominator)  # a ceiling, in whole numbers
+    n, rate = as_count(n, "n"), as_alpha(alpha)
+    return -((n + 1) * (rate.numerator - rate.denominator) // rate.denominator)  # a ceiling, in whole numbers
 
 
 def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> npt.NDArray[np.floating[Any]]:
@@ -76,13 +75,10 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> np
     >>> float(conformal_quantile([0.3, 0.1, 0.2], alpha=0.1))
     inf
     """
-    arr = np.asarray(scores)
+    arr = as_scores(scores)
     if arr.ndim == 0:
         raise ConformalError("scores must have at least one axis, got a scalar")
-    if not np.issubdtype(arr.dtype, np.floating):
-        arr = arr.astype(np.float64)
-    if np.isnan(arr).any():
-        raise ConformalError("scores must not hold NaN; a sample that cannot be scored should score +inf")
+    axis = as_count(axis, "axis", -arr.ndim, arr.ndim - 1)
     arr = np.moveaxis(arr, axis, 0)
     n = arr.shape[0]
     k = conformal_rank(n, alpha)

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from .bins import QuantileBins
 from .blocks import for_blocks
-from .checks import as_targets
+from .checks import as_array, as_flags, as_targets
 from .errors import ConformalError
+from .scalars import as_count, brief
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,15 +42,19 @@ class Regions:
     """
 
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
+        if not isinstance(masks, (list, tuple)):
+            masks = as_flags(masks, "masks", np.ndim(masks))
         # one array for all targets is looked up in one go
         stacked = masks if isinstance(masks, np.ndarray) and masks.ndim == 3 and masks.flags.c_contiguous else None
         if isinstance(masks, np.ndarray):
             masks = list(np.moveaxis(masks, 1, 0)) if masks.ndim == 3 else [masks]
+        masks = [as_flags(mask, f"mask of target {j}", 2) for j, mask in enumerate(masks)]
+        unbounded = as_flags(unbounded, "unbounded", 2)
         if len(masks) != bins.n_targets:
             raise ConformalError(f"masks must hold one array a target ({bins.n_targets}), got {len(masks)}")
         n = masks[0].shape[0]
         for j, (mask, k) in enumerate(zip(masks, bins.sizes, strict=True)):
-            if mask.shape != (n, k) or mask.dtype != np.bool_:
+            if mask.shape != (n, k):
                 raise ConformalError(f"mask of target {j} must be boolean ({n}, {k}), got {mask.dtype} {mask.shape}")
         if unbounded.shape != (n, bins.n_targets):
             raise ConformalError(f"unbounded must have shape ({n}, {bins.n_targets}), got {unbounded.shape}")
@@ -66,9 +71,24 @@ class Regions:
         return f"Regions(samples={len(self)}, targets={self.bins.n_targets}, bins={self.bins.sizes})"
 
     def __getitem__(self, index: slice | npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Regions:
-        """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
-        if np.ndim(np.empty(0) if isinstance(index, slice) else index) != 1:
-            raise ConformalError(f"regions are indexed by a slice or a vector, got {index!r}; intervals(i) gives one's")
+        """Regions of some of the samples: a slice, a boolean mask or an array of positions.
+
+        Raises
+        ------
+        ConformalError
+            On anything else, or positions that are out of range.
+        """
+        if not isinstance(index, slice):
+            index = as_array(index, "index")
+            if index.ndim != 1 or (index.dtype.kind not in "biu" and index.size):
+                raise ConformalError(
+                    f"regions are indexed by a slice or a vector, got {brief(index)}; intervals(i) gives one's"
+                )
+            if not index.size:
+                index = np.empty(0, np.int64)
+            n = len(self)
+            if index.shape != (n,) if index.dtype == np.bool_ else ((index < -n) | (index >= n)).any():
+                raise ConformalError(f"index does not fit {n} regions, got {brief(index)}")
         return Regions(self.bins, [m[index] for m in self.masks], self.unbounded[index])
 
     @classmethod
@@ -80,8 +100,8 @@ class Regions:
         ConformalError
             If there are no parts, or their bins differ.
         """
-        if not parts:
-            raise ConformalError("parts must hold at least one Regions, got none")
+        if not parts or not all(isinstance(part, Regions) for part in parts):
+            raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
         for part in parts[1:]:
             _same_bins(parts[0], part)
         masks = [np.concatenate([p.masks[j] for p in parts]) for j in range(parts[0].bins.n_targets)]
@@ -149,14 +169,27 @@ class Regions:
         return np.asarray(inside.all(axis=1)) if joint else inside
 
     def runs(self, i: int) -> list[npt.NDArray[np.int64]]:
-        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
+        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last.
+
+        Raises
+        ------
+        ConformalError
+            If there is no sample `i`.
+        """
+        i = self._row(i)
         return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
 
     def intervals(self, i: int) -> list[FloatArray]:
         """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded.
 
         An interval holds its lower end, and its upper end only if that is the target's last edge.
+
+        Raises
+        ------
+        ConformalError
+            If there is no sample `i`.
         """
+        i = self._row(i)
         found = []
         for j, (edges, runs) in enumerate(zip(self.bins.edges_, self.runs(i), strict=True)):
             whole = np.array([[-np.inf, np.inf]])
@@ -173,10 +206,16 @@ class Regions:
         ends : (m, 2)
             Lower and upper ends, in the order of the samples; ``[-inf, inf]`` where unbounded.
         """
+        target = as_count(target, "target", 0, len(self.masks) - 1)
         counts, runs = _flat_runs(self.masks[target])
         ends = self.bins.edges_[target][runs]
         ends[np.repeat(self.unbounded[:, target], counts)] = (-np.inf, np.inf)
         return np.concatenate(([0], np.cumsum(counts))), ends
+
+    def _row(self, i: int) -> int:
+        if len(self) == 0:
+            raise ConformalError(f"there is no sample {brief(i)}: the regions hold none")
+        return as_count(i, "i, a sample,", -len(self), len(self) - 1) % len(self)
 
     @property
     def hull(self) -> FloatArray:
@@ -206,7 +245,7 @@ class Regions:
     def volume(self) -> FloatArray:
         """Product of the lengths over targets, (n,); 0 if any set is empty."""
         length = self.length
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             product = length.prod(axis=1)
         return np.where((length == 0).any(axis=1), 0.0, product)
 

@@ -10,7 +10,9 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from .checks import as_reals
 from .errors import ConformalError
+from .scalars import as_choice, as_count, as_number, brief
 
 FloatArray = npt.NDArray[np.floating[Any]]
 WidthArray = npt.NDArray[np.float64]
@@ -48,7 +50,7 @@ class Lac:
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """``1 - proba``."""
-        return np.asarray(1 - proba)
+        return np.asarray(1 - as_reals(proba, "proba"))
 
 
 class Density:
@@ -64,7 +66,8 @@ class Density:
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """``-proba / widths``."""
-        return np.asarray(proba * (-1 / widths).astype(proba.dtype))
+        proba = as_reals(proba, "proba")
+        return np.asarray(proba * -_per_unit(widths, proba.dtype))
 
 
 class LinearDensity:
@@ -83,24 +86,37 @@ class LinearDensity:
     per_unit = True
 
     def __init__(self, cells: int = 4) -> None:
-        if cells < 1:
-            raise ConformalError(f"cells must be at least 1, got {cells}")
-        self.cells = cells
+        self.cells = as_count(cells, "cells", 1)
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """Minus the interpolated density at the middle of every cell, (n, K * cells)."""
-        density = proba * (1 / widths).astype(proba.dtype)
+        proba = as_reals(proba, "proba")
+        density = proba * _per_unit(widths, proba.dtype)
         if widths.size == 1:
             return np.repeat(-density, self.cells, axis=1)
         edges = np.concatenate(([0.0], np.cumsum(widths)))
         centers = (edges[1:] + edges[:-1]) / 2
         middles = np.interp((np.arange(widths.size * self.cells) + 0.5) / self.cells, np.arange(edges.size), edges)
         left = np.clip(np.searchsorted(centers, middles) - 1, 0, widths.size - 2)
-        share = np.clip((middles - centers[left]) / np.diff(centers)[left], 0, 1).astype(proba.dtype)
+        apart = np.diff(centers)[left]  # 0 where a bin is lost beside the others' widths
+        share = np.divide(middles - centers[left], apart, out=np.ones_like(middles), where=apart > 0)
+        share = np.clip(share, 0, 1).astype(proba.dtype)
         return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
 
 
+def _per_unit(widths: WidthArray, dtype: np.dtype[Any]) -> FloatArray:
+    """``1 / widths`` in the probabilities' type; of bins too narrow for it, half its largest number: no infinity."""
+    return np.asarray(1 / np.maximum(widths, _LEAST_WIDTH[dtype.itemsize]), dtype=dtype)
+
+
+# of a float32 and a float64
+_LEAST_WIDTH = {4: 2 / float(np.finfo(np.float32).max), 8: 2 / float(np.finfo(np.float64).max)}
+
+
 _SUFFIXES = {0.5: "_mid", 1.0: "_full"}  # of the names of scores that are not randomised
+
+
+Order = Literal["probability", "density"]
 
 
 class Aps:
@@ -130,24 +146,23 @@ class Aps:
 
     def __init__(
         self,
-        order: Literal["probability", "density"] = "probability",
+        order: Order = "probability",
         randomized: bool = True,
         seed: int = 0,
         own_share: float = 1.0,
     ) -> None:
-        if order not in ("probability", "density"):
-            raise ConformalError(f"order must be 'probability' or 'density', got {order!r}")
-        self.order = order
-        if not 0 < own_share <= 1:
-            raise ConformalError(f"own_share must be above 0 and at most 1, got {own_share}")
-        self.randomized, self.own_share = randomized, own_share
-        self.seed = seed
+        as_choice(order, Order, "order")
+        own_share = as_number(own_share, "own_share", "above 0 and at most 1", lambda share: 0 < share <= 1)
+        self.order, self.randomized, self.own_share = order, randomized, own_share
+        self.seed = as_count(seed, "seed")
         suffix = "" if randomized else _SUFFIXES.get(own_share, "_fixed")
         self.name = ("aps" if order == "probability" else "hpd") + suffix
 
     def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
-        keys = proba if self.order == "probability" else proba / widths
+        proba = as_reals(proba, "proba")
+        with np.errstate(over="ignore"):  # infinite densities rank first
+            keys = proba if self.order == "probability" else proba / as_reals(widths, "widths")
         order = np.argsort(-keys, axis=1, kind="stable")
         ranked = np.take_along_axis(proba, order, axis=1)
         share = (
@@ -172,6 +187,7 @@ def row_uniforms(rows: FloatArray, seed: int = 0) -> npt.NDArray[np.float64]:
     return np.asarray(((hashed ^ (hashed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53)
 
 
+BUILT_IN = (Lac, Density, LinearDensity, Aps)
 _MIDDLE = Aps("density", randomized=False, own_share=0.5)
 SCORES: dict[str, Score] = {
     score.name: score for score in (Lac(), Density(), LinearDensity(), Aps(), Aps("density"), _MIDDLE)
@@ -188,7 +204,7 @@ def resolve_score(score: str | Score) -> Score:
     """
     if isinstance(score, str):
         if score not in SCORES:
-            raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {score!r}")
+            raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
         return SCORES[score]
     if not callable(getattr(score, "of_bins", None)):
         raise ConformalError(f"score must be a name or have of_bins(proba, widths), got {type(score).__name__}")
@@ -202,4 +218,4 @@ def is_per_unit(score: Score) -> bool:
 
 def cells_of(score: Score) -> int:
     """Cells into which `score` cuts every bin; 1 if it does not."""
-    return int(getattr(score, "cells", 1))
+    return as_count(getattr(score, "cells", 1), "cells of the score", 1)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ..bins import QuantileBins
 from ..blocks import blocks, for_blocks
-from ..checks import Alpha, Probabilities, as_alpha, as_probabilities, as_targets, check_block, check_rows
+from ..checks import Alpha, Probabilities, as_alpha, as_scores, as_table, as_targets, check_block, check_rows
 from ..errors import ConformalError
 from ..regions import BoolArray, Regions
-from ..scores import Score, cells_of, resolve_score
+from ..scalars import as_choice
+from ..scores import BUILT_IN, Score, cells_of, resolve_score
 from .joint import Joint, JointRule
 
 Empty = Literal["allow", "mode"]
@@ -52,9 +53,10 @@ class Calibrator:
         joint: Joint = "none",
         empty: Empty = "allow",
     ) -> None:
-        if empty not in get_args(Empty):
-            raise ConformalError(f"empty must be one of {list(get_args(Empty))}, got {empty!r}")
+        as_choice(empty, Empty, "empty")
         as_alpha(alpha)
+        if not isinstance(bins, QuantileBins):
+            raise ConformalError(f"bins must be QuantileBins, got {type(bins).__name__}")
         self.bins = bins
         self.alpha = alpha
         self.score = resolve_score(score)
@@ -90,7 +92,7 @@ class Calibrator:
         ConformalError
             On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
         """
-        parts = as_probabilities(proba, self.bins.sizes)
+        parts, _ = as_table(proba, self.bins.sizes)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != parts[0].shape[0]:
             raise ConformalError(f"y has {values.shape[0]} rows, proba has {parts[0].shape[0]}")
@@ -100,10 +102,10 @@ class Calibrator:
             known = np.flatnonzero(codes[:, j] >= 0)
             at = codes[known, j]
             if self._elementwise:
-                scores[known, j] = self.score.of_bins(part[known, at][None], widths[at])[0]
+                scores[known, j] = self.scores_of(part[known, at][None], widths[at])[0]
                 continue
             for rows in blocks(known.size):
-                all_bins = self.score.of_bins(part[known[rows]], widths)
+                all_bins = self.scores_of(part[known[rows]], widths)
                 scores[known[rows], j] = all_bins[np.arange(all_bins.shape[0]), at[rows]]
         return scores
 
@@ -112,22 +114,37 @@ class Calibrator:
 
         ``+inf`` gives the whole space, ``-inf`` the empty set.
         """
-        whole = proba if isinstance(proba, np.ndarray) and proba.ndim == 3 and proba.flags.c_contiguous else None
-        parts = as_probabilities(proba, self.bins.sizes, check=whole is None)
+        parts, whole = as_table(proba, self.bins.sizes, check=False)
         n, d = parts[0].shape[0], self.bins.n_targets
-        limits = np.asarray(thresholds)
+        limits = as_scores(thresholds, "thresholds")
         if limits.shape not in ((d,), (n, d)):
             raise ConformalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
-        if whole is not None and limits.ndim == 1 and self._by_cuts(n) and np.issubdtype(whole.dtype, np.floating):
+        if whole is not None and whole.flags.c_contiguous and limits.ndim == 1 and self._by_cuts(n):
             masks: BoolArray | list[BoolArray] = self._masks_at_once(whole, limits)
         else:
-            for part in parts if whole is not None else []:
-                check_rows(part, "proba")
+            for j, part in enumerate(parts):
+                check_rows(part, f"proba of target {j}")
             masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
         unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
         if self.empty == "mode":
             self._fill_empty(parts, list(np.moveaxis(masks, 1, 0)) if isinstance(masks, np.ndarray) else masks)
         return Regions(self.cells, masks, unbounded)
+
+    def scores_of(self, part: FloatArray, widths: npt.NDArray[np.float64]) -> FloatArray:
+        """Scores of all cells for rows of one target's probabilities.
+
+        Raises
+        ------
+        ConformalError
+            If a score of one's own gives NaN or another shape.
+        """
+        found = self.score.of_bins(part, widths)
+        if type(self.score) in BUILT_IN:
+            return found
+        cells = (part.shape[0], part.shape[1] * cells_of(self.score))
+        if np.shape(found) != cells:
+            raise ConformalError(f"score must give scores of shape {cells}, got {np.shape(found)}")
+        return as_scores(found)
 
     @property
     def _elementwise(self) -> bool:
@@ -165,7 +182,7 @@ class Calibrator:
                 np.greater_equal(part[rows], cut, out=mask[rows])
             else:
                 each = limit if limit.ndim == 0 else limit[rows, None]
-                np.less_equal(self.score.of_bins(part[rows], widths), each, out=mask[rows])
+                np.less_equal(self.scores_of(part[rows], widths), each, out=mask[rows])
 
         for_blocks(part.shape[0], fill)
         return mask
@@ -174,7 +191,7 @@ class Calibrator:
         for part, widths, mask in zip(parts, self.bins.widths, masks, strict=True):
             rows = np.flatnonzero(~mask.any(axis=1))
             if rows.size:
-                mask[rows, self.score.of_bins(part[rows], widths).argmin(axis=1)] = True
+                mask[rows, self.scores_of(part[rows], widths).argmin(axis=1)] = True
 
 
 def lowest_probability(

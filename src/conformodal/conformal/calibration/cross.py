@@ -8,8 +8,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Probabilities, as_groups, as_probabilities
+from ..checks import Probabilities, as_probabilities
 from ..errors import ConformalError, NotCalibratedError
+from ..grouping import as_groups, as_label, factorise
 from ..rank import conformal_rank
 from ..regions import Regions
 from .base import Calibrator
@@ -48,18 +49,22 @@ class CrossConformal(Calibrator):
         y
             (n, d) true values, or (n,) for one target.
         folds
-            (n,) labels.
+            (n,) labels, see :func:`~conformodal.conformal.grouping.as_groups`.
 
         Raises
         ------
         ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+            On probabilities that are no probabilities, shapes that do not fit each other or the bins, a missing label,
+            or no samples.
         """
         if self.joint == "max":
             raise ConformalError('joint="max" has no cross-conformal form here; use "none" or "bonferroni"')
         scores = self.score_samples(proba, y)
         labels = as_groups(folds, scores.shape[0], "folds")
-        self.scores_ = {fold.item(): np.sort(scores[labels == fold], axis=0) for fold in np.unique(labels)}
+        folds_, codes = factorise(labels)
+        if not folds_:
+            raise ConformalError("folds must hold at least one sample")
+        self.scores_ = {fold: np.sort(scores[codes == k], axis=0) for k, fold in enumerate(folds_)}
         return self
 
     @property
@@ -83,10 +88,16 @@ class CrossConformal(Calibrator):
             If folds are missing, or on probabilities that are no probabilities or do not fit the bins.
         """
         calibrated = self._calibrated()
-        if set(proba) != set(calibrated):
-            names = sorted(map(str, calibrated))
-            raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, proba))}")
-        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in proba.items()}
+        names = sorted(map(str, calibrated))
+        if not isinstance(proba, Mapping):
+            raise ConformalError(f"proba must be a mapping from the folds {names}, got {type(proba).__name__}")
+        try:
+            given = {as_label(fold): part for fold, part in proba.items()}
+        except ConformalError as exc:
+            raise ConformalError(f"names of folds must {exc}") from None
+        if set(given) != set(calibrated):
+            raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, given))}")
+        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in given.items()}
         n = next(iter(parts.values()))[0].shape[0]
         masks = []
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.cells.sizes, strict=True)):
@@ -94,7 +105,7 @@ class CrossConformal(Calibrator):
             for fold, scores in calibrated.items():
                 if parts[fold][j].shape[0] != n:
                     raise ConformalError(f"proba[{fold!r}] has {parts[fold][j].shape[0]} rows, expected {n}")
-                smaller += np.searchsorted(scores[:, j], self.score.of_bins(parts[fold][j], widths), side="left")
+                smaller += np.searchsorted(scores[:, j], self.scores_of(parts[fold][j], widths), side="left")
             mask = smaller < self.rank
             if self.empty == "mode":
                 rows = np.flatnonzero(~mask.any(axis=1))

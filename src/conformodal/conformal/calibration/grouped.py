@@ -12,9 +12,10 @@ from math import lcm
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, as_alpha
+from ..checks import Alpha, as_alpha, as_doubles, as_scores
 from ..errors import ConformalError
 from ..rank import conformal_quantile
+from ..scalars import as_count
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
     scores = np.concatenate(arrays)
     order = np.argsort(scores, kind="stable")
     counts = [a.size for a in arrays]
-    members = counts if sizes is None else [int(size) for size in sizes]
+    members = counts if sizes is None else [as_count(size, f"size of group {i}") for i, size in enumerate(sizes)]
     if len(members) != len(counts) or any(m < c for m, c in zip(members, counts, strict=True)):
         raise ConformalError(f"sizes must be at least those of the groups, {counts}, got {members}")
     # in units of 1 / whole, so that every member's weight is a whole number
@@ -88,10 +89,11 @@ def grouped_maximum_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> f
 
 
 def _as_groups(groups: Sequence[npt.ArrayLike]) -> list[FloatArray]:
-    arrays = [np.asarray(group, dtype=np.float64) for group in groups]
+    try:
+        arrays = [as_doubles(as_scores(group, f"group {i}"), f"group {i}") for i, group in enumerate(groups)]
+    except TypeError:
+        raise ConformalError(f"groups must hold one vector of scores a group, got {type(groups).__name__}") from None
     for i, array in enumerate(arrays):
         if array.ndim != 1 or array.size == 0:
             raise ConformalError(f"group {i} must be a vector of at least one score, got shape {array.shape}")
-        if np.isnan(array).any():
-            raise ConformalError(f"group {i} holds NaN; a sample that cannot be scored should score +inf")
     return arrays

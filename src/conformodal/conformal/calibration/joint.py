@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ..checks import Alpha, as_alpha
 from ..errors import ConformalError, NotCalibratedError
 from ..rank import conformal_quantile
+from ..scalars import as_choice
 
 Joint = Literal["none", "bonferroni", "max"]
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -25,8 +26,7 @@ def as_joint(joint: str) -> Joint:
     ConformalError
         If it is unknown.
     """
-    if joint not in get_args(Joint):
-        raise ConformalError(f"joint must be one of {list(get_args(Joint))}, got {joint!r}")
+    as_choice(joint, Joint, "joint")
     return cast(Joint, joint)
 
 
@@ -74,7 +74,8 @@ class JointRule:
         if self.joint != "max":
             return scores
         self._scaled()
-        return np.asarray(((scores - self.loc_) / self.scale_).max(axis=1, keepdims=True))
+        with np.errstate(over="ignore"):
+            return np.asarray(((scores - self.loc_) / self.scale_).max(axis=1, keepdims=True))
 
     def per_target(self, thresholds: FloatArray) -> FloatArray:
         """Thresholds of the targets' own scores, (..., d), from those of the columns.

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ..bins import QuantileBins
-from ..checks import Alpha, Probabilities, as_groups
-from ..errors import ConformalError, NotCalibratedError
+from ..checks import Alpha, Probabilities, as_table
+from ..errors import NotCalibratedError
+from ..grouping import as_groups, factorise
 from ..rank import conformal_quantile, conformal_rank
 from ..regions import Regions
+from ..scalars import as_choice, as_count
 from ..scores import Score
 from .base import Calibrator, Empty
 from .joint import Joint
@@ -59,28 +61,29 @@ class MondrianConformal(Calibrator):
         fallback: Fallback = "whole",
     ) -> None:
         super().__init__(bins, alpha, score, joint, empty)
-        if fallback not in get_args(Fallback):
-            raise ConformalError(f"fallback must be one of {list(get_args(Fallback))}, got {fallback!r}")
-        self.min_group = min_group
+        as_choice(fallback, Fallback, "fallback")
+        self.min_group = as_count(min_group, "min_group")
         self.fallback: Fallback = fallback
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
-        """Set a threshold for each of the `groups`, (n,) labels.
+        """Set a threshold for each of the `groups`, (n,) labels; see :func:`~conformodal.conformal.grouping.as_groups`.
 
         Raises
         ------
         ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or a missing
+            label.
         """
         scores = self.rule.columns(self.score_samples(proba, y))
         labels = as_groups(groups, scores.shape[0])
         alpha = self.alpha_per_target
         self.pooled_ = self.rule.per_target(conformal_quantile(scores, alpha))
         self.thresholds_, self.sizes_ = {}, {}
-        for label in np.unique(labels):
-            own = scores[labels == label]
-            self.sizes_[label.item()] = own.shape[0]
-            self.thresholds_[label.item()] = self.rule.per_target(conformal_quantile(own, alpha))
+        found, codes = factorise(labels)
+        for code, label in enumerate(found):
+            own = scores[codes == code]
+            self.sizes_[label] = own.shape[0]
+            self.thresholds_[label] = self.rule.per_target(conformal_quantile(own, alpha))
         return self
 
     @property
@@ -102,16 +105,16 @@ class MondrianConformal(Calibrator):
             On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
         """
         self._calibrated()
-        n = len(proba[0]) if isinstance(proba, (list, tuple)) else len(np.asarray(proba))
-        labels = as_groups(groups, n)
+        parts, whole = as_table(proba, self.bins.sizes, check=False)
+        n = parts[0].shape[0]
+        known, codes = factorise(as_groups(groups, n))
         spare = self.pooled_ if self.fallback == "pooled" else np.full_like(self.pooled_, np.inf)
         small = set(self.fallback_groups)
         limits = np.empty((n, self.bins.n_targets), dtype=self.pooled_.dtype)
-        for label in np.unique(labels):
-            group = label.item()
-            known = group in self.thresholds_ and group not in small
-            limits[labels == label] = self.thresholds_[group] if known else spare
-        return self.regions_at(proba, limits)
+        for code, label in enumerate(known):
+            own = label in self.thresholds_ and label not in small
+            limits[codes == code] = self.thresholds_[label] if own else spare
+        return self.regions_at(parts if whole is None else whole, limits)
 
     def _calibrated(self) -> None:
         if not hasattr(self, "pooled_"):

@@ -10,8 +10,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, Probabilities, as_alpha, as_groups
+from ..checks import Alpha, Probabilities, as_alpha, as_array, as_scores
 from ..errors import ConformalError, NotCalibratedError
+from ..grouping import as_groups, factorise
 from ..rank import conformal_quantile, conformal_rank
 from ..regions import Regions
 from .base import Calibrator, FloatArray
@@ -67,7 +68,7 @@ class SplitConformal(Calibrator):
     def n_units(self) -> int:
         """Exchangeable units behind the thresholds: calibration samples, or their groups."""
         n = self._calibrated().shape[0]
-        return n if self.groups_ is None else len(np.unique(self.groups_))
+        return n if self.groups_ is None else len(factorise(self.groups_)[0])
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
         """Score the calibration samples and set the thresholds.
@@ -79,7 +80,8 @@ class SplitConformal(Calibrator):
         y
             (n, d) true values, or (n,) for one target. Values outside the edges score ``+inf``.
         groups
-            (n,) labels of what is exchangeable; None where every sample is.
+            (n,) labels of what is exchangeable, see :func:`~conformodal.conformal.grouping.as_groups`; None where every
+            sample is.
 
         Raises
         ------
@@ -107,17 +109,27 @@ class SplitConformal(Calibrator):
         group_sizes
             (n,) members of each sample's whole group, where only those of one category are given, see
             :func:`~conformodal.conformal.grouped_quantile`; None where all are.
+
+        Raises
+        ------
+        ConformalError
+            On NaN, shapes that do not fit, missing labels, or sizes that differ within a group.
         """
+        scores = as_scores(scores)
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
             raise ConformalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
         columns, rate = self.rule.columns(scores), self.alpha_per_target
         if groups is None:
+            if group_sizes is not None:
+                raise ConformalError("group_sizes need groups")
             found = conformal_quantile(columns, rate)
         else:
             groups = as_groups(groups, len(scores))
-            labels, first = np.unique(groups, return_index=True)
-            parts = [columns[groups == label] for label in labels]
-            sizes = None if group_sizes is None else group_sizes[first].tolist()
+            labels, codes = factorise(groups)
+            parts = [columns[codes == code] for code in range(len(labels))]
+            if group_sizes is not None:
+                group_sizes = _as_sizes(group_sizes, codes)
+            sizes = None if group_sizes is None else [int(group_sizes[codes == code][0]) for code in range(len(labels))]
             found = np.array([grouped_quantile([p[:, j] for p in parts], rate, sizes) for j in range(columns.shape[1])])
         self.scores_, self.groups_, self.group_sizes_ = scores, groups, group_sizes
         self.thresholds_ = self.rule.per_target(found)
@@ -152,8 +164,8 @@ class SplitConformal(Calibrator):
         """
         calibration = self.rule.columns(self._calibrated())
         new = self.rule.columns(self.score_samples(proba, y))
-        labels = np.arange(len(calibration)) if self.groups_ is None else self.groups_
-        _, group, counts = np.unique(labels, return_inverse=True, return_counts=True)
+        group = np.arange(len(calibration)) if self.groups_ is None else factorise(self.groups_)[1]
+        counts = np.bincount(group)
         sizes = counts[group] if self.group_sizes_ is None else self.group_sizes_
         whole = lcm(*sizes.tolist())  # a group's weight, so that every member's is a whole number
         weights = np.array([whole // size for size in sizes.tolist()], dtype=object)
@@ -170,3 +182,14 @@ class SplitConformal(Calibrator):
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("SplitConformal is not calibrated yet: call calibrate(proba, y) first")
         return self.scores_
+
+
+def _as_sizes(group_sizes: Any, codes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    sizes = as_array(group_sizes, "group_sizes")
+    if sizes.shape != codes.shape or sizes.dtype.kind not in "iu":
+        raise ConformalError(f"group_sizes must be whole numbers, shape {codes.shape}, got {sizes.dtype} {sizes.shape}")
+    _, first = np.unique(codes, return_index=True)
+    if (sizes != sizes[first][codes]).any():
+        row = int(np.argmax(sizes != sizes[first][codes]))
+        raise ConformalError(f"group_sizes must be the same within a group; row {row} differs, {sizes[row]}")
+    return sizes.astype(np.int64, copy=False)

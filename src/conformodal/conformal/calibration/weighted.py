@@ -11,14 +11,14 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, Probabilities, as_alpha
+from ..checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
 from ..errors import ConformalError, NotCalibratedError
 from ..regions import Regions
 from .base import Calibrator
 
 
 def weighted_quantile(
-    scores: npt.NDArray[np.floating[Any]], weights: npt.ArrayLike, new_weights: npt.ArrayLike, alpha: Alpha
+    scores: npt.ArrayLike, weights: npt.ArrayLike, new_weights: npt.ArrayLike, alpha: Alpha
 ) -> npt.NDArray[np.floating[Any]]:
     """Threshold for each new sample: the smallest score that carries ``1 - alpha`` of the weight.
 
@@ -45,12 +45,10 @@ def weighted_quantile(
     ConformalError
         If weights are negative, not finite, or of another shape; if scores hold NaN.
     """
-    own = as_weights(weights, "weights")
+    scores, own = as_scores(scores), as_weights(weights, "weights")
     new = as_weights(new_weights, "new_weights")
     if scores.shape != own.shape:
         raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
-    if np.isnan(scores).any():
-        raise ConformalError("scores must not hold NaN; a sample that cannot be scored should score +inf")
     order = np.argsort(scores, kind="stable")
     ranked = np.append(scores[order], np.inf).astype(scores.dtype)
     distinct, which = np.unique(new, return_inverse=True)
@@ -85,7 +83,7 @@ def as_weights(weights: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
     ConformalError
         If they are negative, not finite, or no vector.
     """
-    arr = np.asarray(weights, dtype=np.float64)
+    arr = as_doubles(weights, name)
     if arr.ndim != 1:
         raise ConformalError(f"{name} must be a vector, got shape {arr.shape}")
     bad = ~(np.isfinite(arr) & (arr >= 0))
@@ -143,4 +141,8 @@ class WeightedConformal(Calibrator):
         ConformalError
             On probabilities that are no probabilities, negative weights, or shapes that do not fit.
         """
-        return self.regions_at(proba, self.thresholds(weights))
+        parts, whole = as_table(proba, self.bins.sizes, check=False)
+        limits = self.thresholds(weights)
+        if len(limits) != len(parts[0]):
+            raise ConformalError(f"weights must have one entry a row of proba ({len(parts[0])}), got {len(limits)}")
+        return self.regions_at(parts if whole is None else whole, limits)

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from ..checks import Alpha
+from ..checks import Alpha, as_flags
 from ..errors import ConformalError
 from ..rank import conformal_rank
+from ..scalars import as_count, as_number
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,7 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     ConformalError
         If `n_test` is below 1 or `level` outside (0, 1).
     """
-    if n_test < 1:
-        raise ConformalError(f"n_test must be at least 1, got {n_test}")
-    if not 0 < level < 1:
-        raise ConformalError(f"level must lie strictly between 0 and 1, got {level}")
+    n_test, level = as_count(n_test, "n_test", 1), as_level(level)
     k = conformal_rank(n_calibration, alpha)
     if k > n_calibration:
         return 1.0, 1.0
@@ -88,11 +86,14 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     ConformalError
         If there are no test samples or `level` is outside (0, 1).
     """
+    try:
+        groups = [(as_count(n, "calibration samples"), as_count(m, "test samples")) for n, m in groups]
+    except (TypeError, ValueError) as exc:
+        raise ConformalError(f"groups must hold pairs of numbers of samples: {exc}") from None
     n_test = sum(m for _, m in groups)
     if n_test < 1:
         raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
-    if not 0 < level < 1:
-        raise ConformalError(f"level must lie strictly between 0 and 1, got {level}")
+    level = as_level(level)
     law, always = np.ones(1), 0
     for n, m in groups:
         k = conformal_rank(n, alpha)
@@ -106,9 +107,12 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     return (always + low) / n_test, (always + min(high, len(law) - 1)) / n_test
 
 
-def check_coverage(
-    inside: npt.NDArray[np.bool_], n_calibration: int, alpha: Alpha, level: float = 0.99
-) -> CoverageCheck:
+def as_level(level: float) -> float:
+    """Return the probability of a band, strictly between 0 and 1."""
+    return as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
+
+
+def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99) -> CoverageCheck:
     """Compare the coverage of one target's test samples with its exact band.
 
     Parameters
@@ -121,9 +125,14 @@ def check_coverage(
         The rate this target was calibrated at.
     level
         Probability of the central band.
+
+    Raises
+    ------
+    ConformalError
+        If `inside` is no vector of booleans, or is empty.
     """
-    arr = np.asarray(inside, dtype=bool)
-    if arr.ndim != 1 or arr.size == 0:
+    arr = as_flags(inside, "inside", 1)
+    if arr.size == 0:
         raise ConformalError(f"inside must be a vector with at least one sample, got shape {arr.shape}")
     low, high = coverage_band(n_calibration, arr.size, alpha, level)
     rank = conformal_rank(n_calibration, alpha)

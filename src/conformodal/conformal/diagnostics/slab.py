@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.utils import check_random_state
 
-from ..checks import Alpha
+from ..checks import Alpha, as_doubles, as_flags
 from ..errors import ConformalError
+from ..scalars import as_count, as_number, as_random
 from .coverage import CoverageCheck, check_coverage
 
-BoolArray = npt.NDArray[np.bool_]
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -38,7 +37,7 @@ class SlabCheck:
 
 
 def worst_slab(
-    inside: BoolArray,
+    inside: npt.ArrayLike,
     X: npt.ArrayLike,
     n_calibration: int,
     alpha: Alpha,
@@ -75,15 +74,17 @@ def worst_slab(
     ConformalError
         If `X` does not fit, there are fewer than two samples, or `mass` is no share.
     """
-    inputs = np.asarray(X, dtype=np.float64)
-    if inputs.ndim != 2 or inputs.shape[0] != inside.shape[0] or not np.isfinite(inputs).all():
-        raise ConformalError(f"X must be finite, of shape ({inside.shape[0]}, p), got shape {inputs.shape}")
-    if inside.shape[0] < 2:
-        raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.shape[0]}")
-    if not 0 < mass <= 1:
-        raise ConformalError(f"mass must be a share in (0, 1], got {mass}")
-    random = check_random_state(random_state)
-    spread = inputs.std(axis=0)
+    inside, inputs = as_flags(inside, "inside", 1), as_doubles(X, "X")
+    if inputs.ndim != 2 or inputs.shape[0] != inside.size or not inputs.shape[1] or not np.isfinite(inputs).all():
+        raise ConformalError(f"X must be finite, of shape ({inside.size}, p), got shape {inputs.shape}")
+    if inside.size < 2:
+        raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.size}")
+    mass = as_number(mass, "mass", "a share in (0, 1]", lambda share: 0 < share <= 1)
+    directions, random = as_count(directions, "directions"), as_random(random_state)
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = inputs.std(axis=0)
+    if not np.isfinite(spread).all():
+        raise ConformalError(f"X is too large for float64 to hold its spread, up to {np.abs(inputs).max():g}")
     moving = np.flatnonzero(spread > 0)
     scaled = np.zeros_like(inputs)
     scaled[:, moving] = inputs[:, moving] / spread[moving]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, as_groups
+from ..checks import Alpha, as_doubles, as_flags
 from ..errors import ConformalError
+from ..grouping import as_groups, factorise
+from ..scalars import as_count
 from .coverage import CoverageCheck, check_coverage
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 def coverage_by_group(
-    inside: BoolArray, groups: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99
+    inside: npt.ArrayLike, groups: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99
 ) -> dict[str, CoverageCheck]:
     """Coverage of every group of test samples.
 
@@ -26,23 +26,25 @@ def coverage_by_group(
     inside
         (n_test,) whether each true value is in its set.
     groups
-        (n_test,) labels.
+        (n_test,) labels, see :func:`~conformodal.conformal.grouping.as_groups`.
     n_calibration, alpha, level
         As in :func:`check_coverage`.
 
     Raises
     ------
     ConformalError
-        If `groups` has another length, or holds NaN.
+        If `groups` has another length, or holds a missing label.
     """
-    labels = as_groups(groups, inside.shape[0])
-    return {
-        str(label): check_coverage(inside[labels == label], n_calibration, alpha, level) for label in np.unique(labels)
-    }
+    held = as_flags(inside, "inside", 1)
+    labels, codes = factorise(as_groups(groups, held.size))
+    names = [str(label) for label in labels]
+    if len(set(names)) < len(names):  # 1 and "1"
+        names = [repr(label) for label in labels]
+    return {name: check_coverage(held[codes == k], n_calibration, alpha, level) for k, name in enumerate(names)}
 
 
 def coverage_by_size(
-    inside: BoolArray,
+    inside: npt.ArrayLike,
     sizes: npt.ArrayLike,
     n_calibration: int,
     alpha: Alpha,
@@ -72,15 +74,15 @@ def coverage_by_size(
     ConformalError
         If `sizes` has another length or holds NaN, or `strata` is below 1.
     """
-    values = np.asarray(sizes, dtype=np.float64)
-    if values.shape != inside.shape:
-        raise ConformalError(f"sizes must have shape {inside.shape}, one a sample, got {values.shape}")
+    held, values = as_flags(inside, "inside", 1), as_doubles(sizes, "sizes")
+    if values.shape != held.shape:
+        raise ConformalError(f"sizes must have shape {held.shape}, one a sample, got {values.shape}")
     if np.isnan(values).any():
         raise ConformalError("sizes must not hold NaN")
-    if strata < 1:
-        raise ConformalError(f"strata must be at least 1, got {strata}")
+    strata = as_count(strata, "strata", 1)
     values = np.array([float(f"{v:.12g}") for v in values])  # sums of the same widths in another order are one size
     ranked = np.sort(values)
+    strata = min(strata, max(values.size, 1))
     cuts = np.unique(ranked[(np.arange(1, strata) * values.size) // strata])
     stratum = np.searchsorted(cuts, values, side="right")
     found = {}
@@ -89,6 +91,6 @@ def coverage_by_size(
         low, high = values[own].min(), values[own].max()
         name = f"{low:.4g} to {high:.4g}" if low < high else f"{low:.4g}"
         found[name if name not in found else f"{low!r} to {high!r}"] = check_coverage(
-            inside[own], n_calibration, alpha, level
+            held[own], n_calibration, alpha, level
         )
     return found

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.utils import check_random_state
 
+from ..checks import as_doubles
 from ..errors import ConformalError
+from ..scalars import as_count, as_random
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -60,13 +61,11 @@ def check_uniformity(
     ConformalError
         If either is no vector, is empty, or holds NaN.
     """
-    known, new = (np.asarray(s, dtype=np.float64) for s in (calibration_scores, test_scores))
+    known, new = as_doubles(calibration_scores, "calibration_scores"), as_doubles(test_scores, "test_scores")
     for name, scores in (("calibration_scores", known), ("test_scores", new)):
         if scores.ndim != 1 or scores.size == 0 or np.isnan(scores).any():
             raise ConformalError(f"{name} must be a vector without NaN, at least one score, got shape {scores.shape}")
-    if repeats < 1:
-        raise ConformalError(f"repeats must be at least 1, got {repeats}")
-    random = check_random_state(random_state)
+    repeats, random = as_count(repeats, "repeats", 1), as_random(random_state)
     n, m = known.size, new.size
     is_new = np.arange(n + m) >= n
     order = np.lexsort((random.random_sample(n + m), np.concatenate((known, new))))

@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from ..checks import as_doubles
+
 FloatArray = npt.NDArray[np.float64]
 
 # what a density is at least, relative to 1 / range, when its logarithm is taken
@@ -17,6 +19,7 @@ def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatA
 
     Source: Silverman (1986), 3.31; Abramson (1982). `factor` multiplies all.
     """
+    centers, values = as_doubles(centers, "centers"), as_doubles(values, "values")
     quartiles = np.quantile(values, [0.25, 0.75])
     spread = min(values.std(), float(np.diff(quartiles)[0]) / 1.34) or values.std()
     pilot = max(0.9 * spread * values.size**-0.2, 1e-9 * (np.ptp(values) or 1.0))
@@ -29,6 +32,7 @@ def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatA
 
 def kernel_masses(centers: FloatArray, values: FloatArray, edges: FloatArray, factor: float) -> FloatArray:
     """Mass that a kernel at each of `centers` puts in each bin, (G, K); what lies beyond goes to the outer bins."""
+    centers, edges = as_doubles(centers, "centers"), as_doubles(edges, "edges")
     below = ndtr((edges - centers[:, None]) / bandwidths(centers, values, factor)[:, None])
     below[:, 0], below[:, -1] = 0, 1
     return np.diff(below, axis=1)
@@ -38,6 +42,7 @@ def shifted_masses(
     masses: FloatArray, grid: FloatArray, loc: FloatArray, scale: FloatArray, edges: FloatArray
 ) -> FloatArray:
     """Bin probabilities of ``loc + scale * residual``, (n, K), from masses (n, M) of the residual over `grid` cells."""
+    masses, grid, loc, scale, edges = (as_doubles(a, "masses and places") for a in (masses, grid, loc, scale, edges))
     below = np.concatenate((np.zeros((masses.shape[0], 1)), np.cumsum(masses, axis=1)), axis=1)
     at = (edges - loc[:, None]) / scale[:, None]
     cell = np.clip(np.searchsorted(grid, at.ravel()).reshape(at.shape) - 1, 0, grid.size - 2)
@@ -49,6 +54,7 @@ def shifted_masses(
 
 def log_density(proba: FloatArray, codes: npt.NDArray[np.int64], widths: FloatArray) -> FloatArray:
     """Log density (n,) that rows of bin probabilities give to the bins `codes`, floored."""
+    proba, widths = as_doubles(proba, "proba"), as_doubles(widths, "widths")
     density = proba[np.arange(codes.size), codes] / widths[codes]
     return np.asarray(np.log(np.maximum(density, _FLOOR / widths.sum())))
 
@@ -58,6 +64,7 @@ def mixture_weights(log_densities: FloatArray, iterations: int = 200) -> FloatAr
 
     Source: the stacking of densities of Smyth and Wolpert (1999).
     """
+    log_densities = as_doubles(log_densities, "log_densities")
     relative = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
     weights = np.full(relative.shape[1], 1 / relative.shape[1])
     for _ in range(iterations):

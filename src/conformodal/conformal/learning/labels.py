@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from ..checks import as_doubles
+from ..errors import ConformalError
+
 FloatArray = npt.NDArray[np.float64]
 
 COPIES = 4
@@ -36,9 +39,14 @@ def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:
     """Probabilities (n, K) of all bins; a bin that no training value fell in has probability 0."""
     if isinstance(model, int):
         return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)
-    found = np.asarray(model.predict_proba(X), dtype=np.float64)
+    found = as_doubles(model.predict_proba(X), "predict_proba of the estimator")
     if not hasattr(model, "classes_"):
         return found
+    classes = np.asarray(model.classes_, dtype=np.int64)
+    if found.shape != (X.shape[0], classes.size):
+        raise ConformalError(
+            f"predict_proba of the estimator must have shape ({X.shape[0]}, {classes.size}), got {found.shape}"
+        )
     proba = np.zeros((X.shape[0], n_bins))
-    proba[:, np.asarray(model.classes_, dtype=np.int64)] = found
+    proba[:, classes] = found
     return proba

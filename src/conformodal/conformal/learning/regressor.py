@@ -8,15 +8,15 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from ..bins import QuantileBins
 from ..calibration import Joint, SplitConformal
-from ..checks import Alpha
+from ..checks import Alpha, as_array, as_doubles, as_reals
 from ..diagnostics import Diagnosis, diagnose
-from ..errors import ConformalError, NotCalibratedError
+from ..errors import ConformalError, ConformalTypeError, NotCalibratedError
 from ..regions import Regions
+from ..scalars import as_number, as_random, brief, shortened
 from ..scores import Score
 from .labels import fit_classifier, proba_of_bins
 from .stacked import StackedDensity
@@ -25,6 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
+_NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
 
 
@@ -135,15 +136,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ConformalError
             If a parameter cannot be used, or there are too few samples to split.
         """
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True)
-        features, values = np.asarray(X), np.asarray(y, dtype=np.float64)
+        features, values = self._table(X, y)
         self._one_target = values.ndim == 1
         values = values.reshape(len(values), -1)
-        if not 0 <= self.calibration_size < 1:
-            raise ConformalError(f"calibration_size must be a share in [0, 1), got {self.calibration_size!r}")
-        random = check_random_state(self.random_state)
+        size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
+        sigma = as_number(self.label_sigma, "label_sigma", "at least 0, and finite", lambda s: 0 <= s < np.inf)
+        random = as_random(self.random_state)
         order = random.permutation(len(features))
-        n_held = int(np.ceil(self.calibration_size * len(features)))
+        n_held = int(np.ceil(size * len(features)))
         held, seen = order[:n_held], order[n_held:]
         if seen.size < 2:
             raise ConformalError(
@@ -151,6 +151,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
         base = StackedDensity(random_state=random.randint(2**31 - 1)) if self.estimator is None else self.estimator
         dense = hasattr(base, "fit_bins")
+        for needed in ("fit_bins" if dense else "fit", "predict_proba", "get_params"):
+            if isinstance(base, type) or not callable(getattr(base, needed, None)):
+                raise ConformalError(f"estimator must be None or a classifier with {needed}, got {brief(base)}")
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
         self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
@@ -160,7 +163,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             if dense:
                 model.fit_bins(features[seen], values[seen, j], edges)
             else:
-                model = fit_classifier(model, features[seen], values[seen, j], edges, self.label_sigma)
+                model = fit_classifier(model, features[seen], values[seen, j], edges, sigma)
             self.estimators_.append(model)
         if self.joint == "max":
             self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
@@ -171,14 +174,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def conformalize(self, X_cal: npt.ArrayLike, y_cal: npt.ArrayLike) -> Self:
         """Calibrate on data of one's own, none of which was learnt from; replaces the earlier calibration."""
         check_is_fitted(self, "bins_")
-        X_cal, y_cal = validate_data(self, X_cal, y_cal, multi_output=True, y_numeric=True, reset=False)
-        self.calibrator_.calibrate(self._proba(np.asarray(X_cal)), np.asarray(y_cal, dtype=np.float64))
+        features, values = self._table(X_cal, y_cal, reset=False)
+        self.calibrator_.calibrate(self._proba(features), values)
         return self
 
     def predict_bins(self, X: npt.ArrayLike) -> list[FloatArray]:
         """Probabilities of the bins: d arrays (n, K_d)."""
         check_is_fitted(self, "bins_")
-        return self._proba(np.asarray(validate_data(self, X, reset=False)))
+        return self._proba(self._table(X, reset=False)[0])
 
     def predict(self, X: npt.ArrayLike) -> FloatArray:
         """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes."""
@@ -225,8 +228,27 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             If there is no calibration data yet.
         """
         proba = self.predict_bins(X)
-        features, values = validate_data(self, X, y, multi_output=True, y_numeric=True, reset=False)
+        features, values = self._table(X, y, reset=False)
         return diagnose(self._calibrated(), proba, values, features, groups, level=level)
+
+    def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[npt.NDArray[Any], FloatArray]:
+        """Features and values, by the checks of scikit-learn and those of this package."""
+        needs = {} if y is _NO_TARGETS else {"y": y, "multi_output": True, "y_numeric": True}
+        try:
+            found = validate_data(self, X, reset=reset, **needs)
+        except TypeError as exc:
+            raise ConformalTypeError(shortened(str(exc))) from None
+        except MemoryError:
+            raise
+        except Exception as exc:  # whatever a foreign class raises
+            raise ConformalError(shortened(str(exc))) from None
+        # scikit-learn drops masks, and reads text and dates among objects as numbers
+        for name, given in (("X", X), ("y", y)) if needs else (("X", X),):
+            raw = as_array(given, name)
+            if raw.dtype.kind == "O":
+                as_reals(raw, name)
+        features, values = found if needs else (found, np.empty(0))
+        return as_reals(features, "X"), as_doubles(values, "y")
 
     def _calibrated(self) -> SplitConformal:
         if not hasattr(self.calibrator_, "scores_"):

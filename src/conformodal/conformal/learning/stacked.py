@@ -12,9 +12,11 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
-from sklearn.utils import check_random_state
 
+from ..bins import QuantileBins
+from ..checks import as_finite
 from ..errors import ConformalError
+from ..scalars import as_count, as_random
 from .forest import LeafForest, group_values
 from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
 from .location import StackedLocation
@@ -26,6 +28,8 @@ _GRID_CELLS = 300
 _ROWS_AT_ONCE = 4096
 # every member keeps a little weight, so that no density is exactly zero and far values can be told apart
 _LEAST_WEIGHT = 1e-3
+# of values, so that distances in units of it are finite
+_LEAST_SPREAD = 1e-150
 
 
 class StackedDensity(BaseEstimator):  # type: ignore[misc]
@@ -71,14 +75,23 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         ConformalError
-            With fewer than two samples.
+            With fewer than two samples, shapes that do not fit, values that are not finite or too large, or edges that
+            do not increase.
         """
-        features, values = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        self.edges_ = np.asarray(edges, dtype=np.float64)
+        features, values = _as_features(X), as_finite(y, "y", "(n,)")
+        if values.shape != features.shape[:1]:
+            raise ConformalError(f"y must have one value a row of X ({features.shape[0]}), got {values.size}")
         if values.size < 2:
             raise ConformalError(f"X must have at least 2 rows to learn a density, got n_samples={values.size}")
-        seed = int(check_random_state(self.random_state).randint(2**31 - 1))
-        self.center_, self.scale_ = float(values.mean()), float(values.std()) or 1.0
+        (self.edges_,) = QuantileBins.from_edges([edges]).edges_
+        as_count(self.n_trees, "n_trees", 1)
+        seed = int(as_random(self.random_state).randint(2**31 - 1))
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.center_, self.scale_ = float(values.mean()), float(values.std()) or 1.0
+        if not (np.isfinite([self.center_, self.scale_]).all() and self.scale_ >= _LEAST_SPREAD):
+            raise ConformalError(
+                f"y has a spread that float64 cannot work with, {self.scale_:g} around {self.center_:g}"
+            )
         z = (values - self.center_) / self.scale_
         self._z_edges = (self.edges_ - self.center_) / self.scale_
         inner = self._z_edges[1:-1]
@@ -157,7 +170,7 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
         """Probabilities of the bins, (n, K)."""
         if not hasattr(self, "weights_"):
             raise NotFittedError("StackedDensity is not fitted yet: call fit_bins(X, y, edges) first")
-        features = np.asarray(X, dtype=np.float64)
+        features = _as_features(X)
         parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
         return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
 
@@ -175,6 +188,14 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
 
 # the members that are distributions of residuals, by their place in the mixture
 _RESIDUAL = (1, 2)
+
+
+def _as_features(X: npt.ArrayLike) -> FloatArray:
+    features = as_finite(X, "X", "(n, p)")
+    most = float(np.finfo(np.float32).max)
+    if not features.shape[1] or (features.size and np.abs(features).max() > most):
+        raise ConformalError(f"X must have a column and numbers that float32 can hold, up to {most:.3g}, as trees do")
+    return features
 
 
 def _pooled(groups: npt.NDArray[np.int64], n: int) -> FloatArray:
