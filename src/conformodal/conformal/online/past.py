@@ -5,9 +5,10 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections import deque
 from fractions import Fraction
-from math import ceil, inf, isnan
+from math import ceil, inf
+from sys import float_info
 
-from ..errors import ConformalError
+from ..scalars import as_count, as_number
 
 
 class PastScores:
@@ -16,12 +17,13 @@ class PastScores:
     Parameters
     ----------
     window
-        How many to keep; None keeps all.
+        How many to keep; None keeps all, so that memory and the time of a step grow with the stream: 16 bytes a score
+        and, beyond a million scores, about a millisecond a step.
     """
 
     def __init__(self, window: int | None = None) -> None:
-        if window is not None and window < 1:
-            raise ConformalError(f"window must be at least 1 score, or None for all, got {window}")
+        if window is not None:
+            window = as_count(window, "window, in scores or None for all,", 1)
         self._order: deque[float] = deque()
         self._sorted: list[float] = []
         self.window = window
@@ -48,11 +50,11 @@ class PastScores:
         return (1 + len(self) - bisect_left(self._sorted, score)) / (len(self) + 1)
 
     def spread(self) -> float:
-        """Largest less smallest finite score; 1 where there is none."""
+        """Largest less smallest finite score, at most the largest float; 1 where there is none."""
         finite = bisect_left(self._sorted, inf)
         low = bisect_left(self._sorted, -inf)
         width = self._sorted[finite - 1] - self._sorted[low] if finite > low else 0.0
-        return width if width > 0 else 1.0
+        return min(width, float_info.max) if width > 0 else 1.0
 
 
 def as_score(score: float) -> float:
@@ -61,8 +63,8 @@ def as_score(score: float) -> float:
     Raises
     ------
     ConformalError
-        If it is NaN.
+        If it is no real number, or NaN.
     """
-    if isnan(score):
-        raise ConformalError("a score must not be NaN; a sample that cannot be scored should score +inf")
-    return float(score)
+    if type(score) is float and score == score:  # noqa: PLR0124 - not NaN
+        return score
+    return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: s == s)  # noqa: PLR0124

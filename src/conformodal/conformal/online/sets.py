@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from ..bins import QuantileBins
 from ..calibration.base import Calibrator, Empty
-from ..checks import Alpha, Probabilities, as_alpha
+from ..checks import Alpha, Probabilities, as_alpha, as_doubles
 from ..errors import ConformalError
 from ..regions import Regions
+from ..scalars import brief
 from ..scores import Score
 from .aci import Aci, DtAci
 from .pid import ConformalPid
@@ -36,8 +37,15 @@ METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "dtaci": DtAci, "p
 class OnlineConformal:
     """Regions for a sequence: predict, see the truth, update.
 
-    Nothing is assumed about the sequence; the long-run share of misses approaches alpha for each target, as its
-    tracker's source proves. It says nothing about any single sample.
+    What is promised for each target is what its tracker promises, and it says nothing about any single sample:
+
+    - ``"aci"`` (:class:`Aci`): nothing is assumed about the sequence; over T samples the share of misses differs from
+      alpha by at most ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)``.
+    - ``"pid"`` (:class:`ConformalPid`): nothing is assumed; by at most ``(pi/2 sqrt(T) + 1) / T``.
+    - ``"dtaci"`` (:class:`DtAci`): follows a drift fastest, but has no bound on the share of misses: an adversary can
+      double it. See there.
+
+    Bounds say nothing about how large sets are: against an adversary most of them are the whole space.
 
     Parameters
     ----------
@@ -49,6 +57,8 @@ class OnlineConformal:
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     method
         ``"aci"``, ``"dtaci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha.
+        ``"aci"`` and ``"dtaci"`` keep all past scores, so that memory grows with the stream (16 bytes a sample and
+        target); ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
     empty
         ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
         but still counts as a miss.
@@ -69,21 +79,24 @@ class OnlineConformal:
         bins: QuantileBins,
         alpha: Alpha = 0.1,
         score: str | Score = "lac",
-        method: str | Callable[[Alpha], Tracker] = "dtaci",
+        method: str | Callable[[Alpha], Tracker] = "aci",
         empty: Empty = "allow",
     ) -> None:
         self._sets = Calibrator(bins, alpha, score, "none", empty)
         if isinstance(method, str):
-            if method not in METHODS:
-                raise ConformalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {method!r}")
-            method = METHODS[method]
+            method = METHODS.get(method, method)
+        if not callable(method):
+            raise ConformalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
         self.bins = bins
         self.trackers = [method(as_alpha(alpha)) for _ in range(bins.n_targets)]
+        for tracker in self.trackers:
+            if not (callable(getattr(tracker, "threshold", None)) and callable(getattr(tracker, "update", None))):
+                raise ConformalError(f"method must make a Tracker, with threshold and update, got {brief(tracker)}")
 
     @property
     def thresholds(self) -> npt.NDArray[np.float64]:
         """Thresholds in force, (d,)."""
-        return np.array([tracker.threshold() for tracker in self.trackers])
+        return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
 
     def predict(self, proba: Probabilities) -> Regions:
         """Regions at the thresholds in force, for one or more samples."""
