@@ -503,7 +503,7 @@ REFUSED = {
     "edges of rows": (lambda: QuantileBins.from_edges([[[0, 1], [1, 2]]]), "vector"),
     "values too far apart": (lambda: QuantileBins(3).fit([-1.7e308, 1.7e308]), "target 0"),
     "margin too large": (lambda: QuantileBins(3, margin=1e308).fit([0.0, 100.0]), "target 0"),
-    "n_bins of a billion": (lambda: QuantileBins(10**9), "at most 1000000"),
+    "n_bins of a billion": (lambda: QuantileBins(10**9), "at most 100000"),
     "cells of a billion": (lambda: SplitConformal(BINS, 0.1, LinearDensity(10**9)), "at most"),
     "empty y": (lambda: QuantileBins(3).fit([]), "at least one"),
     "y without columns": (lambda: QuantileBins(3).fit(np.empty((3, 0))), "d >= 1"),
@@ -514,6 +514,8 @@ REFUSED = {
     "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry a row"),
     "bins that are none": (lambda: SplitConformal([0, 1]), "QuantileBins"),
     "score that is none": (lambda: SplitConformal(BINS, 0.1, 5), "score"),
+    "score that is a class": (lambda: SplitConformal(BINS, 0.1, Lac), "score"),
+    "diagnosis of another calibrator": (lambda: diagnose(MONDRIAN, P, Y), "SplitConformal"),
     "joint that is a list": (lambda: SplitConformal(BINS, 0.1, joint=["none"]), "joint"),
     "empty that is an array": (lambda: SplitConformal(BINS, 0.1, empty=np.array(["mode", "allow"])), "empty"),
     "method that is a number": (lambda: OnlineConformal(BINS, method=5), "method"),
@@ -532,6 +534,11 @@ REFUSED = {
     "positions too far": (lambda: REGIONS[[0, N]], "index"),
     "positions of floats": (lambda: REGIONS[np.array([0.0])], "indexed"),
     "a mask of another length": (lambda: REGIONS[[True, False]], "index"),
+    "X too large for a tree": (lambda: tree().fit(X * 1e39, Y), "cannot be fitted"),
+    "X to predict too large for a tree": (lambda: FITTED.predict(X * 1e39), "cannot predict"),
+    "names that are a number": (lambda: diagnose(SPLIT["lac"], P, Y, names=5), "name a target"),
+    "an intersection with a number": (lambda: REGIONS.intersection(5), "combined"),
+    "parts that are a number": (lambda: Regions.concatenate(5), "Regions"),
     "parts that are none": (lambda: Regions.concatenate([1, 2]), "Regions"),
     "inside of numbers": (lambda: check_coverage([0.0, np.nan], 9, 0.1), "boolean"),
     "inside that is masked": (lambda: check_coverage(np.ma.array([True], mask=[True]), 9, 0.1), "masked"),
@@ -743,7 +750,10 @@ def _predict(v):
 
 
 def _calibrate_y(v):
-    n = len(np.asarray(v, dtype=object)) if np.ndim(np.asarray(v, dtype=object)) else 0
+    try:
+        n = len(v)
+    except TypeError:
+        n = 0
     proba = np.full((n, 2), 0.5)
     cal = SplitConformal(TWO, 0.3, "density").calibrate(proba, v)
     assert not np.isnan(cal.thresholds_).any()

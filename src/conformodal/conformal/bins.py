@@ -18,8 +18,8 @@ _CONSTANT_HALF_WIDTH = 1e-6
 _TABLE_CELLS = 16_384
 # of a Gaussian over bin numbers; a narrower one is one-hot, and its exponents would overflow
 _LEAST_SIGMA = 1e-100
-# bins of a target; a row of probabilities over as many takes 8 MB
-MOST_BINS = 1_000_000
+# bins of a target; probabilities of a thousand samples over as many take 0.8 GB
+MOST_BINS = 100_000
 
 
 class QuantileBins:
@@ -33,7 +33,7 @@ class QuantileBins:
     Parameters
     ----------
     n_bins
-        Bins per target (K in the paper), at least 1 and at most a million.
+        Bins per target (K in the paper), at least 1 and at most 100 000.
     margin
         Share of the training range by which the outer bins reach beyond it at either end. With 0, as in the paper,
         every value beyond the training range scores ``+inf``; a few such in the calibration data, where alpha is

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,7 +92,7 @@ class Regions:
         return Regions(self.bins, [m[index] for m in self.masks], self.unbounded[index])
 
     @classmethod
-    def concatenate(cls, parts: Sequence[Regions]) -> Regions:
+    def concatenate(cls, parts: Iterable[Regions]) -> Regions:
         """Regions of all the samples of `parts`, in order.
 
         Raises
@@ -100,6 +100,7 @@ class Regions:
         ConformalError
             If there are no parts, or their bins differ.
         """
+        parts = list(parts) if isinstance(parts, Iterable) else []
         if not parts or not all(isinstance(part, Regions) for part in parts):
             raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
         for part in parts[1:]:
@@ -299,6 +300,8 @@ def _flat_runs(mask: BoolArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.i
 
 
 def _same_bins(a: Regions, b: Regions) -> None:
+    if not isinstance(b, Regions):
+        raise ConformalError(f"regions can only be combined with Regions, got {type(b).__name__}")
     same = a.bins.n_targets == b.bins.n_targets and all(map(np.array_equal, a.bins.edges_, b.bins.edges_))
     if not same:
         raise ConformalError("regions over different bins cannot be combined: refit, or use the same bins")

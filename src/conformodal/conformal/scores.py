@@ -206,8 +206,8 @@ def resolve_score(score: str | Score) -> Score:
         if score not in SCORES:
             raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
         return SCORES[score]
-    if not callable(getattr(score, "of_bins", None)):
-        raise ConformalError(f"score must be a name or have of_bins(proba, widths), got {type(score).__name__}")
+    if isinstance(score, type) or not callable(getattr(score, "of_bins", None)):
+        raise ConformalError(f"score must be a name or an object with of_bins(proba, widths), got {brief(score)}")
     return score
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,16 +171,22 @@ def diagnose(
     >>> bool(diagnose(cal, proba[200:], y[200:]).columns[0].coverage.inside)
     True
     """
+    if not isinstance(calibrator, SplitConformal):
+        raise ConformalError(f"calibrator must be a SplitConformal, got {type(calibrator).__name__}")
     regions = calibrator.predict(proba)
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if values.shape[0] == 0:
         raise ConformalError("y must hold at least one test sample")
     inside = regions.contains(values)
+    n_targets = inside.shape[1]
     n_cal = calibrator.scores_.shape[0]
     rate = calibrator.alpha_per_target
-    targets = tuple(names) if names is not None else tuple(f"target {j}" for j in range(inside.shape[1]))
-    if len(targets) != inside.shape[1]:
-        raise ConformalError(f"names must hold one name a target ({inside.shape[1]}), got {len(targets)}")
+    named = (
+        names if isinstance(names, Iterable) else [] if names is not None else map("target {}".format, range(n_targets))
+    )
+    targets = tuple(map(str, named))
+    if len(targets) != n_targets:
+        raise ConformalError(f"names must hold one name a target ({n_targets}), got {len(targets)}")
     calibration = calibrator.rule.columns(calibrator.scores_)
     test = calibrator.rule.columns(calibrator.score_samples(proba, values))
     if calibrator.joint == "max":

@@ -10,6 +10,7 @@ from scipy.special import ndtri
 
 from ..checks import as_doubles
 from ..errors import ConformalError
+from ..scalars import shortened
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -32,14 +33,20 @@ def fit_classifier(model: Any, X: npt.NDArray[Any], y: FloatArray, edges: FloatA
     codes = spread_codes(y, edges, sigma_bins)
     if edges.size == 2 or np.unique(codes).size == 1:
         return int(codes[0, 0])
-    return model.fit(np.repeat(X, codes.shape[1], axis=0), codes.ravel())
+    with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+        return model.fit(np.repeat(X, codes.shape[1], axis=0), codes.ravel())
 
 
 def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:
     """Probabilities (n, K) of all bins; a bin that no training value fell in has probability 0."""
     if isinstance(model, int):
         return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)
-    found = as_doubles(model.predict_proba(X), "predict_proba of the estimator")
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+            given = model.predict_proba(X)
+    except (ValueError, TypeError) as exc:
+        raise ConformalError(f"estimator cannot predict: {shortened(str(exc))}") from exc
+    found = as_doubles(given, "predict_proba of the estimator")
     if not hasattr(model, "classes_"):
         return found
     classes = np.asarray(model.classes_, dtype=np.int64)

@@ -159,11 +159,16 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
         self.estimators_ = []
         for j, edges in enumerate(self.bins_.edges_):
-            model = clone(base)
-            if dense:
-                model.fit_bins(features[seen], values[seen, j], edges)
-            else:
-                model = fit_classifier(model, features[seen], values[seen, j], edges, sigma)
+            try:
+                model = clone(base)
+                if dense:
+                    model.fit_bins(features[seen], values[seen, j], edges)
+                else:
+                    model = fit_classifier(model, features[seen], values[seen, j], edges, sigma)
+            except ConformalError:
+                raise
+            except (ValueError, TypeError) as exc:
+                raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
             self.estimators_.append(model)
         if self.joint == "max":
             self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
