@@ -808,7 +808,7 @@ FUZZED = {
 
 @pytest.mark.filterwarnings("ignore:Warning. converting a masked element")
 @pytest.mark.parametrize("entry", FUZZED)
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(value=ANYTHING)
 @example(value=[[1e308], [-1e308]])
 @example(value=[0.0, 5e-324, 1.0])

@@ -8,7 +8,7 @@ import pytest
 
 from conformodal.conformal import Aci, ConformalPid, DtAci, OnlineConformal, QuantileBins
 
-T = 2000
+T = 1200
 
 
 def just_above(limit, t, rng):
@@ -151,7 +151,11 @@ def test_online_sets_keep_the_bound_of_their_tracker(method, bound, score):
 
 def test_the_default_is_the_method_with_the_bound():
     bins = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
-    assert [type(tracker) for tracker in OnlineConformal(bins).trackers] == [Aci, Aci]
+    trackers = OnlineConformal(bins, 0.1).trackers
+    assert [type(tracker) for tracker in trackers] == [Aci, Aci]
+    # the mean of DtACI is at 0.2 here, and PID that saturates at 5 t / log(t) misses thousands in a row
+    assert abs(play(trackers[0], just_above, 8000).mean() - 0.1) <= (0.9 + 0.005) / (0.005 * 8000)
+    assert abs(play(ConformalPid(0.1), just_above, 8000).mean() - 0.1) <= (pi / 2 * sqrt(8000) + 1) / 8000
 
 
 @pytest.mark.parametrize("method", ["aci", "dtaci", "pid"])
