@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.datasets import DatasetError, ImageError, read_sevenscenes
+from conformodal.datasets import DatasetError, DatasetWarning, ImageError, read_sevenscenes
 from conformodal.datasets.sevenscenes import pose_path
 from conformodal.poses import PoseError
 
@@ -76,12 +76,26 @@ IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
         (spoil("frame-000002.pose.txt", "1 0 0\n"), "frame-000002.*3 numbers, expected 16"),
         (spoil("frame-000002.pose.txt", IDENTITY.replace("0 0 0 1\n", "0 0 1 1\n")), "frame-000002.*last row"),
         (spoil("frame-000002.pose.txt", "one two"), "frame-000002.*cannot be read"),
-        (lambda f: (f / "frame-000002.pose.txt").unlink(), r"frame-000002.*missing \(1 of 4"),
+        (lambda f: (f / "frame-000002.pose.txt").unlink(), "frame-000002.*missing"),
+        (spoil("frame-000002.color.png", "not an image"), r"frame-000002\.color\.png"),
+    ],
+)
+def test_damage_of_one_frame_costs_that_frame(tmp_path, damage, match):
+    folder = write_recording(tmp_path / "seq-01")
+    damage(folder)
+    with pytest.warns(DatasetWarning, match=match):
+        sequence = read_sevenscenes(folder)
+    np.testing.assert_allclose(sequence.require_truth().positions_xyz[:, 0], [0, 1, 3])
+    np.testing.assert_allclose(sequence.timestamps_s * 30, [0, 1, 3])
+
+
+@pytest.mark.parametrize(
+    ("damage", "match"),
+    [
         (spoil("camera-intrinsics.txt", "1 2\n"), "camera-intrinsics.*expected 9"),
         (spoil("camera-intrinsics.txt", "-1 0 1\n0 1 1\n0 0 1\n"), "camera-intrinsics.*positive"),
         (lambda f: (f / "camera-intrinsics.txt").unlink(), "no camera is known for 32x24.*camera-intrinsics"),
         (spoil("frame-rate.txt", "-3"), "frame-rate.*positive"),
-        (spoil("frame-000000.color.png", "not an image"), r"frame-000000\.color\.png"),
         (shutil.rmtree, "no such folder"),
         (lambda f: [p.unlink() for p in f.glob("frame-0*")], "holds no frame"),
     ],

@@ -50,7 +50,8 @@ def test_frames_without_a_pose_or_an_image_are_left_out_and_counted(tmp_path):
     known = before.truth[np.array([0, 1, 2, 4])]
     done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
     assert (done.n_frames, done.n_unreadable, done.n_without_pose) == (3, 1, 2)
-    assert "no timestamps" in done.notes[0]
+    assert "without a pose: 5.300000.png, 5.500000.png" in done.notes[0]
+    assert "no timestamps" in done.notes[-1]
     after = read_sequence(tmp_path / "b")
     np.testing.assert_allclose(after.truth.positions_xyz, known.positions_xyz[[0, 1, 3]], atol=1e-7)
 

@@ -21,7 +21,7 @@ from conformodal.odometry import (
 from conformodal.vision import FeatureCache, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
-from .sources import open_sequence
+from .sources import FOLLOW_OUTSIDE, open_sequence
 
 
 @kind_errors
@@ -41,11 +41,12 @@ def calibrate(
         float | None,
         typer.Option(min=0, help="Metres that weigh as much as one radian; the scene's depth by default."),
     ] = None,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
     """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
     loaded = load_model(model)
-    sequence = open_sequence(data, layout, require_poses=True)
+    sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
     features = FeatureCache(cache or default_cache_dir())
     with progress_bars() as report:
         radius = calibrate_selection(

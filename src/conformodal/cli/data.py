@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -10,17 +12,19 @@ import typer
 from rich.table import Table
 
 from conformodal.datasets import DatasetError, Layout, check_sequence
-from conformodal.datasets.files import camera_beside
-from conformodal.datasets.streams import Frame, FrameStream, SequenceStream
+from conformodal.datasets.cameras import camera_beside
+from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
+from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import provenance, write_metrics
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
 
 from .console import console, kind_errors, print_where, progress_bars
-from .sources import open_sequence, open_source
+from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
 _FOUND = 1
+METRICS = "metrics.json"
 
 
 @app.callback()
@@ -33,10 +37,15 @@ def data() -> None:
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
-    out: Annotated[Path | None, typer.Option(help="Folder for the same as metrics.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the same as metrics.json: new, empty, or of data check.")
+    ] = None,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
-    """Say what a folder holds, and its gaps, jumps, repeated and unreadable images (exit code 1 if there are any)."""
-    sequence = open_sequence(folder, layout, require_poses=False)
+    """Say what a folder holds, and all that is wrong with it (exit code 1 if there is anything)."""
+    if out is not None:
+        _check_out(out)
+    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
     table = Table(show_header=False)
@@ -44,7 +53,8 @@ def check(
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
     table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
     if found.extent_m is None:
-        table.add_row("poses", "none, or not for every frame")
+        some = f"for {found.n_poses} of {found.n_frames} frames" if found.n_poses else "none"
+        table.add_row("poses", some)
     else:
         sides = " x ".join(f"{side:.2f}" for side in found.extent_m)
         table.add_row("poses", f"{found.n_poses}, all rigid motions; within {sides} m, path {found.path_m:.2f} m")
@@ -74,34 +84,66 @@ def convert(
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
     """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
-    stream = open_source(source, layout, topic=topic)
+    stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     truth = read_tum(poses) if poses is not None else _truth(stream)
-    lens = stream.camera or _camera(camera, next(iter(stream)))
+    lens = stream.camera or _camera(camera, stream)
     with progress_bars() as report:
         total = stream.n_frames or 0
-        done = write_layout(out, to, stream, lens, truth, lambda number: report("frames", number, max(total, number)))
+        done = write_layout(
+            out,
+            to,
+            stream,
+            lens,
+            truth,
+            lambda number: report("frames", number, max(total, number)),
+            max_difference_s=0.0 if poses is None else MAX_TIME_DIFFERENCE_S,
+        )
     console.print(
         f"{done.n_frames} frames written as {to}, {'with' if truth is not None else 'without'} poses; left out: "
-        f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose",
+        f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose"
+        + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
         soft_wrap=True,
     )
     for note in done.notes:
-        console.print(f"[bold]note[/]: {note}", soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True, markup=False)
     print_where(out)
 
 
 def _truth(stream: FrameStream) -> Trajectory | None:
-    return stream.sequence.truth if isinstance(stream, SequenceStream) else None
+    """The source's own poses, of all frames or of those that have one."""
+    if not isinstance(stream, SequenceStream):
+        return None
+    return stream.sequence.known_poses if stream.sequence.truth is None else stream.sequence.truth
 
 
-def _camera(folder: Path | None, first: Frame) -> PinholeCamera:
+def _check_out(out: Path) -> None:
+    """Refuse a folder that holds anything but what this command wrote there before."""
+    if out.exists() and not out.is_dir():
+        raise DatasetError(f"{out}: is a file, expected a folder for metrics.json")
+    names = {path.name for path in out.iterdir()} if out.exists() else set()
+    if not names:
+        return
+    command = None
+    with suppress(OSError, ValueError, AttributeError, RecursionError):
+        command = json.loads((out / METRICS).read_text(encoding="utf-8")).get("command")
+    if names != {METRICS} or command != "data check":
+        raise DatasetError(f"{out}: holds files of another kind ({min(names)}); name a new or empty folder")
+
+
+def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if folder is None:
         raise DatasetError("the source says no camera; name a folder with camera-intrinsics.txt by --camera")
-    if first.image is None:
-        raise DatasetError(f"{first.name}: cannot be read, so the size of the images is not known: {first.problem}")
-    height, width, _ = first.image.shape
-    return camera_beside(folder, (width, height), None)
+    first = next((frame.image for frame in stream if frame.image is not None), None)
+    if first is None:
+        raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
+    height, width, _ = first.shape
+    remarks: list[Remark] = []
+    camera = camera_beside(folder, (width, height), None, remarks)
+    for what, where in remarks:
+        console.print(f"{what}: {where}", soft_wrap=True, markup=False)
+    return camera

@@ -39,7 +39,7 @@ from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer,
 
 from .console import StatusLine, console, kind_errors, print_where
 from .outcome import Known, Part, part_frames, run_metrics, say, summary
-from .sources import open_source
+from .sources import FOLLOW_OUTSIDE, open_source
 
 INTERRUPTED, BROKE_OFF = 130, 3
 # Frames that do not wait leave no time for landmarks in each of them: a 30 Hz camera then gets five fixes a second.
@@ -78,6 +78,7 @@ def run(
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
     save: Annotated[Path | None, typer.Option(help="Record for Rerun: a file .rrd (extra 'view').")] = None,
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
@@ -86,7 +87,10 @@ def run(
         loaded.recalibrate(alpha)
     if novelty_level is not None:
         loaded.set_novelty_level(novelty_level)
-    stream = open_source(source, layout, camera=loaded.camera, topic=topic, as_trained=part is not Part.ALL)
+    as_trained = part is not Part.ALL
+    stream = open_source(
+        source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
+    )
     if isinstance(stream, SequenceStream):
         stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
     elif part is not Part.ALL:

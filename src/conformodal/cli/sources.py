@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from conformodal.datasets import DatasetError, Layout, Sequence, read_sequence, recognise
+from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams import FrameStream, SequenceStream, open_stream
 from conformodal.poses import PinholeCamera
 
 from .console import console
 
+_MOST_REMARKS = 5
+FOLLOW_OUTSIDE = "Follow names of images that lead out of the data set's folder: absolute, by '..', or through links."
 
-def open_sequence(path: Path, layout: Layout, *, require_poses: bool) -> Sequence:
-    """Read a data set in a layout; says what was recognised.
+
+def say_remarks(sequence: Sequence) -> None:
+    """Name what the reader left out, or found unlikely."""
+    counts: dict[str, int] = {}
+    for what, where in sequence.remarks:
+        counts[what] = counts.get(what, 0) + 1
+        if counts[what] <= _MOST_REMARKS:
+            console.print(f"{what}: {where}", soft_wrap=True, markup=False)
+    for what, count in counts.items():
+        if count > _MOST_REMARKS:
+            console.print(f"{what}: {count - _MOST_REMARKS} more", soft_wrap=True, markup=False)
+
+
+@contextmanager
+def _said_elsewhere() -> Iterator[None]:
+    """Keep quiet what the command prints itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        yield
+
+
+def open_sequence(
+    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, remarks: bool = True
+) -> Sequence:
+    """Read a data set in a layout; says what was recognised, and the reader's remarks.
 
     Raises
     ------
@@ -23,7 +50,11 @@ def open_sequence(path: Path, layout: Layout, *, require_poses: bool) -> Sequenc
     if layout is Layout.AUTO:
         layout = recognise(path)
         console.print(f"{path}: {layout} layout", soft_wrap=True)
-    return read_sequence(path, layout, require_poses=require_poses)
+    with _said_elsewhere():
+        sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
+    if remarks:
+        say_remarks(sequence)
+    return sequence
 
 
 def open_source(
@@ -33,6 +64,7 @@ def open_source(
     camera: PinholeCamera | None = None,
     topic: str | None = None,
     as_trained: bool = False,
+    follow_outside: bool = False,
 ) -> FrameStream:
     """Open anything that gives frames, see :func:`~conformodal.datasets.streams.open_stream`; says what it is.
 
@@ -43,14 +75,17 @@ def open_source(
     DatasetError
         If it cannot be opened.
     """
-    stream = open_stream(source, layout, camera=camera, topic=topic)
-    if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
-        with suppress(DatasetError):  # no frame has a pose
-            stream = SequenceStream(read_sequence(Path(source), layout, require_poses=True))
+    with _said_elsewhere():
+        stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
+        if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
+            with suppress(DatasetError):  # no frame has a pose
+                again = read_sequence(Path(source), layout, require_poses=True, follow_outside=follow_outside)
+                stream = SequenceStream(again)
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
         console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True)
+        say_remarks(stream.sequence)
     else:
         count = "" if stream.n_frames is None else f", {stream.n_frames} frames"
         console.print(f"{stream.name}: {type(stream).__name__.removesuffix('Stream').lower()}{count}", soft_wrap=True)

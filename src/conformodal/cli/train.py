@@ -31,7 +31,7 @@ from conformodal.poses import PinholeCamera
 from conformodal.vision import NETWORKS, FeatureCache, FineTuning, TrainingConfig, VisionError, default_cache_dir
 
 from .console import Report, console, kind_errors, print_where, progress_bars
-from .sources import open_sequence
+from .sources import FOLLOW_OUTSIDE, open_sequence
 
 _DEFAULT = ModelConfig()
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
@@ -112,6 +112,7 @@ def train(
     device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
@@ -134,7 +135,7 @@ def train(
         seed=seed,
         training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     )
-    sequence = open_sequence(data, layout, require_poses=True)
+    sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
     with progress_bars() as report:
         train_on(sequence, config, out, classical=classical, cache_dir=cache or default_cache_dir(), report=report)
     print_where(out)

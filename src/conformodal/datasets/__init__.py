@@ -2,15 +2,17 @@
 
 from .checking import DatasetCheck, Finding, check_sequence
 from .colmap import read_colmap
-from .errors import DatasetError, ImageError, SplitError
+from .decoding import read_image
+from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .euroc import read_euroc_mav
+from .files import Remark
 from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .layouts import Layout, read_sequence, recognise
 from .nerf import read_nerf
 from .noise import PixelNoise
 from .rgbd_scenes import read_rgbd_scenes
-from .sequence import Sequence, read_image
+from .sequence import Sequence
 from .sevenscenes import read_sevenscenes
 from .splits import Split, SplitKind, held_out_together, make_split
 from .thumbnails import THUMBNAIL, thumbnail
@@ -20,10 +22,12 @@ __all__ = [
     "THUMBNAIL",
     "DatasetCheck",
     "DatasetError",
+    "DatasetWarning",
     "Finding",
     "ImageError",
     "Layout",
     "PixelNoise",
+    "Remark",
     "Sequence",
     "Split",
     "SplitError",

@@ -59,7 +59,7 @@ class DatasetCheck:
 def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | None = None) -> DatasetCheck:
     """Look at every frame of a data set; decodes all images.
 
-    Readers have refused already what cannot be read at all: poses that are no rigid motion, times that go back.
+    Readers have refused already what cannot be read at all, and left out or remarked what can be used in part.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)
     steps = np.diff(sequence.timestamps_s)[linked]
     usual = float(np.median(steps)) if steps.size else float("nan")
-    found: list[Finding] = []
+    found = _remarks(sequence)
 
     def add(what: str, at: list[int]) -> None:
         if at:
@@ -107,7 +107,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     return DatasetCheck(
         n_frames=len(sequence),
         n_recordings=len(np.unique(sequence.recording)),
-        n_poses=0 if sequence.truth is None else len(sequence.truth),
+        n_poses=next((len(t) for t in (sequence.truth, sequence.known_poses) if t is not None), 0),
         width=sequence.camera.width,
         height=sequence.camera.height,
         duration_s=round(float(steps.sum()), 4),
@@ -116,3 +116,11 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
         path_m=path,
         findings=found,
     )
+
+
+def _remarks(sequence: Sequence) -> list[Finding]:
+    """What the reader found, each kind once."""
+    places: dict[str, list[str]] = {}
+    for remark in sequence.remarks:
+        places.setdefault(remark.what, []).append(remark.where)
+    return [Finding(what, len(where), where[0]) for what, where in places.items()]

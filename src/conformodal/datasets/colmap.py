@@ -5,14 +5,19 @@ COLMAP stores world-to-camera poses, quaternion ``wxyz`` first, in cameras with 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, matrix_from_quat_wxyz
+from conformodal.poses import PinholeCamera, matrix_from_quat_wxyz
+from conformodal.poses.text import number, pose_faults, table_of, whole_number
 
+from .cameras import UNDISTORT, Size, camera_of
+from .decoding import common_size, natural_key
+from .draft import Draft
 from .errors import DatasetError
-from .files import even_times, read_lines
+from .files import Remark, even_times, inside, read_lines, reader
 from .sequence import Sequence
 
 _PLACES = ("", "sparse", "sparse/0", "text")
@@ -24,6 +29,8 @@ _MODELS: dict[str, tuple[tuple[int, int, int, int], tuple[int | None, ...]]] = {
     "RADIAL": ((0, 0, 1, 2), (3, 4, None, None)),
     "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7)),
 }
+# A line of points holds numbers alone, and an image's name has a letter that no number has.
+_POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 
 
 def model_folder(folder: Path) -> Path | None:
@@ -32,8 +39,9 @@ def model_folder(folder: Path) -> Path | None:
     return next((p for p in places if (p / "images.txt").is_file() and (p / "cameras.txt").is_file()), None)
 
 
-def read_colmap(folder: Path | str, *, require_poses: bool = True) -> Sequence:
-    """Read the registered images of a text model, in the order of their names, without decoding them.
+@reader
+def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
+    """Read the registered images of a text model, in the natural order of their names, without decoding them.
 
     Parameters
     ----------
@@ -42,7 +50,9 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True) -> Sequence:
         ``frame-rate.txt`` (Hz) gives the images their times, else 30 a second. The scale is the model's own: metres
         only if the model was scaled.
     require_poses
-        Every registered image has a pose, so it makes no difference.
+        True leaves out images that are missing, or whose pose is no rigid motion. False keeps them.
+    follow_outside
+        Whether the model may name images outside the folder.
 
     Raises
     ------
@@ -54,62 +64,104 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     if place is None:
         raise DatasetError(f"{folder}: holds no cameras.txt with images.txt; expected a COLMAP text model")
     rows = _images(place / "images.txt")
-    cameras = _cameras(place / "cameras.txt")
+    cameras = _lines_of_cameras(place / "cameras.txt")
     used = sorted({camera for _, _, camera in rows.values()})
     if len(used) != 1 or used[0] not in cameras:
         raise DatasetError(f"{place / 'images.txt'}: uses cameras {used}, expected one of {sorted(cameras)}")
-    names = sorted(rows)
-    images = folder / "images" if (folder / "images").is_dir() else folder
+    names = sorted(rows, key=natural_key)
+    base = folder / "images" if (folder / "images").is_dir() else folder
+    images = [_image(folder, base, name, place / "images.txt", follow_outside) for name in names]
+    remarks: list[Remark] = []
+    camera = _camera(place / "cameras.txt", *cameras[used[0]], common_size(images), remarks)
     quats = np.array([rows[name][0] for name in names])
     shifts = np.array([rows[name][1] for name in names])
-    rotations = matrix_from_quat_wxyz(quats / np.linalg.norm(quats, axis=1, keepdims=True))
-    poses = np.tile(np.eye(4), (len(names), 1, 1))
-    poses[:, :3, :3] = rotations.transpose(0, 2, 1)
-    poses[:, :3, 3] = -np.einsum("nji,nj->ni", rotations, shifts)
-    times = even_times(folder, len(names))
-    recording = np.zeros(len(names), dtype=np.int64)
-    truth = Trajectory.from_poses_se3(times, poses)
-    return Sequence(folder.name, tuple(images / name for name in names), times, recording, cameras[used[0]], truth)
+    faults = pose_faults(shifts, quats)
+    known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
+    known[list(faults)] = False
+    rotations = matrix_from_quat_wxyz(quats[known])
+    poses = np.full((len(names), 4, 4), np.nan)
+    poses[known] = np.eye(4)
+    poses[known, :3, :3] = rotations.transpose(0, 2, 1)
+    poses[known, :3, 3] = -np.einsum("nji,nj->ni", rotations, shifts[known])
+    why = {
+        i: f"{place / 'images.txt'}: {faults.get(i, 'its pose holds NaN or infinity')}"
+        for i in np.flatnonzero(~known).tolist()
+    }
+    times, recording = even_times(folder, len(names)), np.zeros(len(names), dtype=np.int64)
+    draft = Draft(folder.name, images, times, recording, table_of(poses), why, remarks)
+    return draft.sequence(camera, require_poses=require_poses)
+
+
+def _image(folder: Path, base: Path, name: str, source: Path, follow_outside: bool) -> Path:
+    return inside(folder, str(base / name), source, follow_outside=follow_outside)
 
 
 def _images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
-    """Quaternion, translation and camera by image name; every second line holds points and is skipped."""
+    """Quaternion, translation and camera by image name.
+
+    A line of points follows every image, which may be empty, or none does.
+    """
     found: dict[str, tuple[list[float], list[float], int]] = {}
-    lines = [(n, line) for n, line in enumerate(read_lines(path), start=1) if not line.startswith("#")]
-    for number, line in lines[::2]:
+    followed: list[bool] = []
+    for at, line in enumerate(read_lines(path), start=1):
+        if line.startswith("#"):
+            continue
+        numbers_alone = _POINTS.fullmatch(line) is not None
+        if numbers_alone and followed and not followed[-1] and len(line.split()) % 3 == 0:
+            followed[-1] = True
+            continue
         if not line.strip():
             continue
         fields = line.split(maxsplit=9)
         try:
-            values = [float(v) for v in fields[1:8]]
-            if not np.isfinite(values).all() or not np.linalg.norm(values[:4]) > 0:
+            if numbers_alone:
                 raise ValueError
-            found[fields[9]] = (values[:4], values[4:], int(fields[8]))
+            whole_number(fields[0])
+            values, camera, name = [number(v) for v in fields[1:8]], whole_number(fields[8]), fields[9].strip()
         except (ValueError, IndexError):
             raise DatasetError(
-                f"{path}, line {number}: expected 'id qw qx qy qz tx ty tz camera name', got {line[:80]!r}"
+                f"{path}, line {at}: expected 'id qw qx qy qz tx ty tz camera name', got {line[:80]!r}"
             ) from None
+        if name in found:
+            raise DatasetError(f"{path}, line {at}: names {name[:80]!r} a second time, expected one pose for an image")
+        found[name] = (values[:4], values[4:], camera)
+        followed.append(False)
     if not found:
         raise DatasetError(f"{path}: holds no image")
+    if len(set(followed[:-1])) > 1:
+        name = list(found)[followed.index(False)]
+        raise DatasetError(f"{path}: {name!r} has no line of points, and others have; is a line missing?")
     return found
 
 
-def _cameras(path: Path) -> dict[int, PinholeCamera]:
+def _lines_of_cameras(path: Path) -> dict[int, tuple[int, list[str]]]:
+    """Line number and fields by camera."""
     found = {}
-    for number, line in enumerate(read_lines(path), start=1):
+    for at, line in enumerate(read_lines(path), start=1):
         if not line.strip() or line.startswith("#"):
             continue
-        fields = line.split()
         try:
-            model, width, height = fields[1], int(fields[2]), int(fields[3])
-            values = [float(v) for v in fields[4:]]
-            places, lens = _MODELS[model]
-            fx, fy, cx, cy = (values[i] for i in places)
-            distortion = tuple(0.0 if i is None else values[i] for i in lens)
-            found[int(fields[0])] = PinholeCamera(fx, fy, cx, cy, width, height, distortion)
-        except KeyError:
-            known = ", ".join(_MODELS)
-            raise DatasetError(f"{path}, line {number}: camera model {fields[1]} is none of {known}") from None
-        except (ValueError, IndexError, PoseError) as exc:
-            raise DatasetError(f"{path}, line {number}: is no camera: {line[:80]!r}: {exc}") from exc
+            found[whole_number(line.split()[0])] = (at, line.split())
+        except ValueError:
+            raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}") from None
     return found
+
+
+def _camera(path: Path, at: int, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera:
+    line = " ".join(fields)
+    try:
+        model, width, height = fields[1], whole_number(fields[2]), whole_number(fields[3])
+        values = [number(v) for v in fields[4:]]
+        places, lens = _MODELS[model]
+        if len(values) != 1 + max(*places, *(i for i in lens if i is not None)):
+            raise ValueError(f"{len(values)} parameters")
+        pixels = tuple(values[i] for i in places)
+        distortion = tuple(0.0 if i is None else values[i] for i in lens)
+    except KeyError:
+        known = ", ".join(_MODELS)
+        raise DatasetError(
+            f"{path}, line {at}: camera model {fields[1][:40]} is none of {known}: {UNDISTORT}"
+        ) from None
+    except (ValueError, IndexError) as exc:
+        raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}: {exc}") from exc
+    return camera_of(f"{path}, line {at}", pixels, size, distortion, stated=(width, height), remarks=remarks)

@@ -15,3 +15,7 @@ class ImageError(DatasetError):
 
 class SplitError(DatasetError):
     """Parts of a data set that cannot be formed as asked."""
+
+
+class DatasetWarning(UserWarning):
+    """Something in a data set that was left out or looks wrong; what remains is sound."""

@@ -12,18 +12,25 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, read_euroc
+from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.poses.euroc import euroc_table
+from conformodal.poses.text import matrix_faults, table_of, whole_number
 
+from .cameras import UNDISTORT, Size, camera_of
+from .decoding import common_size
+from .draft import Draft, listed, paired_by_time
 from .errors import DatasetError
-from .files import image_size, poses_at, read_lines
+from .files import Remark, inside, read_lines, reader
 from .sequence import Sequence
 
 # Ground truth comes at 200 Hz.
 MAX_TIME_DIFFERENCE_S = 0.005
+_MOST_BYTES = 16_000  # a calibration has a tenth of that
 _TRUTH = "state_groundtruth_estimate0"
 
 
-def read_euroc_mav(folder: Path | str, *, require_poses: bool = True) -> Sequence:
+@reader
+def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
     """Read the left camera of a sequence, without decoding images.
 
     Parameters
@@ -33,6 +40,8 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True) -> Sequenc
     require_poses
         True leaves out images without a pose within 5 ms: ground truth starts later than the camera. False keeps all
         of them; the sequence has a truth only if every one has a pose.
+    follow_outside
+        Whether ``data.csv`` may name files outside the folder.
 
     Raises
     ------
@@ -41,51 +50,67 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True) -> Sequenc
     """
     folder = Path(folder).resolve()
     root = folder if folder.name == "mav0" else folder / "mav0"
-    listed = root / "cam0" / "data.csv"
-    stamps, images = [], []
-    for number, line in enumerate(read_lines(listed), start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        fields = [field.strip() for field in line.split(",")]
-        try:
-            stamps.append(int(fields[0]) / 1e9)
-            images.append(root / "cam0" / "data" / fields[1])
-        except (ValueError, IndexError):
-            raise DatasetError(f"{listed}, line {number}: expected 'timestamp [ns], file', got {line[:80]!r}") from None
-    if not images:
-        raise DatasetError(f"{listed}: lists no image")
-    times = np.array(stamps)
-    camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", image_size(images[0]))
-    truth = None
-    path = root / _TRUTH / "data.csv"
-    if require_poses and not path.is_file():
-        raise DatasetError(f"{path}: poses are missing")
-    if path.is_file():
-        try:
-            body = read_euroc(path)
-        except TrajectoryFileError as exc:
-            raise DatasetError(str(exc)) from exc
-        frames, body = poses_at(body, times, MAX_TIME_DIFFERENCE_S, path)
-        truth = Trajectory.from_poses_se3(body.timestamps_s, body.poses_se3 @ T_body_cam)
-        if require_poses:
-            images, times = [images[i] for i in frames], times[frames]
-        elif len(frames) < len(images):
-            truth = None
-    return Sequence(folder.name, tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
+    path, truth = root / "cam0" / "data.csv", root / _TRUTH / "data.csv"
+    data, remarks = root / "cam0" / "data", list[Remark]()
+
+    def parse(line: str) -> tuple[float, Path]:
+        time, name = (field.strip() for field in line.split(",")[:2])
+        if not name:
+            raise ValueError
+        return whole_number(time) / 1e9, inside(root, f"{data / name}", path, follow_outside=follow_outside)
+
+    images, times = listed(path, parse, "'timestamp [ns], file'", remarks)
+    camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", common_size(images), remarks)
+    poses = None
+    if require_poses and not truth.is_file():
+        raise DatasetError(f"{truth}: poses are missing")
+    if truth.is_file():
+        poses = paired_by_time(euroc_table, truth, times, MAX_TIME_DIFFERENCE_S, remarks)
+        known = np.isfinite(poses).all(axis=1)
+        body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
+        poses[known] = table_of(body.poses_se3 @ T_body_cam)
+    draft = Draft(folder.name, images, times, np.zeros(len(images), dtype=np.int64), poses, remarks=remarks)
+    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    return draft.sequence(camera, require_poses=require_poses)
 
 
-def _sensor(path: Path, size: tuple[int, int]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:
+def _sensor(path: Path, size: Size, remarks: list[Remark]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:
+    text = "\n".join(read_lines(path))
+    if len(text) > _MOST_BYTES:
+        raise DatasetError(f"{path}: has {len(text)} characters, expected a calibration of at most {_MOST_BYTES}")
     try:
-        sensor: Any = yaml.safe_load("\n".join(read_lines(path)))
-        fx, fy, cx, cy = (float(v) for v in sensor["intrinsics"])
-        lens = tuple(float(v) for v in sensor.get("distortion_coefficients", ()))
-        T_body_cam = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
+        sensor: Any = yaml.safe_load(text)
+        pixels = _numbers(sensor["intrinsics"], 4)
+        lens = _numbers(sensor.get("distortion_coefficients") or (), None)
+        T_body_cam = np.array(_numbers(sensor["T_BS"]["data"], 16)).reshape(4, 4)
         model = (sensor.get("camera_model", "pinhole"), sensor.get("distortion_model", "radial-tangential"))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as exc:
-        raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {exc}") from exc
+        stated = _numbers(sensor["resolution"], 2) if "resolution" in sensor else None
+    except (
+        yaml.YAMLError,
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        IndexError,
+        OverflowError,
+        RecursionError,
+    ) as exc:
+        raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if model not in (("pinhole", "radial-tangential"), ("pinhole", "radtan")):
-        raise DatasetError(f"{path}: has camera model {model[0]}, {model[1]}; expected pinhole, radial-tangential")
-    try:
-        return PinholeCamera(fx, fy, cx, cy, *size, lens), T_body_cam
-    except PoseError as exc:
-        raise DatasetError(f"{path}: {exc}") from exc
+        raise DatasetError(
+            f"{path}: has camera model {model[0]}, {model[1]}; expected pinhole, radial-tangential: {UNDISTORT}"
+        )
+    faults = matrix_faults(T_body_cam[None])
+    if faults or not np.isfinite(T_body_cam).all():
+        raise DatasetError(f"{path}: T_BS {faults.get(0, 'holds NaN or infinity')}")
+    whole = None if stated is None else (int(stated[0]), int(stated[1]))
+    camera = camera_of(f"{path}: intrinsics", pixels, size, lens, stated=whole, remarks=remarks)
+    return camera, T_body_cam
+
+
+def _numbers(values: Any, count: int | None) -> tuple[float, ...]:
+    """A list of so many finite numbers; nothing else that YAML may hold."""
+    numbers = tuple(float(v) for v in values if isinstance(v, (int, float)) and not isinstance(v, bool))
+    if len(numbers) != len(values) or count not in (None, len(numbers)) or not np.isfinite(numbers).all():
+        raise ValueError(f"expected {count or 'a list of'} numbers")
+    return numbers

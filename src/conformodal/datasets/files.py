@@ -2,38 +2,136 @@
 
 from __future__ import annotations
 
+import functools
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
+from conformodal.poses import PoseError
+from conformodal.poses.text import number, text_lines
 
-from .errors import DatasetError, ImageError
-from .sequence import read_image
+from .decoding import natural_key
+from .errors import DatasetError
 
+if TYPE_CHECKING:
+    from .sequence import Sequence
+
+P = ParamSpec("P")
 FloatArray = npt.NDArray[np.float64]
 
 FRAME_RATE_HZ = 30.0
+_RATES_HZ = (1e-3, 1e6)
 # Poses are paired with images as near as this, as the TUM data set's own tool does.
 MAX_TIME_DIFFERENCE_S = 0.02
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-def image_size(path: Path) -> tuple[int, int]:
-    """Width and height, without decoding the image.
+class Remark(NamedTuple):
+    """Something that a reader found wrong: what it is, and where, file or frame first."""
+
+    what: str
+    where: str
+
+
+def readable(name: str) -> bool:
+    """Whether a file's name is text: names that are not UTF-8 can be put into no result."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def shown(name: str) -> str:
+    """A file's name for people, whatever bytes it has."""
+    return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
+
+
+def reader(read: Callable[P, Sequence]) -> Callable[P, Sequence]:
+    """Let a layout's reader raise this package's errors alone, whatever the file system says."""
+
+    @functools.wraps(read)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Sequence:
+        folder = str(args[0] if args else kwargs["folder"])
+        if not readable(folder):
+            raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")
+        try:
+            return read(*args, **kwargs)
+        except (OSError, UnicodeError, PoseError) as exc:
+            raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
+
+    return wrapped
+
+
+def image_files(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
+    """Image files of a folder in the natural order of their names; hidden files are none.
+
+    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `remarks` takes up the others.
+    """
+    found: dict[str, Path] = {}
+    paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    for path in sorted(paths, key=lambda p: (SUFFIXES.index(p.suffix.lower()), p.name)):
+        first = found.setdefault(path.stem, path)
+        if first is not path and remarks is not None:
+            remarks.append(Remark("left out, another file has its name", f"{path}: {first.name} has its name"))
+    return sorted(found.values(), key=lambda p: natural_key(p.name))
+
+
+def inside(folder: Path, name: str, source: Path, *, follow_outside: bool) -> Path:
+    """The file that a data set's list names.
 
     Raises
     ------
-    ImageError
-        If the file is missing or no image.
+    DatasetError
+        If it lies outside the folder, by ``..``, as an absolute path or through a link, unless `follow_outside`.
+    """
+    if "\0" in name:
+        raise DatasetError(f"{source}: names {name[:80]!r}, which is no file name")
+    path = folder / name
+    if not follow_outside:
+        root, real = os.path.realpath(folder), os.path.realpath(path)
+        if real != root and not real.startswith(root.rstrip(os.sep) + os.sep):
+            raise DatasetError(
+                f"{source}: names {name[:200]!r}, which lies outside {folder}; it is followed only with follow_outside "
+                "(--follow-outside on the command line)"
+            )
+    return path
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A folder beside a new one, moved into its place at the end: a failure leaves nothing, a kill nothing by its name.
+
+    Raises
+    ------
+    DatasetError
+        If there is something in that place already, or it cannot be written.
     """
     try:
-        with Image.open(path) as image:
-            return image.size
-    except OSError:
-        read_image(path)  # says kindly what is wrong
-        raise ImageError(f"{path}: cannot be read") from None
+        folder = folder.resolve()
+        if folder.exists() and not folder.is_dir():
+            raise DatasetError(f"{folder}: is a file, expected a new or empty folder")
+        if folder.exists() and any(folder.iterdir()):
+            raise DatasetError(f"{folder}: is not empty")
+        part = folder.with_name(f".{folder.name}.part")
+        shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+        part.mkdir(parents=True)
+        try:
+            yield part
+            if folder.exists():
+                folder.rmdir()
+            part.replace(folder)
+        except BaseException:
+            shutil.rmtree(part, ignore_errors=True)
+            raise
+    except OSError as exc:
+        raise DatasetError(f"{folder}: cannot be written: {exc}") from exc
 
 
 def read_lines(path: Path) -> list[str]:
@@ -45,8 +143,8 @@ def read_lines(path: Path) -> list[str]:
         If it cannot be read.
     """
     try:
-        return path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as exc:
+        return text_lines(path)
+    except (OSError, ValueError) as exc:
         raise DatasetError(f"{path}: cannot be read: {exc}") from exc
 
 
@@ -59,62 +157,9 @@ def read_numbers(path: Path) -> FloatArray:
         If it cannot be read, or holds something else.
     """
     try:
-        return np.array([float(x) for x in " ".join(read_lines(path)).split()])
+        return np.array([number(x) for x in " ".join(read_lines(path)).split()])
     except ValueError as exc:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
-
-
-def camera_beside(folder: Path, size: tuple[int, int], default: PinholeCamera | None) -> PinholeCamera:
-    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, or the default.
-
-    Parameters
-    ----------
-    folder
-        Where the files may lie.
-    size
-        Width and height of the images.
-    default
-        Taken where there is no file; None if the layout has no camera of its own.
-
-    Raises
-    ------
-    DatasetError
-        If the files are damaged, or there are none and the default is missing or of another image size.
-    """
-    path = folder / "camera-intrinsics.txt"
-    if not path.is_file():
-        if default is not None and (default.width, default.height) == size:
-            return default
-        known = "is known" if default is None else f"is known for {size[0]}x{size[1]} pixels"
-        raise DatasetError(f"{folder}: no camera {known}; write its 3x3 matrix into {path}")
-    k = read_numbers(path)
-    lens_path = folder / "camera-distortion.txt"
-    lens = tuple(read_numbers(lens_path).tolist()) if lens_path.is_file() else ()
-    if k.size != 9:
-        raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3)")
-    try:
-        return PinholeCamera(float(k[0]), float(k[4]), float(k[2]), float(k[5]), *size, lens)
-    except PoseError as exc:
-        raise DatasetError(f"{path}{f', {lens_path}' if lens else ''}: {exc}") from exc
-
-
-def poses_at(
-    truth: Trajectory, timestamps_s: FloatArray, max_difference_s: float, source: Path
-) -> tuple[npt.NDArray[np.int64], Trajectory]:
-    """Frames that have a true pose near in time, and those poses with the frames' timestamps.
-
-    Raises
-    ------
-    DatasetError
-        If no frame has one; names the file.
-    """
-    asked = Trajectory(timestamps_s, np.zeros((len(timestamps_s), 3)), np.tile([1.0, 0, 0, 0], (len(timestamps_s), 1)))
-    try:
-        frames, poses = associate(asked, truth, max_difference_s)
-    except PoseError as exc:
-        raise DatasetError(f"{source}: {exc}") from exc
-    found = truth[poses]
-    return frames, Trajectory(timestamps_s[frames], found.positions_xyz, found.orientations_quat_wxyz)
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:
@@ -138,6 +183,9 @@ def read_frame_rate(path: Path) -> float:
         If the file holds anything but one positive number.
     """
     rate = read_numbers(path)
-    if rate.size != 1 or not rate[0] > 0 or not np.isfinite(rate[0]):
-        raise DatasetError(f"{path}: holds {rate.tolist()}, expected a positive frame rate in Hz")
+    if rate.size != 1 or not _RATES_HZ[0] <= rate[0] <= _RATES_HZ[1]:
+        raise DatasetError(
+            f"{path}: holds {rate[:9].tolist()}, expected a positive frame rate, {_RATES_HZ[0]:g} to "
+            f"{_RATES_HZ[1]:g} Hz"
+        )
     return float(rate[0])

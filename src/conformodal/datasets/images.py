@@ -7,24 +7,25 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import Trajectory, TrajectoryFileError, read_kitti, read_tum
+from conformodal.poses import TrajectoryFileError
+from conformodal.poses.kitti import kitti_table
+from conformodal.poses.text import number
+from conformodal.poses.tum import tum_table
 
+from .cameras import camera_beside
+from .decoding import common_size
+from .draft import Damaged, Draft, paired_by_time
 from .errors import DatasetError
-from .files import MAX_TIME_DIFFERENCE_S, camera_beside, even_times, image_size, poses_at, read_numbers
+from .files import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, image_files, read_numbers, reader
 from .sequence import Sequence
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
 _NANOSECONDS = 1e14  # a time in seconds of this size would be the year three million
 
 
-def image_files(folder: Path) -> list[Path]:
-    """Image files of a folder, by name."""
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
-
-
+@reader
 def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequence:
-    """Read images of one camera, in the order of their names, without decoding them.
+    """Read images of one camera, in the natural order of their names (2 before 10), without decoding them.
 
     Parameters
     ----------
@@ -44,45 +45,56 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     folder = Path(folder).resolve()
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; expected images")
-    images = image_files(folder)
+    remarks: list[Remark] = []
+    images = image_files(folder, remarks)
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
-    times = _times(folder, images)
-    camera = camera_beside(folder, image_size(images[0]), None)
-    try:
-        frames, truth = _truth(folder, times)
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
-    if require_poses:
-        if truth is None:
-            raise DatasetError(f"{folder / _TUM[0]}: poses are missing (or {', '.join((*_TUM[1:], *_KITTI))})")
-        images, times = [images[i] for i in frames], times[frames]
-    elif len(frames) < len(images):
-        truth = None
-    return Sequence(folder.name, tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
+    images, times = _times(folder, images)
+    camera = camera_beside(folder, common_size(images), None, remarks)
+    damaged: Damaged = {}
+    poses = _poses(folder, times, damaged, remarks)
+    if require_poses and poses is None:
+        raise DatasetError(f"{folder / _TUM[0]}: poses are missing (or {', '.join((*_TUM[1:], *_KITTI))})")
+    recording = np.zeros(len(images), dtype=np.int64)
+    draft = Draft(folder.name, images, times, recording, poses, damaged, remarks)
+    return draft.sequence(camera, require_poses=require_poses)
 
 
-def _truth(folder: Path, times: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], Trajectory | None]:
+def _poses(
+    folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, remarks: list[Remark]
+) -> npt.NDArray[np.float64] | None:
     for name in _TUM:
         if (folder / name).is_file():
-            return poses_at(read_tum(folder / name), times, MAX_TIME_DIFFERENCE_S, folder / name)
-    for name in _KITTI:
-        if (folder / name).is_file():
-            return np.arange(len(times)), read_kitti(folder / name, times)
-    return np.arange(0), None
+            return paired_by_time(tum_table, folder / name, times, MAX_TIME_DIFFERENCE_S, remarks)
+    for path in (folder / name for name in _KITTI):
+        if path.is_file():
+            try:
+                rows = kitti_table(path, damaged)
+            except TrajectoryFileError as exc:
+                raise DatasetError(str(exc)) from exc
+            if len(rows) != len(times):
+                raise DatasetError(f"{path}: holds {len(rows)} poses, but there are {len(times)} images")
+            return rows
+    return None
 
 
-def _times(folder: Path, images: list[Path]) -> npt.NDArray[np.float64]:
+def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np.float64]]:
+    """Times of images, and the images in their order where their names are times."""
     path = folder / "times.txt"
     if path.is_file():
         times = read_numbers(path)
         if times.size != len(images):
             raise DatasetError(f"{path}: holds {times.size} times for {len(images)} images")
-        return times
+        return images, times
     try:
-        named = np.array([float(image.stem) for image in images])
+        named = np.array([number(image.stem) for image in images])
     except ValueError:
-        return even_times(folder, len(images))
+        named = np.array([np.nan])
+    if not np.isfinite(named).all():
+        return images, even_times(folder, len(images))
     if (named > _NANOSECONDS).all():
-        return named / 1e9
-    return named if all("." in image.stem for image in images) else even_times(folder, len(images))
+        named = named / 1e9
+    elif not all("." in image.stem for image in images):
+        return images, even_times(folder, len(images))
+    order = np.argsort(named, kind="stable")
+    return [images[i] for i in order], named[order]

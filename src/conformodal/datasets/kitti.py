@@ -11,16 +11,22 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import PinholeCamera, Trajectory, TrajectoryFileError, read_kitti
+from conformodal.poses import Trajectory, TrajectoryFileError
+from conformodal.poses.kitti import kitti_table
+from conformodal.poses.text import number, table_of
 
+from .cameras import camera_of, check_matrix
+from .decoding import common_size
+from .draft import Damaged, Draft, rows_of
 from .errors import DatasetError
-from .files import image_size, read_lines, read_numbers
+from .files import Remark, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 10.0
 _CAMERAS = ("image_2", "image_0")  # colour where it is there
 
 
+@reader
 def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     """Read a sequence, without decoding images.
 
@@ -28,7 +34,8 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     ----------
     folder
         ``.../sequences/NN``, with ``image_2`` or ``image_0``, ``calib.txt`` and perhaps ``times.txt``. Poses are
-        looked for in ``.../poses/NN.txt`` and in ``NN.txt``, ``poses.txt`` in the folder itself.
+        looked for in ``.../poses/NN.txt`` and in ``NN.txt``, ``poses.txt`` in the folder itself. Images whose names
+        are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
     require_poses
         False also reads a sequence without poses.
 
@@ -41,41 +48,51 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     camera = next((name for name in _CAMERAS if (folder / name).is_dir()), None)
     if camera is None:
         raise DatasetError(f"{folder}: holds neither image_2 nor image_0; expected a KITTI odometry sequence")
-    images = sorted(p for p in (folder / camera).iterdir() if p.suffix in (".png", ".jpg"))
+    remarks: list[Remark] = []
+    images = image_files(folder / camera, remarks)
     if not images:
         raise DatasetError(f"{folder / camera}: holds no image")
-    width, height = image_size(images[0])
-    projection = _projection(folder / "calib.txt", f"P{camera[-1]}")
-    fx, fy, cx, cy = (float(projection[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    intrinsics = PinholeCamera(fx, fy, cx, cy, width, height)
-    times = np.arange(len(images), dtype=np.float64) / FRAME_RATE_HZ
-    if (folder / "times.txt").is_file():
-        times = read_numbers(folder / "times.txt")
-        if times.size != len(images):
-            raise DatasetError(f"{folder / 'times.txt'}: holds {times.size} times for {len(images)} images")
+    calibration, name = folder / "calib.txt", f"P{camera[-1]}"
+    projection = _projection(calibration, name)
+    pixels = projection[[0, 1, 0, 1], [0, 1, 2, 2]]
+    intrinsics = camera_of(f"{calibration}: {name}", pixels, common_size(images), remarks=remarks)
+    path = folder / "times.txt"
+    times: npt.NDArray[np.float64] | None = None
+    if path.is_file():
+        stamps = read_numbers(path)
+        times = stamps[rows_of(images, len(stamps), path, "times for")]
     # P = K [I | offset]: where camera 0's centre lies for this one
     offset = np.asarray(np.linalg.solve(projection[:, :3], projection[:, 3]), dtype=np.float64)
-    truth = _truth(folder, times, offset, require_poses)
+    damaged: Damaged = {}
+    frames, poses = _poses(folder, images, offset, require_poses, damaged)
+    if times is None:
+        times = frames / FRAME_RATE_HZ
     recording = np.zeros(len(images), dtype=np.int64)
-    return Sequence(f"kitti {folder.name}", tuple(images), times, recording, intrinsics, truth)
+    draft = Draft(f"kitti {folder.name}", images, times, recording, poses, damaged, remarks)
+    return draft.sequence(intrinsics, require_poses=require_poses)
 
 
 def _projection(path: Path, name: str) -> npt.NDArray[np.float64]:
     for line in read_lines(path):
         if line.startswith(f"{name}:"):
             try:
-                values = np.array([float(x) for x in line.split()[1:]])
+                values = np.array([number(x) for x in line.split()[1:]])
             except ValueError:
                 values = np.empty(0)
-            if values.size != 12 or not np.isfinite(values).all() or not values[0] > 0:
+            if values.size != 12 or not np.isfinite(values).all():
                 raise DatasetError(f"{path}: {name} must be twelve numbers (3x4), got {line[:80]!r}")
-            return values.reshape(3, 4)
+            projection = values.reshape(3, 4)
+            check_matrix(f"{path}: {name}", projection[:, :3])
+            if min(projection[0, 0], projection[1, 1]) <= 0:
+                raise DatasetError(f"{path}: {name} needs positive focal lengths, got {line[:80]!r}")
+            return projection
     raise DatasetError(f"{path}: has no line {name}:")
 
 
-def _truth(
-    folder: Path, times: npt.NDArray[np.float64], offset: npt.NDArray[np.float64], required: bool
-) -> Trajectory | None:
+def _poses(
+    folder: Path, images: list[Path], offset: npt.NDArray[np.float64], required: bool, damaged: Damaged
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64] | None]:
+    """Numbers of the images, and their poses."""
     places = [
         folder.parent.parent / "poses" / f"{folder.name}.txt",
         folder / f"{folder.name}.txt",
@@ -85,11 +102,17 @@ def _truth(
     if path is None:
         if required:
             raise DatasetError(f"{places[0]}: poses are missing")
-        return None
+        return np.arange(len(images)), None
+    faults: Damaged = {}
     try:
-        grey = read_kitti(path, times)
+        rows = kitti_table(path, faults)
     except TrajectoryFileError as exc:
         raise DatasetError(str(exc)) from exc
-    poses = grey.poses_se3
-    poses[:, :3, 3] -= poses[:, :3, :3] @ offset
-    return Trajectory.from_poses_se3(times, poses)
+    numbers = rows_of(images, len(rows), path, "poses, but there are")
+    damaged.update({i: faults[row] for i, row in enumerate(numbers.tolist()) if row in faults})
+    found = rows[numbers]
+    known = np.isfinite(found).all(axis=1)
+    grey = Trajectory(np.zeros(int(known.sum())), found[known, :3], found[known, 3:]).poses_se3
+    grey[:, :3, 3] -= grey[:, :3, :3] @ offset
+    found[known] = table_of(grey)
+    return numbers, found

@@ -10,12 +10,13 @@ from typing import NamedTuple
 from .colmap import model_folder, read_colmap
 from .errors import DatasetError
 from .euroc import read_euroc_mav
-from .images import image_files, read_image_folder
+from .files import image_files, readable, shown
+from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .nerf import FILE, read_nerf
-from .rgbd_scenes import read_rgbd_scenes
+from .rgbd_scenes import looks_like_scenes, read_rgbd_scenes
 from .sequence import Sequence
-from .sevenscenes import read_sevenscenes
+from .sevenscenes import looks_like_scene, read_sevenscenes
 from .tum import read_tum_rgbd
 
 
@@ -49,12 +50,12 @@ _READERS = {
     Layout.SEVENSCENES: _Reader(
         read_sevenscenes,
         "frame-NNNNNN.color.png or .jpg, in it or in folders seq-NN",
-        lambda f: any(next(place.glob("frame-*.color.*"), None) is not None for place in (f, *sorted(f.glob("seq-*")))),
+        looks_like_scene,
     ),
     Layout.RGBD_SCENES: _Reader(
         read_rgbd_scenes,
         "imgs/scene_NN, or FFFFF-color.png",
-        lambda f: (f / "imgs").is_dir() or next(f.glob("*-color.png"), None) is not None,
+        looks_like_scenes,
     ),
     Layout.KITTI: _Reader(
         read_kitti_odometry,
@@ -73,6 +74,9 @@ _READERS = {
 }
 
 
+_LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
+
+
 def recognise(folder: Path) -> Layout:
     """The layout that a folder is in.
 
@@ -81,9 +85,14 @@ def recognise(folder: Path) -> Layout:
     DatasetError
         If the folder is missing, or in no layout or in several; says what was looked for.
     """
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: no such folder")
-    found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
+    if not readable(str(folder)):
+        raise DatasetError(f"{shown(str(folder))}: its name is not UTF-8; rename it")
+    try:
+        if not folder.is_dir():
+            raise DatasetError(f"{folder}: no such folder")
+        found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
+    except OSError as exc:
+        raise DatasetError(f"{folder}: cannot be read: {exc}") from exc
     if len(found) == 1:
         return found[0]
     looked = "; ".join(f"{layout}: {reader.sign}" for layout, reader in _READERS.items())
@@ -92,7 +101,13 @@ def recognise(folder: Path) -> Layout:
     raise DatasetError(f"{folder}: is in no layout that is known. Looked for {looked}")
 
 
-def read_sequence(folder: Path | str, layout: Layout | str = Layout.AUTO, *, require_poses: bool = True) -> Sequence:
+def read_sequence(
+    folder: Path | str,
+    layout: Layout | str = Layout.AUTO,
+    *,
+    require_poses: bool = True,
+    follow_outside: bool = False,
+) -> Sequence:
     """Read a data set in a layout, or in the one it is found to be in.
 
     Parameters
@@ -103,6 +118,8 @@ def read_sequence(folder: Path | str, layout: Layout | str = Layout.AUTO, *, req
         ``auto`` recognises it.
     require_poses
         False also reads frames without poses.
+    follow_outside
+        Whether files of the data set may name images outside its folder, by ``..``, absolute paths or links.
 
     Raises
     ------
@@ -110,6 +127,11 @@ def read_sequence(folder: Path | str, layout: Layout | str = Layout.AUTO, *, req
         If the folder is not in the layout, or something in it is missing or damaged.
     """
     place = Path(folder)
-    kind = Layout(layout)
-    reader = _READERS[recognise(place) if kind is Layout.AUTO else kind]
-    return reader.read(place, require_poses=require_poses)
+    try:
+        kind = Layout(layout)
+    except ValueError:
+        raise DatasetError(f"layout must be one of {', '.join(Layout)}, got {layout!r}") from None
+    kind = recognise(place) if kind is Layout.AUTO else kind
+    reader = _READERS[kind]
+    outside = {"follow_outside": follow_outside} if kind in _LISTED else {}
+    return reader.read(place, require_poses=require_poses, **outside)

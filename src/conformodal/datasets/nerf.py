@@ -6,25 +6,34 @@ Its cameras look along -z with y up, as in OpenGL; they are turned about x when 
 from __future__ import annotations
 
 import json
+import os
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory
+from conformodal.poses import PinholeCamera
+from conformodal.poses.text import matrix_faults, table_of
 
+from .cameras import UNDISTORT, Size, camera_of
+from .decoding import common_size, natural_key
+from .draft import Draft
 from .errors import DatasetError
-from .files import even_times, image_size, read_lines
+from .files import Remark, even_times, inside, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")
-_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy")
+_LENS = ("k1", "k2", "p1", "p2", "k3")
+_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_model", "k4", *_LENS)
+_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
-def read_nerf(folder: Path | str, *, require_poses: bool = True) -> Sequence:
-    """Read the frames of a ``transforms.json``, in the order of their file names, without decoding them.
+@reader
+def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
+    """Read the frames of a ``transforms.json``, in the natural order of their file names, without decoding them.
 
     Parameters
     ----------
@@ -32,53 +41,88 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True) -> Sequence:
         With ``transforms.json``. ``frame-rate.txt`` (Hz) gives the frames their times, else 30 a second. The scale is
         the file's own.
     require_poses
-        Every frame has a pose, so it makes no difference.
+        True leaves out frames without an image, or whose pose is no rigid motion. False keeps them.
+    follow_outside
+        Whether the file may name images outside the folder.
 
     Raises
     ------
     DatasetError
-        If the file is missing or damaged, a frame has no image or its own camera, or a pose is no rigid motion.
+        If the file is missing or damaged, a frame has its own camera, no frame has an image and a pose, or the camera
+        is none or of another model.
     """
     folder = Path(folder).resolve()
     path = folder / FILE
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
-        frames = sorted(content["frames"], key=lambda frame: str(frame["file_path"]))
-        poses = np.array([frame["transform_matrix"] for frame in frames], dtype=np.float64)
-    except (ValueError, KeyError, TypeError) as exc:
-        raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {exc}") from exc
-    if not frames or poses.shape != (len(frames), 4, 4):
-        raise DatasetError(f"{path}: needs frames with 4x4 matrices, found shape {poses.shape}")
-    own = [str(f["file_path"]) for f in frames if any(f.get(k, content.get(k)) != content.get(k) for k in _OWN_CAMERA)]
+        frames = sorted(content["frames"], key=lambda frame: natural_key(str(frame["file_path"])))
+        poses = np.array([_matrix(frame["transform_matrix"]) for frame in frames], dtype=np.float64)
+        own = [f for f in frames if any(f.get(k, content.get(k)) != content.get(k) for k in _OWN_CAMERA)]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as exc:
+        raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
+    if not frames:
+        raise DatasetError(f"{path}: needs frames with 4x4 matrices, found none")
+    names = [str(frame["file_path"]) for frame in frames]
     if own:
-        raise DatasetError(f"{path}: {own[0]} has a camera of its own; expected one camera for all frames")
-    images = tuple(_image(folder, path, str(frame["file_path"])) for frame in frames)
-    times = even_times(folder, len(frames))
-    try:
-        truth = Trajectory.from_poses_se3(times, poses @ OPENGL_AXES)
-    except PoseError as exc:
-        raise DatasetError(f"{path}: {exc}") from exc
+        raise DatasetError(f"{path}: {own[0]['file_path']} has a camera of its own; expected one camera for all frames")
+    twice = next((a for a, b in pairwise(names) if a == b), None)
+    if twice is not None:
+        raise DatasetError(f"{path}: names {twice} twice, expected one pose for an image")
+    images = [_image(folder, path, name, follow_outside) for name in names]
+    if not any(image.is_file() for image in images):
+        raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
+    remarks: list[Remark] = []
+    camera = _camera(path, content, common_size(images), remarks)
+    faults = matrix_faults(poses)
+    poses[list(faults)] = np.nan
+    unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
+    why = {i: f"{path}: transform_matrix {faults.get(i, 'holds NaN or infinity')}" for i in unknown}
     recording = np.zeros(len(frames), dtype=np.int64)
-    return Sequence(folder.name, images, times, recording, _camera(path, content, image_size(images[0])), truth)
+    table = table_of(poses @ OPENGL_AXES)
+    draft = Draft(folder.name, images, even_times(folder, len(frames)), recording, table, why, remarks)
+    return draft.sequence(camera, require_poses=require_poses)
 
 
-def _image(folder: Path, path: Path, name: str) -> Path:
-    found = next((folder / f"{name}{suffix}" for suffix in _SUFFIXES if (folder / f"{name}{suffix}").is_file()), None)
-    if found is None:
-        raise DatasetError(f"{path}: names {name}, but there is no such image in {folder}")
+def _matrix(rows: Any) -> list[list[float]]:
+    found = [[_number(v) for v in row] for row in rows if isinstance(row, list)]
+    if not isinstance(rows, list) or [len(row) for row in found] != [4] * 4:
+        raise ValueError("transform_matrix must be a list of 4 lists of 4 numbers")
     return found
 
 
-def _camera(path: Path, content: dict[str, Any], size: tuple[int, int]) -> PinholeCamera:
-    width, height = size
+def _number(value: Any) -> float:
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise ValueError(f"{str(value)[:40]!r} is no number")
+    return float(value)
+
+
+def _image(folder: Path, path: Path, name: str, follow_outside: bool) -> Path:
+    whole = inside(folder, name, path, follow_outside=follow_outside)
+    found = (whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name)
+    there = next((p for p in found if os.path.isfile(p)), whole)
+    return inside(folder, str(there), path, follow_outside=follow_outside)
+
+
+def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera:
+    model = content.get("camera_model", "OPENCV")
+    if model not in _MODELS or content.get("is_fisheye") or content.get("k4"):
+        what = "k4 of a fisheye lens" if model in _MODELS else f"camera_model {str(model)[:40]}"
+        raise DatasetError(f"{path}: has {what}; expected one of {', '.join(_MODELS)}: {UNDISTORT}")
     try:
+        stated = None
+        if "w" in content or "h" in content:
+            stated = round(_number(content["w"])), round(_number(content["h"]))
+        width, height = stated or size
         if "fl_x" in content:
-            fx = float(content["fl_x"])
+            fx = _number(content["fl_x"])
         else:
-            fx = float(0.5 * width / np.tan(0.5 * float(content["camera_angle_x"])))
-        fy = float(content.get("fl_y", fx))
-        cx, cy = float(content.get("cx", width / 2)), float(content.get("cy", height / 2))
-        lens = tuple(float(content.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2"))
-        return PinholeCamera(fx, fy, cx, cy, width, height, lens if any(lens) else ())
-    except (KeyError, TypeError, ValueError, PoseError) as exc:
+            fx = float(0.5 * width / np.tan(0.5 * _number(content["camera_angle_x"])))
+        fy = _number(content.get("fl_y", fx))
+        cx, cy = _number(content.get("cx", width / 2)), _number(content.get("cy", height / 2))
+        lens = tuple(_number(content.get(k, 0.0)) for k in _LENS)
+    except (KeyError, ValueError, OverflowError, ZeroDivisionError) as exc:
         raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {type(exc).__name__}: {exc}") from exc
+    lens = lens if lens[4] else lens[:4]
+    return camera_of(
+        f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy), size, lens if any(lens) else (), stated=stated, remarks=remarks
+    )

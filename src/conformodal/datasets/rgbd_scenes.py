@@ -11,19 +11,29 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory
+from conformodal.poses import PinholeCamera, TrajectoryFileError
+from conformodal.poses.text import drop_faults, number, pose_faults, read_rows
 
+from .cameras import camera_beside
+from .decoding import common_size, natural_key
+from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import camera_beside, image_size, read_lines
+from .files import Remark, reader
 from .sequence import Sequence
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
 FRAME_RATE_HZ = 30.0
 _GAP_BETWEEN_SCENES_S = 10.0
-_IMAGE = re.compile(r"(\d+)-color\.png$")
-_SCENE = re.compile(r"scene_(\d+)$")
+_IMAGE = re.compile(r"([0-9]{1,9})-color\.png", re.IGNORECASE)
+_SCENE = re.compile(r"scene_[0-9]{1,9}")
 
 
+def looks_like_scenes(folder: Path) -> bool:
+    """Whether a folder holds scenes, or the images of one."""
+    return (folder / "imgs").is_dir() or any(_IMAGE.fullmatch(path.name) for path in folder.iterdir())
+
+
+@reader
 def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     """Read a scene, or all scenes, without decoding images.
 
@@ -40,54 +50,71 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         If something is missing or damaged, or there are more images than poses. Names the file.
     """
     folder = Path(folder).resolve()
-    scenes = [folder] if _SCENE.search(folder.name) else sorted((folder / "imgs").glob("scene_*"))
+    remarks: list[Remark] = []
+    scenes = [folder] if _SCENE.fullmatch(folder.name) else _scenes(folder, remarks)
     if not scenes:
         raise DatasetError(f"{folder}: holds no imgs/scene_NN; expected RGB-D Scenes v2")
     images: list[Path] = []
     times: list[float] = []
     owner: list[int] = []
     poses: list[npt.NDArray[np.float64]] = []
+    why: Damaged = {}
     start, missing = 0.0, 0
-    for number, scene in enumerate(scenes):
-        frames = {int(m[1]): p for p in scene.iterdir() if (m := _IMAGE.search(p.name))}
+    for k, scene in enumerate(scenes):
+        frames = _frames(scene, remarks)
         if not frames:
             raise DatasetError(f"{scene}: holds no FFFFF-color.png")
         order = sorted(frames)
+        path = scene.parent.parent / "pc" / f"{scene.name.removeprefix('scene_')}.pose"
+        if path.is_file() or require_poses:
+            poses.append(_poses(path, order, why, len(images)))
+        else:
+            missing += 1
+            poses.append(np.full((len(order), 7), np.nan))
+            why |= {len(images) + i: f"{path}: poses are missing" for i in range(len(order))}
         images += [frames[i] for i in order]
         times += [start + i / FRAME_RATE_HZ for i in order]
-        owner += [number] * len(order)
+        owner += [k] * len(order)
         start = times[-1] + _GAP_BETWEEN_SCENES_S
-        path = scene.parent.parent / "pc" / f"{scene.name.removeprefix('scene_')}.pose"
-        if not path.is_file() and not require_poses:
-            missing += 1
-            continue
-        poses.append(_poses(path, order))
-    stamps = np.array(times)
-    truth = None
-    if not missing:
-        rows = np.concatenate(poses)
-        try:
-            truth = Trajectory(stamps, rows[:, 4:], rows[:, :4])
-        except PoseError as exc:
-            raise DatasetError(f"{folder}: {exc}") from exc
     name = folder.name if scenes == [folder] else f"{folder.name} ({len(scenes)} scenes)"
-    camera = camera_beside(folder, image_size(images[0]), CAMERA)
-    return Sequence(name, tuple(images), stamps, np.array(owner, dtype=np.int64), camera, truth)
+    known = np.concatenate(poses) if missing < len(scenes) else None
+    draft = Draft(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, remarks)
+    return draft.sequence(camera_beside(folder, common_size(images), CAMERA, remarks), require_poses=require_poses)
 
 
-def _poses(path: Path, frames: list[int]) -> npt.NDArray[np.float64]:
-    """Rows (n, 7) of the frames; a frame's number is its line."""
-    rows = []
-    for number, line in enumerate(read_lines(path), start=1):
-        if not line.strip():
-            continue
-        try:
-            row = [float(x) for x in line.split()]
-        except ValueError:
-            row = []
-        if len(row) != 7 or not np.isfinite(row).all() or not np.any(row[:4]):
-            raise DatasetError(f"{path}, line {number}: expected 'qw qx qy qz x y z', got {line[:80]!r}")
-        rows.append(row)
+def _scenes(folder: Path, remarks: list[Remark]) -> list[Path]:
+    found = []
+    for path in sorted((folder / "imgs").glob("scene_*"), key=lambda p: natural_key(p.name)):
+        if path.is_dir() and _SCENE.fullmatch(path.name):
+            found.append(path)
+        elif path.is_dir():
+            remarks.append(Remark("left out, no scene", f"{path}: is not called scene_NN"))
+    return found
+
+
+def _frames(scene: Path, remarks: list[Remark]) -> dict[int, Path]:
+    found: dict[int, Path] = {}
+    matches = [m for p in scene.iterdir() if (m := _IMAGE.fullmatch(p.name))]
+    for match in sorted(matches, key=lambda m: (len(m[1]) != 5, m[0])):
+        path = scene / match[0]
+        first = found.setdefault(int(match[1]), path)
+        if first is not path:
+            remarks.append(Remark("left out, another file has its number", f"{path}: {first.name} has its number"))
+    return found
+
+
+def _poses(path: Path, frames: list[int], why: Damaged, first: int) -> npt.NDArray[np.float64]:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of the frames, the first of which is `first` of all; its number is its line."""
+    faults: Damaged = {}
+    try:
+        rows = read_rows(
+            path, lambda line: [number(x) for x in line.split()], 7, "'qw qx qy qz x y z'", faults, by_line=True
+        )
+        rows = rows[:, [4, 5, 6, 0, 1, 2, 3]]
+        drop_faults(rows, pose_faults(rows[:, :3], rows[:, 3:]), path, faults)
+    except TrajectoryFileError as exc:
+        raise DatasetError(str(exc)) from exc
     if frames[-1] >= len(rows):
         raise DatasetError(f"{path}: holds {len(rows)} poses, but there is an image {frames[-1]} (counted from 0)")
-    return np.array(rows)[frames]
+    why |= {first + i: faults[line] for i, line in enumerate(frames) if line in faults}
+    return rows[frames]

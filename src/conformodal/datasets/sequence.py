@@ -7,32 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
-from .errors import DatasetError, ImageError
+from .decoding import read_image
+from .errors import DatasetError
+from .files import Remark
 from .noise import PixelNoise
 
 IntArray = npt.NDArray[np.int64]
-
-
-def read_image(path: Path) -> npt.NDArray[np.uint8]:
-    """Decode an image whole, as (height, width, 3) RGB.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing, truncated or no image. (Pillow refuses truncated files; some decoders fill the
-        rest with grey in silence.)
-    """
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except FileNotFoundError:
-        raise ImageError(f"{path}: image is missing") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as exc:
-        raise ImageError(f"{path}: cannot be decoded as an image: {exc}") from exc
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +40,10 @@ class Sequence:
         Noise that images are read with, or None.
     given_test
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
+    known_poses
+        Poses of the frames that have one, where not all have, with those frames' timestamps; else as `truth`.
+    remarks
+        What the reader found wrong: frames that it left out, frames without poses, a camera that is unlikely.
     """
 
     name: str
@@ -67,6 +54,8 @@ class Sequence:
     truth: Trajectory | None = None
     noise: PixelNoise | None = None
     given_test: npt.NDArray[np.bool_] | None = None
+    known_poses: Trajectory | None = None
+    remarks: tuple[Remark, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.image_paths)
@@ -74,6 +63,9 @@ class Sequence:
             raise DatasetError(f"{self.name}: holds no frame")
         if self.timestamps_s.shape != (n,) or self.recording.shape != (n,):
             raise DatasetError(f"{self.name}: {n} images, but {len(self.timestamps_s)} timestamps")
+        if not np.isfinite(self.timestamps_s).all():
+            i = int(np.flatnonzero(~np.isfinite(self.timestamps_s))[0])
+            raise DatasetError(f"{self.name}: frame {i} ({self.image_paths[i]}) has time {self.timestamps_s[i]}")
         if not (np.diff(self.timestamps_s) > 0).all():
             i = int(np.flatnonzero(np.diff(self.timestamps_s) <= 0)[0]) + 1
             raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.image_paths[i]}) goes back")
@@ -94,12 +86,7 @@ class Sequence:
             If the file cannot be decoded, or its size is not the camera's.
         """
         path = self.image_paths[i]
-        image = read_image(path)
-        if image.shape[:2] != (self.camera.height, self.camera.width):
-            raise ImageError(
-                f"{path}: image is {image.shape[1]}x{image.shape[0]} pixels, "
-                f"the camera's are {self.camera.width}x{self.camera.height}"
-            )
+        image = read_image(path, (self.camera.width, self.camera.height))
         return image if self.noise is None else self.noise.apply(image, path.name)
 
     def require_truth(self) -> Trajectory:

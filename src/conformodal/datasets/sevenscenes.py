@@ -16,10 +16,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory
+from conformodal.poses import PinholeCamera
+from conformodal.poses.text import matrix_faults, table_of
 
+from .cameras import camera_beside
+from .decoding import common_size, natural_key
+from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import camera_beside, image_size, read_frame_rate, read_lines, read_numbers
+from .files import Remark, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
@@ -27,10 +31,33 @@ CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
 # Recordings of one scene are laid one after the other in time, this far apart.
 _GAP_BETWEEN_RECORDINGS_S = 10.0
 _LISTS = ("TrainSplit.txt", "TestSplit.txt")
-_LISTED = re.compile(r"seq(?:uence)?[ _-]*(\d+)", re.IGNORECASE)
-_IMAGE = re.compile(r"frame-(\d+)\.color\.(png|jpg|jpeg)$")
+_LISTED = re.compile(r"seq(?:uence)?[ _-]*([0-9]{1,9})", re.IGNORECASE)
+_RECORDING = re.compile(r"seq-[0-9]{1,9}")
+_IMAGE = re.compile(r"frame-([0-9]{1,9})\.color\.(png|jpg|jpeg)", re.IGNORECASE)
+_OTHER = "left out, another file has its number"
 
 
+def looks_like_scene(folder: Path) -> bool:
+    """Whether there are frames in a folder, or in folders ``seq-NN`` in it."""
+    return any(_IMAGE.fullmatch(path.name) for place in (folder, *_recordings(folder)) for path in place.iterdir())
+
+
+def _recordings(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
+    """Folders ``seq-NN`` in natural order; `remarks` takes up others that begin like them."""
+    found = []
+    for path in sorted(folder.glob("seq-*"), key=lambda p: natural_key(p.name)):
+        if path.is_dir() and _RECORDING.fullmatch(path.name):
+            found.append(path)
+        elif path.is_dir() and remarks is not None:
+            remarks.append(Remark("left out, no recording", f"{path}: is not called seq-NN"))
+    numbers = [int(path.name[4:]) for path in found]
+    twice = [path for k, path in enumerate(found) if numbers[k] in numbers[:k]]
+    if twice:
+        raise DatasetError(f"{twice[0]}: another folder has its number; expected one folder for a recording")
+    return found
+
+
+@reader
 def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     """Read a recording, or a scene of several, without decoding images.
 
@@ -39,24 +66,26 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     folder
         A recording (``seq-01``) or a scene that holds some.
     require_poses
-        False also reads frames without pose files; the sequence then has no truth.
+        True leaves out frames without a sound pose file or image. False keeps them; the sequence has a truth only if
+        every one has a pose.
 
     Raises
     ------
     DatasetError
-        If the folder is missing or empty, a pose is missing, unreadable, not finite or no rigid motion, the
-        intrinsics are none, or the lists do not name every recording once. Names the file.
+        If the folder is missing or empty, no frame has a pose that is one, the intrinsics are none, or the lists do
+        not name every recording once. Names the file.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; expected 7-Scenes frames")
-    recordings = [folder] if _frames(folder) else [p for p in sorted(folder.glob("seq-*")) if p.is_dir()]
+    remarks: list[Remark] = []
+    recordings = [folder] if _frames(folder) else _recordings(folder, remarks)
     images: list[Path] = []
     times: list[float] = []
     owner: list[int] = []
     start, rate = 0.0, _frame_rate(folder, recordings)
     for number, recording in enumerate(recordings):
-        frames = _frames(recording)
+        frames = _frames(recording, remarks)
         if not frames:
             raise DatasetError(f"{recording}: holds no frame-NNNNNN.color.png or .jpg")
         images += [path for _, path in frames]
@@ -65,16 +94,16 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         start = times[-1] + _GAP_BETWEEN_RECORDINGS_S
     if not images:
         raise DatasetError(f"{folder}: holds no frame-NNNNNN.color.png or .jpg, nor folders seq-NN with some")
-    stamps = np.array(times)
     held_out = None if recordings == [folder] else _listed_for_testing(folder, recordings)
-    return Sequence(
-        name=folder.resolve().name if recordings == [folder] else f"{folder.resolve().name} ({len(recordings)} seq)",
-        image_paths=tuple(images),
-        timestamps_s=stamps,
-        recording=np.array(owner, dtype=np.int64),
-        camera=_camera(folder, images[0]),
-        truth=_truth(images, stamps, required=require_poses),
-        given_test=None if held_out is None else held_out[owner],
+    name = folder.resolve().name if recordings == [folder] else f"{folder.resolve().name} ({len(recordings)} seq)"
+    why: Damaged = {}
+    posed = require_poses or any(pose_path(path).exists() for path in images)
+    poses = _poses(images, why) if posed else None
+    recording_of = np.array(owner, dtype=np.int64)
+    draft = Draft(name, images, np.array(times), recording_of, poses, why, remarks)
+    camera = _camera(folder, images, remarks)
+    return draft.sequence(
+        camera, require_poses=require_poses, given_test=None if held_out is None else held_out[recording_of]
     )
 
 
@@ -114,13 +143,15 @@ def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.
     return held_out
 
 
-def _frames(folder: Path) -> list[tuple[int, Path]]:
-    """Frame numbers and image paths, in order; a frame present as png and jpg counts once, as png."""
+def _frames(folder: Path, remarks: list[Remark] | None = None) -> list[tuple[int, Path]]:
+    """Frame numbers and image paths, in order; of several files of one number the png with six digits counts first."""
     found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        match = _IMAGE.search(path.name)
-        if match and (int(match[1]) not in found or match[2] == "png"):
-            found[int(match[1])] = path
+    matches = [m for p in folder.iterdir() if (m := _IMAGE.fullmatch(p.name))]
+    for match in sorted(matches, key=lambda m: (m[2].lower() != "png", len(m[1]) != 6, m[0])):
+        path = folder / match[0]
+        first = found.setdefault(int(match[1]), path)
+        if first is not path and remarks is not None:
+            remarks.append(Remark(_OTHER, f"{path}: {first.name} has its number"))
     return sorted(found.items())
 
 
@@ -129,36 +160,29 @@ def pose_path(image: Path) -> Path:
     return image.with_name(_IMAGE.sub(r"frame-\1.pose.txt", image.name))
 
 
-def _truth(images: list[Path], stamps: npt.NDArray[np.float64], *, required: bool) -> Trajectory | None:
-    missing = [path for path in images if not pose_path(path).is_file()]
-    if missing and (required or len(missing) < len(images)):
-        raise DatasetError(
-            f"{pose_path(missing[0])}: pose is missing ({len(missing)} of {len(images)} frames have none)"
-        )
-    if missing:
-        return None
-    poses = np.stack([_read_matrix(pose_path(path), 4) for path in images])
-    try:
-        return Trajectory.from_poses_se3(stamps, poses)
-    except PoseError:
-        for path, pose in zip(images, poses, strict=True):  # find the one at fault, to name its file
-            try:
-                Trajectory.from_poses_se3(np.zeros(1), pose[None])
-            except PoseError as exc:
-                raise DatasetError(f"{pose_path(path)}: {exc}") from exc
-        raise
+def _poses(images: list[Path], why: Damaged) -> npt.NDArray[np.float64]:
+    """Poses (n, 7) of frames, NaN where there is none, and why."""
+    poses = np.full((len(images), 4, 4), np.nan)
+    for i, path in enumerate(pose_path(image) for image in images):
+        try:
+            poses[i] = _read_matrix(path) if path.exists() else np.nan
+        except DatasetError as exc:
+            why[i] = str(exc)
+        else:
+            why |= {} if path.exists() else {i: f"{path}: pose is missing"}
+    for i, fault in matrix_faults(poses).items():
+        why[i] = f"{pose_path(images[i])}: {fault}"
+    poses[list(why)] = np.nan
+    return table_of(poses)
 
 
-def _read_matrix(path: Path, size: int) -> npt.NDArray[np.float64]:
+def _read_matrix(path: Path) -> npt.NDArray[np.float64]:
     matrix = read_numbers(path)
-    if matrix.size != size * size:
-        raise DatasetError(f"{path}: holds {matrix.size} numbers, expected {size * size} ({size}x{size})")
-    matrix = matrix.reshape(size, size)
+    if matrix.size != 16:
+        raise DatasetError(f"{path}: holds {matrix.size} numbers, expected 16 (4x4)")
     if not np.isfinite(matrix).all():
         raise DatasetError(f"{path}: holds NaN or infinity")
-    if np.abs(matrix[-1] - np.eye(size)[-1]).max() > 1e-6:
-        raise DatasetError(f"{path}: its last row is {matrix[-1].tolist()}, expected {np.eye(size)[-1].tolist()}")
-    return matrix
+    return matrix.reshape(4, 4)
 
 
 def _beside(name: str, recording: Path, folder: Path) -> Path | None:
@@ -176,6 +200,6 @@ def _frame_rate(folder: Path, recordings: list[Path]) -> float:
     return read_frame_rate(path)
 
 
-def _camera(folder: Path, first_image: Path) -> PinholeCamera:
-    path = _beside("camera-intrinsics.txt", first_image.parent, folder)
-    return camera_beside(folder if path is None else path.parent, image_size(first_image), CAMERA)
+def _camera(folder: Path, images: list[Path], remarks: list[Remark]) -> PinholeCamera:
+    path = _beside("camera-intrinsics.txt", images[0].parent, folder)
+    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, remarks)

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.poses import PinholeCamera, TrajectoryFileError, read_tum
+from conformodal.poses import PinholeCamera
+from conformodal.poses.text import number
+from conformodal.poses.tum import tum_table
 
-from .errors import DatasetError
-from .files import MAX_TIME_DIFFERENCE_S, camera_beside, image_size, poses_at, read_lines
+from .cameras import camera_beside
+from .decoding import common_size
+from .draft import Draft, listed, paired_by_time
+from .files import MAX_TIME_DIFFERENCE_S, Remark, inside, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -21,7 +25,8 @@ CAMERAS = {
 }
 
 
-def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True) -> Sequence:
+@reader
+def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
     """Read a sequence, without decoding images.
 
     Parameters
@@ -32,6 +37,8 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True) -> Sequence
     require_poses
         True leaves out images without a pose within 0.02 s. False keeps all of them; the sequence has a truth only
         if every one has a pose.
+    follow_outside
+        Whether ``rgb.txt`` may name files outside the folder.
 
     Raises
     ------
@@ -39,32 +46,20 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True) -> Sequence
         If something is missing or damaged, times go back, or no camera is known. Names the file.
     """
     folder = Path(folder).resolve()
-    listed = folder / "rgb.txt"
-    stamps, images = [], []
-    for number, line in enumerate(read_lines(listed), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        fields = line.split(maxsplit=1)
-        try:
-            stamps.append(float(fields[0]))
-            images.append(folder / fields[1].strip())
-        except (ValueError, IndexError):
-            raise DatasetError(f"{listed}, line {number}: expected 'timestamp filename', got {line[:80]!r}") from None
-    if not images:
-        raise DatasetError(f"{listed}: lists no image")
-    times = np.array(stamps)
+    path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
+    remarks: list[Remark] = []
+
+    def parse(line: str) -> tuple[float, Path]:
+        time, name = line.split(maxsplit=1)
+        return number(time), inside(folder, name.strip(), path, follow_outside=follow_outside)
+
+    images, times = listed(path, parse, "'timestamp filename'", remarks)
     match = re.search(r"(?:freiburg|fr)([123])", folder.name)
-    camera = camera_beside(folder, image_size(images[0]), CAMERAS[match[1]] if match else None)
-    truth = None
-    path = folder / "groundtruth.txt"
-    if require_poses or path.is_file():
-        try:
-            known = read_tum(path)
-        except TrajectoryFileError as exc:
-            raise DatasetError(str(exc)) from exc
-        frames, truth = poses_at(known, times, MAX_TIME_DIFFERENCE_S, path)
-        if require_poses:
-            images, times = [images[i] for i in frames], times[frames]
-        elif len(frames) < len(images):
-            truth = None
-    return Sequence(folder.name, tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
+    camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, remarks)
+    poses = None
+    if require_poses or truth.is_file():
+        poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, remarks)
+    recording = np.zeros(len(images), dtype=np.int64)
+    draft = Draft(folder.name, images, times, recording, poses, remarks=remarks)
+    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    return draft.sequence(camera, require_poses=require_poses)

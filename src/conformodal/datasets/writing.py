@@ -15,7 +15,7 @@ from PIL import Image
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, concatenate, tum_lines, write_kitti
 
 from .errors import DatasetError
-from .files import MAX_TIME_DIFFERENCE_S
+from .files import MAX_TIME_DIFFERENCE_S, staged
 from .layouts import Layout
 from .nerf import FILE, OPENGL_AXES
 from .streams import Frame, FrameStream, SequenceStream
@@ -30,15 +30,17 @@ _PLACES: dict[Layout, tuple[str, str]] = {
 }
 WRITABLE = tuple(_PLACES)
 _UNEVEN = 0.2
+_MOST_NAMES = 20
 
 
 @dataclass
 class Written:
-    """What was written, and what was not."""
+    """What was written, and what was not; the notes name the frames that were left out."""
 
     n_frames: int = 0
     n_unreadable: int = 0
     n_without_pose: int = 0
+    n_without_time: int = 0
     notes: list[str] = field(default_factory=list)
 
 
@@ -49,8 +51,11 @@ def write_layout(
     camera: PinholeCamera,
     poses: Trajectory | None,
     progress: Callable[[int], None] | None = None,
+    max_difference_s: float = MAX_TIME_DIFFERENCE_S,
 ) -> Written:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
+
+    They are written beside the folder and moved into its place at the end: a failure leaves nothing there.
 
     Parameters
     ----------
@@ -63,9 +68,11 @@ def write_layout(
     camera
         Intrinsics.
     poses
-        Of the frames, paired by time within 0.02 s; frames without one are left out. None writes no poses.
+        Of the frames, paired by time; frames without one are left out. None writes no poses.
     progress
         Called with frames done.
+    max_difference_s
+        Between a frame and its pose; 0 for poses with the frames' own times.
 
     Raises
     ------
@@ -75,25 +82,55 @@ def write_layout(
     """
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
-    if folder.exists() and any(folder.iterdir()):
-        raise DatasetError(f"{folder}: is not empty")
     if camera.distortion and layout is Layout.KITTI:
         raise DatasetError("kitti has no place for the lens's distortion; write another layout")
     if poses is None and layout is Layout.NERF:
         raise DatasetError("nerf needs a pose for every frame")
+    if isinstance(stream, SequenceStream):
+        _check(stream, poses, max_difference_s)
+    with staged(folder) as part:
+        return _write(part, layout, stream, camera, poses, progress, max_difference_s)
+
+
+def _check(stream: SequenceStream, poses: Trajectory | None, max_difference_s: float) -> None:
+    """Refuse what is known before the first frame is read."""
+    times = stream.sequence.timestamps_s
+    if stream.sequence.recording.any():
+        raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
+    if poses is not None:
+        asked = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0, 0, 0], (len(times), 1)))
+        try:
+            associate(asked, poses, max_difference_s)
+        except PoseError as exc:
+            raise DatasetError(f"{stream.name}: no frame has a pose: {exc}") from exc
+
+
+def _write(
+    folder: Path,
+    layout: Layout,
+    stream: FrameStream,
+    camera: PinholeCamera,
+    poses: Trajectory | None,
+    progress: Callable[[int], None] | None,
+    max_difference_s: float,
+) -> Written:
     place, pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
     place.mkdir(parents=True, exist_ok=True)
     done = Written()
     names: list[str] = []
     times: list[float] = []
     kept: list[Trajectory] = []
+    left: dict[str, list[str]] = {"without a pose": [], "without an image": [], "whose time goes back": []}
     for number, frame in enumerate(stream, start=1):
         if frame.recording:
             raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
-        pose = None if poses is None else _pose(poses, frame.timestamp_s)
-        if frame.image is None or (poses is not None and pose is None):
-            done.n_unreadable += frame.image is None
-            done.n_without_pose += frame.image is not None
+        pose = None if poses is None else _pose(poses, frame.timestamp_s, max_difference_s)
+        if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
+            left["without an image"].append(frame.name)
+        elif not np.isfinite(frame.timestamp_s) or (times and frame.timestamp_s <= times[-1]):
+            left["whose time goes back"].append(frame.name)
+        elif poses is not None and pose is None:
+            left["without a pose"].append(frame.name)
         else:
             name = _image(place, pattern.format(number=len(names), time_s=frame.timestamp_s), frame, stream)
             names.append(name)
@@ -102,8 +139,13 @@ def write_layout(
                 kept.append(pose)
         if progress is not None:
             progress(number)
+    done.n_without_pose, done.n_unreadable, done.n_without_time = (len(frames) for frames in left.values())
     if not names:
         raise DatasetError(f"{stream.name}: nothing to write: {done.n_unreadable} unreadable, no pose for the rest")
+    for why, frames in left.items():
+        if frames:
+            more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
+            done.notes.append(f"left out {len(frames)} frames {why}: {', '.join(frames[:_MOST_NAMES])}{more}")
     done.n_frames = len(names)
     stamps = np.array(times)
     found = None
@@ -114,10 +156,12 @@ def write_layout(
     return done
 
 
-def _pose(poses: Trajectory, time_s: float) -> Trajectory | None:
+def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> Trajectory | None:
+    if not np.isfinite(time_s):
+        return None
     asked = Trajectory(np.array([time_s]), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
     try:
-        _, at = associate(asked, poses, MAX_TIME_DIFFERENCE_S)
+        _, at = associate(asked, poses, max_difference_s)
     except PoseError:
         return None
     return poses[at]
@@ -180,9 +224,7 @@ def _finish(
 
 
 def _nerf(folder: Path, names: list[str], camera: PinholeCamera, truth: Trajectory) -> None:
-    lens = dict(zip(("k1", "k2", "p1", "p2"), camera.distortion, strict=False))
-    if len(camera.distortion) == 5 and camera.distortion[4]:
-        raise DatasetError("nerf has no place for k3 of the lens; write another layout")
+    lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
     poses = truth.poses_se3 @ OPENGL_AXES
     frames = [
         {"file_path": f"images/{name}", "transform_matrix": pose.tolist()}

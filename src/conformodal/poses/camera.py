@@ -23,7 +23,7 @@ class PinholeCamera:
     Raises
     ------
     PoseError
-        If a focal length or a size is not positive, or distortion has another length or is not finite.
+        If a focal length or a size is not positive or finite, or distortion has another length or is not finite.
     """
 
     fx: float
@@ -35,8 +35,13 @@ class PinholeCamera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (min(self.fx, self.fy) > 0 and min(self.width, self.height) > 0 and np.isfinite(self.cx + self.cy)):
-            raise PoseError(f"camera needs positive focal lengths and sizes, got {self}")
+        for name in ("fx", "fy", "cx", "cy", "width", "height"):
+            value = getattr(self, name)
+            finite = isinstance(value, (int, float, np.number)) and np.isfinite(value)
+            anywhere = name in ("cx", "cy")
+            if not finite or not (anywhere or value > 0):
+                expected = "finite" if anywhere else "positive and finite"
+                raise PoseError(f"camera has {name} = {value}, expected {expected} pixels (positive focal lengths)")
         if len(self.distortion) not in (0, 4, 5) or not np.isfinite(self.distortion).all():
             raise PoseError(f"distortion must be k1, k2, p1, p2 and perhaps k3, all finite; got {self.distortion}")
 

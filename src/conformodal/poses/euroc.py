@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .errors import PoseError, TrajectoryFileError
-from .text import read_rows
+from .text import FloatArray, drop_faults, number, pose_faults, read_rows, trajectory_of, whole_number
 from .trajectory import Trajectory
 
 _HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
@@ -31,13 +30,16 @@ def read_euroc(path: Path) -> Trajectory:
     TrajectoryFileError
         If the file is missing, holds no pose, or a line does not start with eight finite numbers.
     """
-    data = read_rows(path, _parse, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'")
-    try:
-        return Trajectory(data[:, 0], data[:, 1:4], data[:, 4:])
-    except PoseError as exc:
-        raise TrajectoryFileError(f"{path}: {exc}") from exc
+    return trajectory_of(path, euroc_table(path))
+
+
+def euroc_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """As :func:`~conformodal.poses.tum.tum_table`, of EuRoC's format."""
+    rows = read_rows(path, _parse, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", damaged)
+    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    return rows
 
 
 def _parse(line: str) -> list[float]:
     fields = line.split(",")[:8]
-    return [int(fields[0]) / 1e9, *(float(field) for field in fields[1:])]
+    return [whole_number(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]

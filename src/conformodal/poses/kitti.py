@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .errors import PoseError, TrajectoryFileError
-from .text import read_rows
+from .errors import TrajectoryFileError
+from .text import FloatArray, drop_faults, matrix_faults, number, read_rows, table_of, trajectory_of
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0
@@ -35,13 +35,17 @@ def read_kitti(path: Path, timestamps_s: npt.ArrayLike | None = None) -> Traject
         If the file is missing, holds no pose, a line is not twelve finite numbers or no rigid motion, or the number
         of timestamps is another.
     """
-    rows = read_rows(path, lambda line: [float(field) for field in line.split()], 12, "twelve numbers")
+    table = kitti_table(path)
+    times = np.arange(len(table)) / FRAME_RATE_HZ if timestamps_s is None else np.asarray(timestamps_s, dtype=float)
+    if times.shape != (len(table),):
+        raise TrajectoryFileError(f"{path}: holds {len(table)} poses, but {times.size} timestamps are given")
+    return trajectory_of(path, np.column_stack((times, table)))
+
+
+def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of a file, see :func:`~conformodal.poses.tum.tum_table`."""
+    rows = read_rows(path, lambda t: [number(f) for f in t.split()], 12, "twelve numbers", damaged, by_line=True)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows.reshape(-1, 3, 4)
-    times = np.arange(len(rows)) / FRAME_RATE_HZ if timestamps_s is None else np.asarray(timestamps_s, dtype=np.float64)
-    if times.shape != (len(rows),):
-        raise TrajectoryFileError(f"{path}: holds {len(rows)} poses, but {times.size} timestamps are given")
-    try:
-        return Trajectory.from_poses_se3(times, poses)
-    except PoseError as exc:
-        raise TrajectoryFileError(f"{path}: {exc}") from exc
+    drop_faults(poses, matrix_faults(poses), path, damaged)
+    return table_of(poses)

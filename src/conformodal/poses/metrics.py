@@ -73,6 +73,8 @@ def associate(
     PoseError
         If no pair is within `max_difference_s` seconds.
     """
+    if len(estimate) == 0 or len(truth) == 0:
+        raise PoseError(f"{len(estimate)} estimated and {len(truth)} true poses cannot be paired")
     order = np.argsort(truth.timestamps_s, kind="stable")
     times = truth.timestamps_s[order]
     right = np.clip(np.searchsorted(times, estimate.timestamps_s), 1, max(len(times) - 1, 1))

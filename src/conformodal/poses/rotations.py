@@ -29,18 +29,27 @@ def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> 
     arr = np.asarray(matrices, dtype=np.float64)
     if arr.ndim != 3 or arr.shape[1:] != (3, 3):
         raise PoseError(f"{name} must have shape (n, 3, 3), got {arr.shape}")
-    if not np.isfinite(arr).all():
-        raise PoseError(f"{name} {int(np.argwhere(~np.isfinite(arr))[0][0])} holds NaN or infinity")
-    gap = np.abs(arr @ arr.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    if (gap > ORTHONORMAL_TOLERANCE).any():
-        i = int(np.argmax(gap))
-        raise PoseError(f"{name} {i} is no rotation: R R^T differs from the identity by {gap[i]:.3g}")
-    det = np.linalg.det(arr)
-    if (det < 0).any():
-        i = int(np.argmin(det))
-        raise PoseError(f"{name} {i} is no rotation: its determinant is {det[i]:.3g}, a mirror image; expected 1")
+    faults = rotation_faults(arr)
+    if faults:
+        i = min(faults)
+        raise PoseError(f"{name} {i} {'is ' if faults[i].startswith('no') else ''}{faults[i]}")
     u, _, vt = np.linalg.svd(arr)
     return np.asarray(u @ vt)
+
+
+def rotation_faults(matrices: FloatArray) -> dict[int, str]:
+    """Why matrices (n, 3, 3) are no rotations, by their index; sound ones are left out."""
+    faults = {int(i): "holds NaN or infinity" for i in np.flatnonzero(~np.isfinite(matrices).all(axis=(1, 2)))}
+    with np.errstate(over="ignore", invalid="ignore"):
+        gap = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        far = ~(gap <= ORTHONORMAL_TOLERANCE)
+    for i in np.flatnonzero(far).tolist():
+        faults.setdefault(i, f"no rotation: R R^T differs from the identity by {gap[i]:.3g}")
+    near = np.flatnonzero(~far)
+    for i, det in zip(near.tolist(), np.linalg.det(matrices[near]).tolist(), strict=True):
+        if det < 0:
+            faults[i] = f"no rotation: its determinant is {det:.3g}, a mirror image; expected 1"
+    return faults
 
 
 def quat_wxyz_from_matrix(matrices: npt.ArrayLike) -> FloatArray:
@@ -49,8 +58,17 @@ def quat_wxyz_from_matrix(matrices: npt.ArrayLike) -> FloatArray:
 
 
 def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of quaternions (n, 4), normalised first."""
-    return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
+    """Rotation matrices (n, 3, 3) of quaternions (n, 4), normalised first.
+
+    Raises
+    ------
+    PoseError
+        If one has length zero.
+    """
+    try:
+        return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
+    except ValueError as exc:
+        raise PoseError(f"quaternions are no rotations: {exc}") from exc
 
 
 def normalise_quat(quats: npt.ArrayLike) -> FloatArray:

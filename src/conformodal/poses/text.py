@@ -2,16 +2,74 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from .errors import TrajectoryFileError
+from .errors import PoseError, TrajectoryFileError
+from .rotations import rotation_faults
+from .trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+# Farther away than any place, in metres: squares of larger numbers overflow.
+MOST_M = 1e9
+_END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
-def read_rows(path: Path, parse: Callable[[str], list[float]], width: int, expected: str) -> npt.NDArray[np.float64]:
+def number(text: str) -> float:
+    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text[:80]!r} is no number")
+    return float(text)
+
+
+def whole_number(text: str) -> int:
+    """As :func:`number`, of an integer below 10^20.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if not text.isascii() or "_" in text or len(text) > 20:
+        raise ValueError(f"{text[:80]!r} is no whole number")
+    return int(text)
+
+
+def text_lines(path: Path) -> list[str]:
+    """Lines of a text file in UTF-8, with or without a byte order mark, whatever system it was written on.
+
+    Raises
+    ------
+    OSError, UnicodeDecodeError
+        If it cannot be read, or is a device or a pipe.
+    """
+    if path.exists() and not os.path.isfile(path):
+        raise OSError("is no regular file")
+    lines = _END_OF_LINE.split(path.read_bytes().decode("utf-8-sig"))
+    return lines if lines[-1] else lines[:-1]
+
+
+def read_rows(
+    path: Path,
+    parse: Callable[[str], list[float]],
+    width: int,
+    expected: str,
+    damaged: dict[int, str] | None = None,
+    *,
+    by_line: bool = False,
+) -> FloatArray:
     """Rows (n, width) of a file; blank lines and those that start with ``#`` are skipped.
 
     Parameters
@@ -24,6 +82,10 @@ def read_rows(path: Path, parse: Callable[[str], list[float]], width: int, expec
         Numbers a line.
     expected
         What a line should be, for people.
+    damaged
+        Takes up what is wrong with a line, by its row, which holds NaN then. None refuses the file instead.
+    by_line
+        Whether a row belongs to what has its number, so that a blank line between others leaves it open whose they are.
 
     Raises
     ------
@@ -31,20 +93,100 @@ def read_rows(path: Path, parse: Callable[[str], list[float]], width: int, expec
         If the file cannot be read, holds no pose, or a line is not `width` finite numbers; names the line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as exc:
+        lines = text_lines(path)
+    except (OSError, ValueError) as exc:
         raise TrajectoryFileError(f"{path}: cannot be read as a trajectory: {exc}") from exc
     rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
+    faults: dict[int, str] = {}
+    blank = 0
+    for at, line in enumerate(lines, start=1):
+        if not line.strip():
+            blank = blank or (at if rows else 0)
             continue
+        if line.lstrip().startswith("#"):
+            continue
+        if by_line and blank:
+            raise TrajectoryFileError(f"{path}, line {blank}: is blank; poses belong to frames by their lines")
         try:
             row = parse(line)
         except (ValueError, IndexError):
             row = []
         if len(row) != width or not np.isfinite(row).all():
-            raise TrajectoryFileError(f"{path}, line {number}: expected {expected}, got {line[:80]!r}")
+            faults[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
+            row = [np.nan] * width
         rows.append(row)
     if not rows:
         raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
+    if faults and (damaged is None or len(faults) == len(rows)):
+        raise TrajectoryFileError(next(iter(faults.values())))
+    if damaged is not None:
+        damaged.update(faults)
     return np.array(rows)
+
+
+def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
+    """What is wrong with rows of positions (n, 3) and quaternions (n, 4), by row; rows of NaN are left out."""
+    faults = {}
+    with np.errstate(over="ignore", invalid="ignore"):
+        far = np.abs(positions).max(axis=1, initial=0.0) > MOST_M
+        length = np.linalg.norm(quats, axis=1)
+        short = (length <= 1e-12) | np.isinf(length)
+    for i in np.flatnonzero(far | short).tolist():
+        faults[i] = (
+            f"its quaternion {quats[i].tolist()} has no direction"
+            if short[i]
+            else f"its position {positions[i].tolist()} is more than {MOST_M:g} m away"
+        )
+    return faults
+
+
+def matrix_faults(poses: FloatArray) -> dict[int, str]:
+    """What is wrong with poses (n, 4, 4), by row; rows of NaN are left out."""
+    n = len(poses)
+    faults = pose_faults(poses[:, :3, 3], np.tile([1.0, 0, 0, 0], (n, 1)))
+    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    found = rotation_faults(poses[known, :3, :3])
+    faults |= {int(known[i]): f"is {why}" for i, why in found.items()}
+    for i in known[np.abs(poses[known, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-6].tolist():
+        faults[i] = f"its last row is {poses[i, 3].tolist()}, expected [0.0, 0.0, 0.0, 1.0]"
+    return faults
+
+
+def table_of(poses: FloatArray) -> FloatArray:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of poses (n, 4, 4); NaN where a pose is NaN."""
+    rows = np.full((len(poses), 7), np.nan)
+    known = np.isfinite(poses).all(axis=(1, 2))
+    if known.any():
+        found = Trajectory.from_poses_se3(np.zeros(int(known.sum())), poses[known])
+        rows[known] = np.column_stack((found.positions_xyz, found.orientations_quat_wxyz))
+    return rows
+
+
+def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: dict[int, str] | None) -> None:
+    """Set faulty rows to NaN and take them up in `damaged`; refuse them where that is None or nothing is left.
+
+    Raises
+    ------
+    TrajectoryFileError
+        Names the file and the first faulty pose.
+    """
+    told = {i: f"{path}: pose {i} (counted from 0): {why}" for i, why in faults.items()}
+    if damaged is not None:
+        damaged.update({i: why for i, why in told.items() if i not in damaged})
+    if told and (damaged is None or len(damaged) == len(rows)):
+        raise TrajectoryFileError(told[min(told)])
+    rows[list(told)] = np.nan
+
+
+def trajectory_of(path: Path, rows: FloatArray) -> Trajectory:
+    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8).
+
+    Raises
+    ------
+    TrajectoryFileError
+        If a row is no pose; names the file.
+    """
+    try:
+        return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+    except PoseError as exc:
+        raise TrajectoryFileError(f"{path}: {exc}") from exc

@@ -38,7 +38,10 @@ class Trajectory:
     orientations_quat_wxyz: FloatArray
 
     def __post_init__(self) -> None:
-        n = len(self.timestamps_s)
+        times = np.asarray(self.timestamps_s, dtype=np.float64)
+        if times.ndim != 1 or not np.isfinite(times).all():
+            raise PoseError(f"timestamps_s must be finite and of shape (n,), got {times.shape}: {times.ravel()[:3]}")
+        n = len(times)
         for name, width in (("positions_xyz", 3), ("orientations_quat_wxyz", 4)):
             array = np.asarray(getattr(self, name), dtype=np.float64)
             if array.shape != (n, width):
@@ -46,7 +49,7 @@ class Trajectory:
             if not np.isfinite(array).all():
                 raise PoseError(f"{name} holds NaN or infinity in row {int(np.argwhere(~np.isfinite(array))[0][0])}")
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "timestamps_s", np.asarray(self.timestamps_s, dtype=np.float64))
+        object.__setattr__(self, "timestamps_s", times)
         object.__setattr__(self, "orientations_quat_wxyz", normalise_quat(self.orientations_quat_wxyz))
 
     def __len__(self) -> int:

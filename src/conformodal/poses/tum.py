@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import PoseError, TrajectoryFileError
-from .text import read_rows
+from .text import FloatArray, drop_faults, number, pose_faults, read_rows, trajectory_of
 from .trajectory import Trajectory
 
 _HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
@@ -32,11 +31,28 @@ def read_tum(path: Path) -> Trajectory:
     Raises
     ------
     TrajectoryFileError
-        If the file is missing, holds no pose, or a line is not eight finite numbers.
+        If the file is missing, holds no pose, or a line is not eight finite numbers or no pose.
+    """
+    return trajectory_of(path, tum_table(path))
+
+
+def tum_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """Rows ``time x y z qw qx qy qz`` (n, 8) of a file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    damaged
+        Takes up what is wrong with a pose, by its row, which holds NaN then. None refuses the file instead.
+
+    Raises
+    ------
+    TrajectoryFileError
+        If the file is missing, holds no pose, or, without `damaged`, one that is none.
     """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
-    data = read_rows(path, lambda line: [float(field) for field in line.replace(",", " ").split()], 8, expected)
-    try:
-        return Trajectory(data[:, 0], data[:, 1:4], data[:, [7, 4, 5, 6]])
-    except PoseError as exc:
-        raise TrajectoryFileError(f"{path}: {exc}") from exc
+    rows = read_rows(path, lambda line: [number(f) for f in line.replace(",", " ").split()], 8, expected, damaged)
+    rows = rows[:, [0, 1, 2, 3, 7, 4, 5, 6]]
+    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    return rows

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from ..files import staged
 from .path import FRAME_RATE_HZ, drone_path
 from .render import Renderer
 from .world import CorridorWorld
@@ -56,11 +57,27 @@ def write_flight(
     """Write what the camera sees from `poses_se3` (n, 4, 4) ``T_world_cam`` as a recording; returns its folder.
 
     Intrinsics and frame rate are written into the folder above, which may hold many recordings. Frame i has camera
-    noise of seed ``noise_seed + i``.
+    noise of seed ``noise_seed + i``. The recording is written beside its place and moved there at the end.
+
+    Raises
+    ------
+    DatasetError
+        If the folder of the recording is not empty, or cannot be written.
     """
-    recording.mkdir(parents=True, exist_ok=True)
-    np.savetxt(recording.parent / "camera-intrinsics.txt", renderer.camera.matrix)
-    (recording.parent / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
+    with staged(recording) as part:
+        _write(part, renderer, poses_se3, noise_seed, progress)
+        np.savetxt(recording.parent / "camera-intrinsics.txt", renderer.camera.matrix)
+        (recording.parent / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
+    return recording
+
+
+def _write(
+    recording: Path,
+    renderer: Renderer,
+    poses_se3: npt.NDArray[np.float64],
+    noise_seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> None:
     with ThreadPoolExecutor(max_workers=1) as writer:  # encode one frame while the next is cast
         pending = []
         for i, pose in enumerate(poses_se3):
@@ -72,4 +89,3 @@ def write_flight(
                 progress(i + 1, len(poses_se3))
         for job in pending:
             job.result()
-    return recording

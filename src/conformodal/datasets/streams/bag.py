@@ -11,8 +11,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import PinholeCamera, PoseError
+from conformodal.poses import PinholeCamera
 
+from ..cameras import UNDISTORT, camera_of, check_matrix
+from ..decoding import decode
+from ..errors import DatasetError
 from .frames import Frame, SourceError
 
 _RAW, _COMPRESSED, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -26,6 +29,7 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "mono8": (1, cv2.COLOR_GRAY2RGB),
     "8UC1": (1, cv2.COLOR_GRAY2RGB),
 }
+_LENSES = ("plumb_bob", "radtan")
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 
@@ -102,43 +106,54 @@ class BagStream:
         done = 0
         with _reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic == self.topic]
-            try:
-                for connection, _, raw in reader.messages(connections=wanted):
-                    message = reader.deserialize(raw, connection.msgtype)
+            messages = iter(reader.messages(connections=wanted))
+            while True:
+                try:
+                    item = next(messages, None)
+                    if item is None:
+                        return
+                    message = reader.deserialize(item[2], item[0].msgtype)
                     stamp = message.header.stamp
                     time_s = float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-                    name = f"{self.path.stem}-{done:06d}"
-                    try:
-                        yield Frame(name, time_s, _decode(message, connection.msgtype))
-                    except ValueError as exc:
-                        yield Frame(name, time_s, None, f"{self.path}, message {done} of {self.topic}: {exc}")
-                    done += 1
-            except _errors() as exc:
-                raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
+                except Exception as exc:  # damaged bytes lead a decoder to any error
+                    raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
+                image, problem = None, ""
+                try:
+                    image = _decode(message, item[0].msgtype)
+                except ValueError as exc:
+                    problem = f"{self.path}, message {done} of {self.topic}: {exc}"
+                yield Frame(f"{self.path.stem}-{done:06d}", time_s, image, problem)
+                done += 1
 
     def _info(self, reader: Any) -> PinholeCamera | None:
         """The camera of the first CameraInfo in the images' name space."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
         infos = [c for c in reader.connections if c.msgtype == _INFO and c.topic.rpartition("/")[0] == space]
         for connection, _, raw in reader.messages(connections=infos) if infos else ():
-            message = reader.deserialize(raw, connection.msgtype)
+            try:
+                message = reader.deserialize(raw, connection.msgtype)
+            except Exception as exc:  # as above
+                raise SourceError(f"{self.path}: {connection.topic} cannot be decoded: {exc}") from exc
             k = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
             d = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
             lens = tuple(d.tolist()) if np.any(d) else ()
             size = int(message.width), int(message.height)
+            source = f"{self.path}: {connection.topic} holds a camera that cannot be used"
+            if lens and message.distortion_model not in _LENSES:
+                raise SourceError(f"{source}: {message.distortion_model}, expected {_LENSES[0]}: {UNDISTORT}")
             try:
-                return PinholeCamera(float(k[0]), float(k[4]), float(k[2]), float(k[5]), *size, lens)
-            except PoseError as exc:
-                raise SourceError(f"{self.path}: {connection.topic} holds a camera that cannot be used: {exc}") from exc
+                if min(size) < 1:
+                    raise DatasetError(f"{source}: it has {size[0]}x{size[1]} pixels")
+                check_matrix(source, k.reshape(3, 3))
+                return camera_of(source, k[[0, 4, 2, 5]].tolist(), size, lens)
+            except DatasetError as exc:
+                raise SourceError(str(exc)) from exc
         return None
 
 
 def _decode(message: Any, kind: str) -> npt.NDArray[np.uint8]:
     if kind == _COMPRESSED:
-        found = cv2.imdecode(np.frombuffer(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
-        if found is None:
-            raise ValueError(f"{message.format} data cannot be decoded")
-        return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return decode(bytes(message.data), f"{message.format} data")
     if message.encoding not in _ENCODINGS:
         raise ValueError(f"encoding {message.encoding} is none of {', '.join(_ENCODINGS)}")
     channels, conversion = _ENCODINGS[message.encoding]
@@ -160,7 +175,7 @@ def _reader(path: Path) -> Any:
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
-    except _errors() as exc:
+    except Exception as exc:  # as above
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}") from exc
     return _Opened(reader)
 
@@ -176,12 +191,3 @@ class _Opened:
 
     def __exit__(self, *_: object) -> None:
         self.reader.close()
-
-
-def _errors() -> tuple[type[Exception], ...]:
-    """What a damaged recording may raise."""
-    from rosbags.highlevel import AnyReaderError  # noqa: PLC0415
-    from rosbags.rosbag1 import ReaderError as Error1  # noqa: PLC0415
-    from rosbags.rosbag2 import ReaderError as Error2  # noqa: PLC0415
-
-    return (AnyReaderError, Error1, Error2, OSError, ValueError, KeyError, EOFError, AssertionError)

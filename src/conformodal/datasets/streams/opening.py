@@ -22,6 +22,7 @@ def open_stream(
     *,
     camera: PinholeCamera | None = None,
     topic: str | None = None,
+    follow_outside: bool = False,
 ) -> FrameStream:
     """Open a source: a data set's folder, a video file, a ROS recording, or ``camera:0``.
 
@@ -35,6 +36,8 @@ def open_stream(
         Intrinsics of videos and cameras, and of recordings that say none.
     topic
         Of the images of a ROS recording with several.
+    follow_outside
+        Whether a data set may name images outside its folder.
 
     Raises
     ------
@@ -49,4 +52,4 @@ def open_stream(
         return BagStream(path, topic, camera)
     if layout is Layout.AUTO and path.is_file():
         return VideoStream(path, camera)
-    return SequenceStream(read_sequence(path, layout, require_poses=False))
+    return SequenceStream(read_sequence(path, layout, require_poses=False, follow_outside=follow_outside))

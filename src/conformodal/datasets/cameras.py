@@ -1,0 +1,193 @@
+"""Cameras from files: what cannot be one is refused, what is unlikely is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import atan, degrees, hypot
+from pathlib import Path
+
+import numpy as np
+
+from conformodal.poses import PinholeCamera, PoseError
+
+from .errors import DatasetError
+from .files import Remark, read_numbers
+
+Size = tuple[int, int]
+
+UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
+_CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
+_OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
+_SAME_SHAPE, _MOST_PX, _MOST_BENT = 0.02, 1e6, 10.0
+
+
+def camera_of(
+    source: Path | str,
+    pixels: Iterable[float],
+    size: Size,
+    lens: tuple[float, ...] = (),
+    *,
+    stated: Size | None = None,
+    remarks: list[Remark] | None = None,
+) -> PinholeCamera:
+    """A camera from the numbers of a file.
+
+    Parameters
+    ----------
+    source
+        File and field, for people.
+    pixels
+        fx, fy, cx, cy.
+    size
+        Width and height of the images.
+    lens
+        Distortion.
+    stated
+        Width and height that the file gives its numbers for, to which the images may have been scaled.
+    remarks
+        Takes up what is unlikely.
+
+    Raises
+    ------
+    DatasetError
+        If this is no pinhole camera: numbers that are not positive or finite, a field of view or a distortion that no
+        such camera has, or a stated size of another shape than the images'.
+    """
+    fx, fy, cx, cy = (float(v) for v in pixels)
+    said: list[str] = []
+    if stated is not None and tuple(stated) != size:
+        if min(stated) < 1:
+            raise DatasetError(f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, expected a size")
+        sx, sy = size[0] / stated[0], size[1] / stated[1]
+        if abs(sx / sy - 1) > _SAME_SHAPE:
+            raise DatasetError(
+                f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, and the images have "
+                f"{size[0]}x{size[1]}, another shape; give the camera of these images"
+            )
+        fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
+        said.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
+    try:
+        camera = PinholeCamera(fx, fy, cx, cy, *size, lens)
+    except PoseError as exc:
+        raise DatasetError(f"{source}: {exc}") from exc
+    _refuse(source, camera)
+    if remarks is not None:
+        remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in (*said, *_doubts(camera))]
+    return camera
+
+
+def camera_beside(
+    folder: Path, size: Size, default: PinholeCamera | None, remarks: list[Remark] | None = None
+) -> PinholeCamera:
+    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, or the default.
+
+    Parameters
+    ----------
+    folder
+        Where the files may lie.
+    size
+        Width and height of the images.
+    default
+        Taken where there is no file; None if the layout has no camera of its own.
+    remarks
+        Takes up what is unlikely.
+
+    Raises
+    ------
+    DatasetError
+        If the files are damaged or hold no pinhole camera, or there are none and the default is missing or of another
+        image size.
+    """
+    path = folder / "camera-intrinsics.txt"
+    if not path.is_file():
+        if default is not None and (default.width, default.height) == size:
+            return default
+        known = "is known" if default is None else f"is known for {size[0]}x{size[1]} pixels"
+        raise DatasetError(f"{folder}: no camera {known}; write its 3x3 matrix into {path}")
+    k = read_numbers(path)
+    lens_path = folder / "camera-distortion.txt"
+    lens = tuple(read_numbers(lens_path).tolist()) if lens_path.is_file() else ()
+    if k.size != 9:
+        raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3)")
+    check_matrix(path, k.reshape(3, 3))
+    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, remarks=remarks)
+
+
+def check_matrix(source: Path | str, k: np.ndarray) -> None:
+    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1.
+
+    Raises
+    ------
+    DatasetError
+        Names the source.
+    """
+    least = max(abs(float(k[0, 0])), 1.0)
+    upright = np.allclose(k[2], (0, 0, 1), atol=1e-6, rtol=0)
+    if not np.isfinite(k).all() or not upright or abs(k[1, 0]) > 1e-3 * least or abs(k[0, 1]) > 1e-2 * least:
+        turned = np.allclose(k[:, 2], (0, 0, 1), atol=1e-6) and np.isfinite(k).all()
+        hint = "; is it transposed?" if turned else ""
+        raise DatasetError(f"{source}: holds {k.tolist()}, expected rows 'fx 0 cx', '0 fy cy', '0 0 1'{hint}")
+    if np.array_equal(k, np.eye(3)):
+        raise DatasetError(f"{source}: holds the identity matrix, which is no camera")
+
+
+def _views(camera: PinholeCamera) -> tuple[float, float]:
+    sides = (camera.width / camera.fx, camera.height / camera.fy)
+    return degrees(2 * atan(sides[0] / 2)), degrees(2 * atan(sides[1] / 2))
+
+
+def _refuse(source: Path | str, camera: PinholeCamera) -> None:
+    for name, view, focal in zip(("fx", "fy"), _views(camera), (camera.fx, camera.fy), strict=True):
+        if not _CANNOT_DEG[0] < view < _CANNOT_DEG[1]:
+            raise DatasetError(
+                f"{source}: {name} = {focal:g} pixels makes a field of view of {view:.3g} degrees with images of "
+                f"{camera.width}x{camera.height}; expected {_CANNOT_DEG[0]:g} to {_CANNOT_DEG[1]:g}"
+            )
+    if max(abs(camera.cx), abs(camera.cy)) > _MOST_PX:
+        raise DatasetError(f"{source}: cx, cy = {camera.cx:g}, {camera.cy:g} is no principal point")
+    bent = sum(abs(v) for v in _bends(camera, _corner(camera)))
+    if not bent < _MOST_BENT:
+        raise DatasetError(
+            f"{source}: distortion {camera.distortion} moves the image's corner by {bent:.3g} times its distance from "
+            f"the middle, which no lens does; for a fisheye lens, {UNDISTORT}"
+        )
+
+
+def _corner(camera: PinholeCamera) -> float:
+    return hypot(camera.width / camera.fx, camera.height / camera.fy) / 2
+
+
+def _bends(camera: PinholeCamera, r: float) -> tuple[float, ...]:
+    """Shares of the radius that k1, k2, k3, p1 and p2 move a point by."""
+    k1, k2, p1, p2, k3 = (*camera.distortion, 0.0)[:5] if camera.distortion else (0.0,) * 5
+    return k1 * r**2, k2 * r**4, k3 * r**6, 3 * p1 * r, 3 * p2 * r
+
+
+def _doubts(camera: PinholeCamera) -> list[str]:
+    """What is unlikely."""
+    found = []
+    width, height = camera.width, camera.height
+    if not (0 <= camera.cx <= width and 0 <= camera.cy <= height):
+        whole = (
+            f"; they fit images of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f}"
+            if min(camera.cx, camera.cy) > 0
+            else ""
+        )
+        found.append(
+            f"principal point ({camera.cx:g}, {camera.cy:g}) is outside the images of {width}x{height} pixels{whole}"
+        )
+    elif max(abs(camera.cx / width - 0.5), abs(camera.cy / height - 0.5)) > _OFF_CENTRE:
+        found.append(
+            f"principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of images of {width}x{height} "
+            f"pixels; intrinsics of images of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f} have it there"
+        )
+    if not 1 / _UNLIKE < camera.fx / camera.fy < _UNLIKE:
+        found.append(f"focal lengths fx = {camera.fx:g} and fy = {camera.fy:g} differ as with no square pixels")
+    for name, view in zip(("fx", "fy"), _views(camera), strict=True):
+        if not _UNLIKELY_DEG[0] < view < _UNLIKELY_DEG[1]:
+            found.append(f"{name} makes a field of view of {view:.3g} degrees with images of {width}x{height} pixels")
+    radii = np.linspace(0, _corner(camera), 64)
+    k1, k2, k3 = (_bends(camera, 1.0))[:3]
+    if (1 + 3 * k1 * radii**2 + 5 * k2 * radii**4 + 7 * k3 * radii**6 <= 0).any():
+        found.append(f"distortion {camera.distortion} folds the image over itself before its corner")
+    return found

@@ -1,0 +1,187 @@
+"""Image files to pixels: one way in for all of them."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from .errors import ImageError
+
+_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
+# A small file that claims more pixels than this, and so many a byte, was made to fill the memory.
+_FREE_PIXELS, _PIXELS_A_BYTE, _MOST_PIXELS = 16_000_000, 20, 400_000_000
+_ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+_ORIENTATION = 0x0112
+_DIGITS = re.compile(r"([0-9]+)")
+_SAMPLES = 9
+
+
+def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Sorts names by the numbers in them: ``frame2`` before ``frame10``."""
+    parts = _DIGITS.split(name)
+    return tuple(int(part) if k % 2 else part for k, part in enumerate(parts)), name
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height, without decoding the image.
+
+    Raises
+    ------
+    ImageError
+        If the file is missing, no image, or one that cannot be read as RGB of 8 bits.
+    """
+    with _opened(path, str(path)) as image:
+        return int(image.width), int(image.height)
+
+
+def common_size(paths: list[Path]) -> tuple[int, int]:
+    """The size that most of a few images have, spread over all of them; of the first that can be read if those cannot.
+
+    Raises
+    ------
+    ImageError
+        If none can be read; names the first.
+    """
+    found: Counter[tuple[int, int]] = Counter()
+    spread = {round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}
+    first: ImageError | None = None
+    for i in [*sorted(spread), *(k for k in range(len(paths)) if k not in spread)]:
+        if i not in spread and found:
+            break
+        try:
+            found[image_size(paths[i])] += 1
+        except ImageError as exc:
+            first = first or exc
+    if not found:
+        assert first is not None
+        raise first
+    return found.most_common(1)[0][0]
+
+
+def image_fault(path: Path, size: tuple[int, int]) -> str:
+    """Why a file is no image of a size, or nothing. Decodes it only where its end does not look like one."""
+    try:
+        found = image_size(path)
+        if found != size:
+            return f"{path}: image is {found[0]}x{found[1]} pixels, the camera's are {size[0]}x{size[1]}"
+        end = _ENDS.get(path.suffix.lower())
+        with path.open("rb") as file:
+            file.seek(-min(os.path.getsize(path), 16), os.SEEK_END)
+            whole = end is not None and file.read().endswith(end)
+        if not whole:
+            read_image(path)
+    except ImageError as exc:
+        return str(exc)
+    except OSError as exc:
+        return f"{path}: cannot be read: {exc}"
+    return ""
+
+
+def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
+    """Decode an image whole, as (height, width, 3) RGB.
+
+    Grey images become RGB; 16 bits are scaled to 8, 65535 to 255; what is transparent lies on black.
+
+    Parameters
+    ----------
+    path
+        The file.
+    size
+        Width and height that it must have.
+
+    Raises
+    ------
+    ImageError
+        If the file is missing, truncated or no image, of another size, holds several pictures or numbers that have no
+        range (32 bits, floating point), or says that it is to be turned. (Pillow refuses truncated files; some
+        decoders fill the rest with grey in silence.)
+    """
+    return decode(path, str(path), size)
+
+
+def decode(source: Path | bytes, name: str, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
+    """As :func:`read_image`, of a file or of its content; `name` is for people."""
+    with _opened(source, name) as image:
+        if size is not None and (image.width, image.height) != size:
+            raise ImageError(
+                f"{name}: image is {image.width}x{image.height} pixels, the camera's are {size[0]}x{size[1]}"
+            )
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return _rgb(image)
+        except Exception as exc:  # decoders raise whatever damaged bytes lead them to
+            raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
+
+
+def _opened(source: Path | bytes, name: str) -> Image.Image:
+    if isinstance(source, Path) and not os.path.isfile(source):
+        raise ImageError(f"{name}: {'is no file' if os.path.exists(source) else 'image is missing'}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sizes, which are checked below
+            image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
+            fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
+    except Exception as exc:  # as above
+        raise ImageError(f"{name}: cannot be decoded as an image: {exc}") from exc
+    if fault:
+        image.close()
+        raise ImageError(f"{name}: {fault}")
+    return image
+
+
+def _fault(image: Image.Image, n_bytes: int) -> str:
+    """Why an image is not read, although it is one."""
+    pixels = image.width * image.height
+    if pixels > max(_FREE_PIXELS, min(_MOST_PIXELS, _PIXELS_A_BYTE * n_bytes)):
+        return f"claims {image.width}x{image.height} pixels in {n_bytes} bytes: too many to be an image of a camera"
+    n_pictures = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
+    if n_pictures != 1:
+        return f"holds {n_pictures} pictures, expected one; write each into a file of its own"
+    if image.mode == "F" or (image.mode == "I" and image.format not in ("PNG", "PPM")):
+        kind = "floating point" if image.mode == "F" else "32-bit"
+        return f"holds {kind} numbers, which have no white; expected 8 or 16 bits: scale and write it anew"
+    turned = _orientation(image)
+    if turned != 1:
+        return (
+            f"its EXIF orientation is {turned}, to be turned when it is shown, and the camera's intrinsics do not say "
+            "before or after; turn the pixels, or remove the tag"
+        )
+    return ""
+
+
+def _orientation(image: Any) -> int:
+    if image.format == "TIFF":
+        return int(image.tag_v2.get(_ORIENTATION, 1))
+    if "exif" not in image.info:
+        return 1
+    exif = Image.Exif()
+    try:
+        exif.load(image.info["exif"])
+        found = int(exif.get(_ORIENTATION, 1))
+    except Exception:  # damaged notes beside the picture say nothing
+        return 1
+    return found if 1 <= found <= 8 else 1
+
+
+def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
+    if image.mode == "I" or image.mode.startswith("I;16"):
+        wide = np.asarray(image).astype(np.int64)
+        grey = ((np.clip(wide, 0, 65535) * 255 + 32767) // 65535).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=2)
+    if not image.has_transparency_data:
+        return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+    rgba = np.asarray(image.convert("RGBA"))
+    alpha = rgba[..., 3:]
+    if alpha.min() == 255:
+        return np.ascontiguousarray(rgba[..., :3])
+    return np.asarray((rgba[..., :3].astype(np.uint16) * alpha + 127) // 255, dtype=np.uint8)

@@ -1,0 +1,269 @@
+"""Frames as a reader finds them, and the sequence of those that can be used.
+
+A frame that cannot be used is left out and told; the others keep their times and poses.
+"""
+
+from __future__ import annotations
+
+import warnings
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
+
+from .decoding import image_fault
+from .errors import DatasetError, DatasetWarning
+from .files import Remark, read_lines, readable, shown
+from .sequence import Sequence
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Damaged = dict[int, str]
+
+NO_POSE = "no pose"
+_LEFT_OUT = "left out, "
+
+
+@dataclass(eq=False)
+class Draft:
+    """Frames as a reader finds them.
+
+    Attributes
+    ----------
+    name
+        Of the data set.
+    images
+        A file a frame, in order.
+    times
+        (n,) seconds; NaN where it is damaged.
+    recording
+        (n,) numbers.
+    poses
+        (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for a data set without.
+    why
+        Why a frame has no pose, where more is known than that it is missing.
+    remarks
+        What was found wrong so far.
+    """
+
+    name: str
+    images: list[Path]
+    times: FloatArray
+    recording: IntArray
+    poses: FloatArray | None = None
+    why: Damaged = field(default_factory=dict)
+    remarks: list[Remark] = field(default_factory=list)
+
+    def sequence(
+        self, camera: PinholeCamera, *, require_poses: bool, given_test: npt.NDArray[np.bool_] | None = None
+    ) -> Sequence:
+        """The sequence of the frames that can be used; warns of the others.
+
+        Frames without a time in order, or with a name that is no text, are left out. With `require_poses`, so are
+        those without a pose or an image.
+
+        Raises
+        ------
+        DatasetError
+            If no frame is left, or most times go back.
+        """
+        out = self._without_time()
+        posed = np.zeros(len(self.images), dtype=np.bool_)
+        if self.poses is not None:
+            posed |= np.isfinite(self.poses).all(axis=1)
+        lacking = {} if self.poses is None else {i: self._pose_fault(i) for i in np.flatnonzero(~posed).tolist()}
+        if require_poses:
+            out |= {i: Remark(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
+            size = camera.width, camera.height
+            for i in (i for i in range(len(self.images)) if i not in out):
+                fault = image_fault(self.images[i], size)
+                if fault:
+                    out[i] = Remark(_LEFT_OUT + "image cannot be read", fault)
+        kept = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
+        if not kept.size:
+            first = out[min(out)].where if out else f"{self.name}: holds no frame"
+            raise DatasetError(f"{first} ({len(out)} of {len(self.images)} frames cannot be used)")
+        remarks = [*self.remarks, *(out[i] for i in sorted(out))]
+        if not require_poses and posed[kept].any():
+            remarks += [Remark(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
+        _warn(self.name, remarks)
+        with_pose = kept[posed[kept]]
+        truth = self._trajectory(with_pose) if with_pose.size else None
+        whole = len(with_pose) == len(kept)
+        return Sequence(
+            name=self.name,
+            image_paths=tuple(self.images[i] for i in kept),
+            timestamps_s=self.times[kept],
+            recording=self.recording[kept],
+            camera=camera,
+            truth=truth if whole else None,
+            given_test=None if given_test is None else given_test[kept],
+            known_poses=truth,
+            remarks=tuple(remarks),
+        )
+
+    def _pose_fault(self, i: int) -> str:
+        return f"{self.images[i].name}: {self.why.get(i, 'has no pose')}"
+
+    def _trajectory(self, frames: IntArray) -> Trajectory:
+        assert self.poses is not None
+        rows = self.poses[frames]
+        return Trajectory(self.times[frames], rows[:, :3], rows[:, 3:])
+
+    def _without_time(self) -> dict[int, Remark]:
+        """Frames that can be used in no way."""
+        out = {
+            i: Remark(_LEFT_OUT + "name is not UTF-8", shown(f"{path.name}: its name is not UTF-8; rename it"))
+            for i, path in enumerate(self.images)
+            if not readable(str(path))
+        }
+        for i in np.flatnonzero(~np.isfinite(self.times)).tolist():
+            out.setdefault(i, Remark(_LEFT_OUT + "no time", f"{self.images[i].name}: its time is {self.times[i]}"))
+        left = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
+        back = np.setdiff1d(left, left[_longest_rise(self.times[left])])
+        if back.size * 2 > left.size:
+            i = int(left[np.flatnonzero(np.diff(self.times[left]) <= 0)[0] + 1])
+            raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.images[i]}) goes back")
+        for i in back.tolist():
+            what = f"{self.images[i].name}: its time, {self.times[i]:.9g} s, does not lie between its neighbours'"
+            out[i] = Remark(_LEFT_OUT + "time goes back or occurs twice", what)
+        return out
+
+
+def _longest_rise(times: FloatArray) -> IntArray:
+    """Indices of the longest strictly increasing part of times; the first of equal ones."""
+    if (np.diff(times) > 0).all():
+        return np.arange(len(times))
+    tops: list[float] = []
+    ends: list[int] = []
+    before = np.full(len(times), -1)
+    for i, time in enumerate(times.tolist()):
+        k = bisect_left(tops, time)
+        before[i] = ends[k - 1] if k else -1
+        if k == len(tops):
+            tops.append(time)
+            ends.append(i)
+        elif time < tops[k]:
+            tops[k], ends[k] = time, i
+    rise = [ends[-1]]
+    while before[rise[-1]] >= 0:
+        rise.append(int(before[rise[-1]]))
+    return np.array(rise[::-1])
+
+
+def _warn(name: str, remarks: list[Remark]) -> None:
+    counts: dict[str, list[str]] = {}
+    for remark in remarks:
+        counts.setdefault(remark.what, []).append(remark.where)
+    for what, places in counts.items():
+        warnings.warn(f"{name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=5)
+
+
+def listed(
+    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, remarks: list[Remark]
+) -> tuple[list[Path], FloatArray]:
+    """Images and times of a list with one a line; damaged lines are left out and told.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be read, lists no image, or no line can be read.
+    """
+    images: list[Path] = []
+    stamps: list[float] = []
+    faults: list[str] = []
+    for number, line in enumerate(read_lines(path), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            stamp, image = parse(line)
+        except DatasetError:
+            raise
+        except (ValueError, IndexError):
+            faults.append(f"{path}, line {number}: expected {expected}, got {line[:80]!r}")
+            continue
+        stamps.append(stamp)
+        images.append(image)
+    if not images:
+        raise DatasetError(faults[0] if faults else f"{path}: lists no image")
+    remarks += [Remark(_LEFT_OUT + "line cannot be read", fault) for fault in faults]
+    return images, np.array(stamps)
+
+
+def paired_by_time(
+    read: Callable[[Path, Damaged], FloatArray],
+    path: Path,
+    times: FloatArray,
+    max_difference_s: float,
+    remarks: list[Remark],
+) -> FloatArray:
+    """Poses (n, 7) of frames: the nearest in time, NaN where none is near.
+
+    Parameters
+    ----------
+    read
+        Gives the file's rows ``time x y z qw qx qy qz``, and takes up damaged ones.
+    path
+        The file.
+    times
+        (n,) of the frames; NaN where it is not known.
+    max_difference_s
+        Farther poses are none.
+    remarks
+        Takes up poses that cannot be used.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read, or no frame has a pose; names the file.
+    """
+    damaged: Damaged = {}
+    try:
+        rows = read(path, damaged)
+        remarks += [Remark("pose cannot be used", damaged[i]) for i in sorted(damaged)]
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        order = np.argsort(rows[:, 0], kind="stable")
+        twice = np.flatnonzero((np.diff(rows[order, 0]) == 0) & (np.diff(rows[order], axis=0) != 0).any(axis=1))
+        if twice.size:
+            ambiguous = np.unique(rows[order[twice], 0])
+            remarks += [Remark("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
+            rows = rows[~np.isin(rows[:, 0], ambiguous)]
+        asked = np.flatnonzero(np.isfinite(times))
+        still = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(asked), 1))
+        frames, poses = associate(
+            Trajectory(times[asked], still[:, :3], still[:, 3:]),
+            Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:]),
+            max_difference_s,
+        )
+    except TrajectoryFileError as exc:
+        raise DatasetError(str(exc)) from exc
+    except PoseError as exc:
+        raise DatasetError(f"{path}: {exc}") from exc
+    found = np.full((len(times), 7), np.nan)
+    found[asked[frames]] = rows[poses, 1:]
+    return found
+
+
+def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
+    """Which line of a file is about which image: all in order, or the one whose number is the image's name.
+
+    Raises
+    ------
+    DatasetError
+        If there are more images than lines, or lines are left over and images are not numbered.
+    """
+    stems = [image.stem for image in images]
+    if all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems):
+        numbers = np.array([int(stem) for stem in stems], dtype=np.int64)
+        if (np.diff(numbers) == 1).all() and n_rows == len(images):
+            return np.arange(n_rows)
+        if numbers.max() < n_rows:
+            return numbers
+    elif n_rows == len(images):
+        return np.arange(n_rows)
+    raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
