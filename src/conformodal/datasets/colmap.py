@@ -144,6 +144,8 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[int, list[str]]]:
             found[whole_number(line.split()[0])] = (at, line.split())
         except ValueError:
             raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}") from None
+    if not found:
+        raise DatasetError(f"{path}: holds no camera")
     return found
 
 

@@ -99,7 +99,7 @@ def _number(value: Any) -> float:
 def _image(folder: Path, path: Path, name: str, follow_outside: bool) -> Path:
     whole = inside(folder, name, path, follow_outside=follow_outside)
     found = (whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name)
-    there = next((p for p in found if os.path.isfile(p)), whole)
+    there = next((p for p in found if os.path.lexists(p)), whole)
     return inside(folder, str(there), path, follow_outside=follow_outside)
 
 

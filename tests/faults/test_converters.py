@@ -1,0 +1,289 @@
+"""Conversions lose nothing in silence, and leave nothing by halves."""
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.datasets import DatasetError, Layout, read_sequence
+from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
+from conformodal.datasets.streams import Frame, SequenceStream
+from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.poses import PinholeCamera, Trajectory, write_tum
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
+from test_layouts import PLACES, WRITERS, N
+
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def lose(layout, root, lost):
+    """Take the poses of frames away."""
+    if layout is Layout.SEVENSCENES:
+        for i in lost:
+            (root / "seq-01" / f"frame-{i:06d}.pose.txt").unlink()
+        return
+    path = next(p for p in root.rglob("*") if p.name in ("groundtruth.txt", "poses.tum"))
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    path.write_text("\n".join(line for i, line in enumerate(lines) if i not in lost) + "\n")
+
+
+@pytest.mark.parametrize("layout", [Layout.TUM, Layout.IMAGES, Layout.SEVENSCENES])
+@pytest.mark.parametrize("to", WRITABLE)
+@pytest.mark.parametrize("lost", [(0, 1), (4,), (2,)])
+def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, to, lost):
+    (tmp_path / "a").mkdir()
+    folder = WRITERS[layout](tmp_path / "a")
+    names = [path.name for path in read_sequence(folder).image_paths]
+    lose(layout, tmp_path / "a", lost)
+    result = invoke("data", "convert", folder, "--to", to, "--out", tmp_path / "b")
+    assert result.exit_code == 0, result.output
+    assert f"{len(lost)} without a pose" in result.output
+    for i in lost:
+        assert names[i] in result.output
+    kept = [i for i in range(N) if i not in lost]
+    after = read_sequence(tmp_path / "b", to)
+    np.testing.assert_allclose(after.require_truth().positions_xyz, PLACES[kept], atol=1e-6)
+    assert [int(after.image(k)[0, 0, 0]) for k in range(len(kept))] == [10 * i for i in kept]
+
+
+def test_poses_of_neighbours_are_not_lent(tmp_path):
+    """At 200 Hz the next frame's pose is within 0.02 s too."""
+    folder = tmp_path / "a"
+    folder.mkdir()
+    for i in range(6):
+        Image.new("RGB", (64, 48), (i, 0, 0)).save(folder / f"{i}.png")
+    (folder / "times.txt").write_text(" ".join(str(0.005 * i) for i in range(6)))
+    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
+    rows = ["1 0 0 0 0 1 0 0 0 0 1 0"] * 6
+    rows[2] = " ".join(["nan"] * 12)
+    (folder / "poses.txt").write_text("\n".join(rows))
+    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
+    assert result.exit_code == 0, result.output
+    assert "without a pose: 2.png" in result.output
+    assert len((tmp_path / "b" / "rgb.txt").read_text().splitlines()) == 1 + 5
+
+
+def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
+    """A sequence read for training and one read for ``run --part test`` are the same data set."""
+    from conformodal.cli.sources import open_source
+    from conformodal.odometry import identify
+
+    folder = WRITERS[Layout.TUM](tmp_path)
+    rng = np.random.default_rng(0)
+    for path in (folder / "rgb").iterdir():
+        Image.fromarray(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(path)
+    lose(Layout.TUM, tmp_path, (0, 1))
+    trained = read_sequence(folder)
+    again = open_source(str(folder), Layout.AUTO, as_trained=True).sequence
+    assert again.image_paths == trained.image_paths
+    found = identify(trained).find(identify(again))
+    assert found.at.tolist() == [0, 1, 2]
+
+
+class Failing:
+    """A stream that fails after some frames."""
+
+    name, camera, live, n_frames = "failing", PinholeCamera(40, 40, 32, 24, 64, 48), False, None
+
+    def __init__(self, error, after=3, times=None):
+        self.error, self.after, self.times = error, after, times
+
+    def __iter__(self):
+        for i in range(self.after):
+            time_s = 0.1 * i if self.times is None else self.times[i]
+            yield Frame(f"f{i}", time_s, np.full((48, 64, 3), i, np.uint8))
+        if self.error is not None:
+            raise self.error
+
+
+def poses_for(n=9):
+    return Trajectory(0.1 * np.arange(n), np.arange(3.0 * n).reshape(n, 3), np.tile([1.0, 0, 0, 0], (n, 1)))
+
+
+@pytest.mark.parametrize("layout", WRITABLE)
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), KeyboardInterrupt(), DatasetError("x: breaks off"), MemoryError()]
+)
+@pytest.mark.parametrize("there", [False, True])
+def test_a_failure_leaves_nothing(tmp_path, layout, error, there):
+    out = tmp_path / "out"
+    if there:
+        out.mkdir()
+    stream = Failing(error)
+    with pytest.raises(DatasetError if isinstance(error, OSError) else type(error)):
+        write_layout(out, layout, stream, stream.camera, poses_for())
+    assert [p.name for p in tmp_path.rglob("*")] == (["out"] if there else [])
+    stream = Failing(None)
+    assert write_layout(out, layout, stream, stream.camera, poses_for()).n_frames == 3
+    assert len(read_sequence(out, layout)) == 3
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.1, 0.1), (0.0, 0.1, 0.05), (0.0, 0.1, float("nan")), (0.0, 0.1, -5.0)])
+@pytest.mark.parametrize("layout", WRITABLE)
+def test_a_frame_whose_time_goes_back_is_left_out_and_named(tmp_path, layout, times):
+    stream = Failing(None, times=times)
+    done = write_layout(tmp_path / "out", layout, stream, stream.camera, poses_for())
+    assert done.n_frames == 2
+    assert any("f2" in note for note in done.notes)
+    assert len(read_sequence(tmp_path / "out", layout)) == 2
+
+
+def test_images_of_another_size_are_left_out_and_named(tmp_path):
+    stream = Failing(None)
+    with pytest.raises(DatasetError, match="nothing to write: 3 unreadable"):
+        write_layout(tmp_path / "out", Layout.TUM, stream, PinholeCamera(40, 40, 32, 24, 48, 64), poses_for())
+    assert list(tmp_path.iterdir()) == []
+
+
+KNOWABLE = {
+    "several recordings": (lambda s: replace(s, recording=np.array([0, 0, 0, 1, 1])), {}, "several recordings"),
+    "no pose near": (lambda s: s, {"poses": replace(poses_for(), timestamps_s=900 + np.arange(9.0))}, "no frame has"),
+    "a lens in kitti": (
+        lambda s: replace(s, camera=replace(s.camera, distortion=(0.1, 0, 0, 0))),
+        {"layout": Layout.KITTI},
+        "no place for the lens",
+    ),
+    "nerf without poses": (lambda s: s, {"layout": Layout.NERF, "poses": None}, "needs a pose"),
+    "a layout that is read only": (lambda s: s, {"layout": Layout.COLMAP}, "read only"),
+    "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
+    "a file": (lambda s: s, {"out": "file"}, "is a file"),
+    "below a file": (lambda s: s, {"out": "file/out"}, "cannot be written"),
+    "below a device": (lambda s: s, {"out": "/dev/null/out"}, "cannot be written"),
+}
+
+
+@pytest.mark.parametrize("what", KNOWABLE)
+def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
+    change, settings, match = KNOWABLE[what]
+    (tmp_path / "a").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))
+    sequence = change(sequence)
+    settings = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b"} | settings
+    before = sorted(tmp_path.rglob("*"))
+    progress = []
+    with pytest.raises(DatasetError, match=match):
+        write_layout(
+            tmp_path / settings["out"],
+            settings["layout"],
+            SequenceStream(sequence),
+            sequence.camera,
+            settings["poses"],
+            progress.append,
+        )
+    assert progress == []
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "full" / "mine").read_text() == (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("layout", [Layout.NERF, Layout.TUM, Layout.IMAGES, Layout.SEVENSCENES])
+def test_a_lens_of_five_numbers_is_kept(tmp_path, layout):
+    (tmp_path / "a").mkdir()
+    sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))
+    camera = replace(sequence.camera, distortion=(-0.1, 0.02, 0.001, 0.002, 0.003))
+    write_layout(tmp_path / "b", layout, SequenceStream(sequence), camera, sequence.truth)
+    assert read_sequence(tmp_path / "b", layout).camera == camera
+
+
+@pytest.mark.parametrize(
+    "content", ["", "lost\n", "0 0 0\n", "nan 0 0 0 0 0 0 1\n", "0 0 0 0 0 0 0 0\n", "1 1e400 0 0 0 0 0 1\n", None]
+)
+def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content):
+    (tmp_path / "a").mkdir()
+    folder = WRITERS[Layout.TUM](tmp_path / "a")
+    if content is not None:
+        (tmp_path / "p.tum").write_text(content)
+    result = invoke("data", "convert", folder, "--poses", tmp_path / "p.tum", "--out", tmp_path / "b")
+    assert result.exit_code == 2
+    assert "p.tum" in result.output
+    assert "error:" in result.output
+    assert not (tmp_path / "b").exists()
+
+
+def test_an_unlikely_camera_is_told_by_convert_too(tmp_path):
+    (tmp_path / "a").mkdir()
+    folder = WRITERS[Layout.IMAGES](tmp_path / "a")
+    (folder / "camera-intrinsics.txt").write_text("400 0 320\n0 400 240\n0 0 1\n")
+    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
+    assert result.exit_code == 0
+    assert "camera is unlikely" in result.output
+
+
+SCRIPT = """
+import sys, time
+from pathlib import Path
+from conformodal.datasets import read_sequence
+from conformodal.datasets.streams import SequenceStream
+from conformodal.datasets.writing import write_layout
+sequence = read_sequence(sys.argv[1])
+def wait(number):
+    print(number, flush=True)
+    time.sleep(60)
+write_layout(Path(sys.argv[2]), "tum", SequenceStream(sequence), sequence.camera, sequence.truth, wait)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path, how):
+    (tmp_path / "a").mkdir()
+    folder = WRITERS[Layout.TUM](tmp_path / "a")
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(folder), str(tmp_path / "b")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout.readline().strip() == b"1"
+    process.send_signal(how)
+    process.wait(timeout=20)
+    process.stdout.close()
+    assert not (tmp_path / "b").exists()
+    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
+    assert result.exit_code == 0, result.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
+    assert len(read_sequence(tmp_path / "b")) == N
+
+
+def flight():
+    world = CorridorWorld(2, seed=1)
+    return Renderer(world), drone_path(world, 1, seed=1).poses_se3[:3]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device"), RuntimeError("x")])
+def test_a_flight_that_fails_leaves_nothing(tmp_path, error):
+    renderer, poses = flight()
+
+    def fail(done, total):
+        raise error
+
+    with pytest.raises(DatasetError if isinstance(error, OSError) else type(error)):
+        write_flight(tmp_path / "w" / "seq-01", renderer, poses, progress=fail)
+    assert [p.name for p in tmp_path.rglob("*")] == ["w"]
+    write_flight(tmp_path / "w" / "seq-01", renderer, poses)
+    assert len(read_sequence(tmp_path / "w")) == 3
+    with pytest.raises(DatasetError, match="not empty"):
+        write_flight(tmp_path / "w" / "seq-01", renderer, poses)
+
+
+def test_truth_of_a_video_outside_its_time_is_told(tmp_path):
+    stream = Failing(None)
+    late = replace(poses_for(), timestamps_s=5 + np.arange(9.0))
+    write_tum(tmp_path / "p.tum", late)
+    with pytest.raises(DatasetError, match="nothing to write"):
+        write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, late)
+    assert not (tmp_path / "out").exists()
