@@ -92,7 +92,6 @@ UNLIKELY = {
 }
 
 
-
 def has_lens(layout, lens):
     return layout is not Layout.KITTI or not lens
 
@@ -219,7 +218,14 @@ def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layo
     assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
 
 
-COLMAP_MODELS = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "FOV", "FULL_OPENCV")
+COLMAP_MODELS = (
+    "OPENCV_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "FOV",
+    "FULL_OPENCV",
+)
 
 
 @pytest.mark.parametrize("model", COLMAP_MODELS)

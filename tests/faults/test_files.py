@@ -347,7 +347,9 @@ def test_a_frame_rate_that_is_none_is_refused(tmp_path, layout, rate):
 
 
 @pytest.mark.parametrize("layout", LISTS)
-@pytest.mark.parametrize("line", ["lost", "12", "x,y", "1\0 2", "now rgb/0.png", "1_0 rgb/0.png", "1_0,0.png", ",", "5,"])
+@pytest.mark.parametrize(
+    "line", ["lost", "12", "x,y", "1\0 2", "now rgb/0.png", "1_0 rgb/0.png", "1_0,0.png", ",", "5,"]
+)
 def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
     folder = WRITERS[layout](tmp_path)
     before = read_sequence(folder)
@@ -361,7 +363,9 @@ def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
 
 
 def texts(root):
-    return [p for p in root.rglob("*") if p.is_file() and p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")]
+    return [
+        p for p in root.rglob("*") if p.is_file() and p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")
+    ]
 
 
 @pytest.mark.parametrize("layout", WRITERS)
@@ -408,7 +412,9 @@ TEXTS = [
 
 
 @pytest.mark.parametrize(("layout", "name"), TEXTS)
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe1\x002\x00", b"caf\xe9 1 2\n", bytes(300), b"\n\n\n", "folder", "pipe"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff\xfe1\x002\x00", b"caf\xe9 1 2\n", bytes(300), b"\n\n\n", "folder", "pipe"]
+)
 def test_a_text_that_is_none_is_refused_by_name(tmp_path, layout, name, content):
     folder = WRITERS[layout](tmp_path)
     path = next(p for p in tmp_path.rglob("*") if str(p).endswith("/" + name))
@@ -424,7 +430,7 @@ def test_a_text_that_is_none_is_refused_by_name(tmp_path, layout, name, content)
             warnings.simplefilter("ignore", DatasetWarning)
             sequence = read_sequence(folder, layout)
     except DatasetError as exc:
-        assert Path(name).name in str(exc) or "no cameras.txt with images.txt" in str(exc)
+        assert Path(name).name in str(exc) or "no cameras.txt with images.txt" in str(exc)  # noqa: PT017
     else:  # what may be missing is missing where it is no file
         assert content in ("folder", "pipe")
         assert Path(name).name in ("times.txt", "frame-rate.txt")
@@ -551,7 +557,7 @@ def test_names_that_are_no_files(tmp_path, layout, name):
             warnings.simplefilter("ignore", DatasetWarning)
             assert len(read_sequence(folder)) == N - 1
     except DatasetError as exc:
-        assert path.name in str(exc)
+        assert path.name in str(exc)  # noqa: PT017
 
 
 # What data check says

@@ -172,8 +172,8 @@ def test_an_exif_that_is_damaged_says_nothing(tmp_path):
     ],
 )
 def test_names_are_in_the_order_of_their_numbers(names):
-    assert sorted(reversed(names), key=natural_key) == list(names)
-    assert sorted(names, key=natural_key) == list(names)
+    backwards = list(names)[::-1]
+    assert sorted(backwards, key=natural_key) == list(names)
 
 
 ELEVEN = 11
@@ -210,7 +210,7 @@ def long_scene(layout, root):
         for i in range(ELEVEN):
             picture(root / f"frame{i}.png", i)
             lines += [f"{i + 1} 1 0 0 0 {-i} 0 0 1 frame{i}.png", ""]
-        (root / "images.txt").write_text("\n".join(lines[::-1][1:] + [""]))
+        (root / "images.txt").write_text("\n".join([*lines[::-1][1:], ""]))
         (root / "cameras.txt").write_text("1 PINHOLE 64 48 40 40 32 24\n")
     elif layout is Layout.SEVENSCENES:
         for i in range(ELEVEN):
@@ -280,8 +280,9 @@ def many_points(text):
     return text.replace("10.5 11.5 -1", "10 11 -1 " * 40 + "10 11 -1")
 
 
-
-@pytest.mark.parametrize("change", [without_points, empty_points, spaced, many_points, lambda t: t.replace("\n", "\r\n")])
+@pytest.mark.parametrize(
+    "change", [without_points, empty_points, spaced, many_points, lambda t: t.replace("\n", "\r\n")]
+)
 def test_colmap_images_with_and_without_points_are_all_read(tmp_path, change):
     WRITERS[Layout.COLMAP](tmp_path)
     path = next(tmp_path.rglob("images.txt"))
@@ -366,7 +367,7 @@ def test_folders_that_look_like_a_recording_are_told(tmp_path, name):
 def test_two_folders_of_one_recording_are_refused(tmp_path):
     folder = WRITERS[Layout.SEVENSCENES](tmp_path)
     picture(tmp_path / "seq-1" / "frame-000000.color.png", 25)
-    with pytest.raises(DatasetError, match="seq-1: another folder has its number|seq-01: another folder"):
+    with pytest.raises(DatasetError, match=r"seq-0?1: another folder has its number"):
         read_sequence(folder)
 
 

@@ -17,7 +17,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .draft import Draft
 from .errors import DatasetError
-from .files import Remark, even_times, inside, read_lines, reader
+from .files import Inside, Remark, even_times, read_lines, reader
 from .sequence import Sequence
 
 _PLACES = ("", "sparse", "sparse/0", "text")
@@ -70,7 +70,8 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         raise DatasetError(f"{place / 'images.txt'}: uses cameras {used}, expected one of {sorted(cameras)}")
     names = sorted(rows, key=natural_key)
     base = folder / "images" if (folder / "images").is_dir() else folder
-    images = [_image(folder, base, name, place / "images.txt", follow_outside) for name in names]
+    image = Inside(folder, place / "images.txt", follow_outside=follow_outside)
+    images = [image(base, name) for name in names]
     remarks: list[Remark] = []
     camera = _camera(place / "cameras.txt", *cameras[used[0]], common_size(images), remarks)
     quats = np.array([rows[name][0] for name in names])
@@ -90,10 +91,6 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     times, recording = even_times(folder, len(names)), np.zeros(len(names), dtype=np.int64)
     draft = Draft(folder.name, images, times, recording, table_of(poses), why, remarks)
     return draft.sequence(camera, require_poses=require_poses)
-
-
-def _image(folder: Path, base: Path, name: str, source: Path, follow_outside: bool) -> Path:
-    return inside(folder, str(base / name), source, follow_outside=follow_outside)
 
 
 def _images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:

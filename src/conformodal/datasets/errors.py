@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from conformodal.conformal import ConformodalError
 
+_MOST = 2000  # characters of a message
+
 
 class DatasetError(ConformodalError):
     """A folder, pose file or intrinsics file that is not what its layout promises; names the file."""
+
+    def __init__(self, message: str = "") -> None:  # hostile names would fill the screen
+        long = len(message) > _MOST
+        super().__init__(f"{message[: _MOST // 2]} ... {message[-_MOST // 2 :]}" if long else message)
 
 
 class ImageError(DatasetError):

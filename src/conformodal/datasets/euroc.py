@@ -20,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size
 from .draft import Draft, listed, paired_by_time
 from .errors import DatasetError
-from .files import Remark, inside, read_lines, reader
+from .files import Inside, Remark, read_lines, reader
 from .sequence import Sequence
 
 # Ground truth comes at 200 Hz.
@@ -53,11 +53,13 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     path, truth = root / "cam0" / "data.csv", root / _TRUTH / "data.csv"
     data, remarks = root / "cam0" / "data", list[Remark]()
 
+    place = Inside(root, path, follow_outside=follow_outside)
+
     def parse(line: str) -> tuple[float, Path]:
         time, name = (field.strip() for field in line.split(",")[:2])
         if not name:
             raise ValueError
-        return whole_number(time) / 1e9, inside(root, f"{data / name}", path, follow_outside=follow_outside)
+        return whole_number(time) / 1e9, place(data, name)
 
     images, times = listed(path, parse, "'timestamp [ns], file'", remarks)
     camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", common_size(images), remarks)

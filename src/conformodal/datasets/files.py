@@ -83,25 +83,50 @@ def image_files(folder: Path, remarks: list[Remark] | None = None) -> list[Path]
     return sorted(found.values(), key=lambda p: natural_key(p.name))
 
 
-def inside(folder: Path, name: str, source: Path, *, follow_outside: bool) -> Path:
-    """The file that a data set's list names.
+class Inside:
+    """Files that a data set's list names.
 
-    Raises
-    ------
-    DatasetError
-        If it lies outside the folder, by ``..``, as an absolute path or through a link, unless `follow_outside`.
+    Parameters
+    ----------
+    folder
+        Of the data set.
+    source
+        The list, for people.
+    follow_outside
+        Whether it may name files outside the folder.
     """
-    if "\0" in name:
-        raise DatasetError(f"{source}: names {name[:80]!r}, which is no file name")
-    path = folder / name
-    if not follow_outside:
-        root, real = os.path.realpath(folder), os.path.realpath(path)
-        if real != root and not real.startswith(root.rstrip(os.sep) + os.sep):
+
+    def __init__(self, folder: Path, source: Path, *, follow_outside: bool) -> None:
+        self.folder, self.source, self.follow_outside = folder, source, follow_outside
+        self._root = os.path.realpath(folder)
+        self._places: dict[str, str] = {}  # where folders really are
+
+    def __call__(self, base: Path, name: str) -> Path:
+        """The file of a name, from a base in the folder.
+
+        Raises
+        ------
+        DatasetError
+            If it lies outside the folder, by ``..``, as an absolute path or through a link.
+        """
+        if "\0" in name:
+            raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
+        path = os.path.join(base, name)
+        if not self.follow_outside and not self._lies_inside(path):
             raise DatasetError(
-                f"{source}: names {name[:200]!r}, which lies outside {folder}; it is followed only with follow_outside "
-                "(--follow-outside on the command line)"
+                f"{self.source}: names {name!r}, which lies outside {self.folder}; it is followed only with "
+                "follow_outside (--follow-outside on the command line)"
             )
-    return path
+        return Path(path)
+
+    def _lies_inside(self, path: str) -> bool:
+        place, last = os.path.split(path)
+        if place not in self._places:
+            self._places[place] = os.path.realpath(place)
+        real = os.path.join(self._places[place], last)
+        if last in ("", ".", "..") or os.path.islink(real):
+            real = os.path.realpath(real)
+        return real == self._root or real.startswith(self._root.rstrip(os.sep) + os.sep)
 
 
 @contextmanager

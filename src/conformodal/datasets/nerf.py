@@ -20,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .draft import Draft
 from .errors import DatasetError
-from .files import Remark, even_times, inside, read_lines, reader
+from .files import Inside, Remark, even_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -68,7 +68,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     twice = next((a for a, b in pairwise(names) if a == b), None)
     if twice is not None:
         raise DatasetError(f"{path}: names {twice} twice, expected one pose for an image")
-    images = [_image(folder, path, name, follow_outside) for name in names]
+    place = Inside(folder, path, follow_outside=follow_outside)
+    images = [_image(place, name) for name in names]
     if not any(image.is_file() for image in images):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
     remarks: list[Remark] = []
@@ -96,11 +97,11 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _image(folder: Path, path: Path, name: str, follow_outside: bool) -> Path:
-    whole = inside(folder, name, path, follow_outside=follow_outside)
+def _image(place: Inside, name: str) -> Path:
+    whole = place(place.folder, name)
     found = (whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name)
     there = next((p for p in found if os.path.lexists(p)), whole)
-    return inside(folder, str(there), path, follow_outside=follow_outside)
+    return place(there.parent, there.name)
 
 
 def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera:

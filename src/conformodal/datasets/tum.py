@@ -14,7 +14,7 @@ from conformodal.poses.tum import tum_table
 from .cameras import camera_beside
 from .decoding import common_size
 from .draft import Draft, listed, paired_by_time
-from .files import MAX_TIME_DIFFERENCE_S, Remark, inside, reader
+from .files import MAX_TIME_DIFFERENCE_S, Inside, Remark, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -49,9 +49,11 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
     remarks: list[Remark] = []
 
+    place = Inside(folder, path, follow_outside=follow_outside)
+
     def parse(line: str) -> tuple[float, Path]:
         time, name = line.split(maxsplit=1)
-        return number(time), inside(folder, name.strip(), path, follow_outside=follow_outside)
+        return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", remarks)
     match = re.search(r"(?:freiburg|fr)([123])", folder.name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +91,16 @@ def read_rows(
     Raises
     ------
     TrajectoryFileError
-        If the file cannot be read, holds no pose, or a line is not `width` finite numbers; names the line.
+        If the file cannot be read, holds no pose, or a line is not `width` finite numbers; with `damaged`, if most
+        lines are not `width` numbers or none is finite. Names the line.
     """
     try:
         lines = text_lines(path)
     except (OSError, ValueError) as exc:
         raise TrajectoryFileError(f"{path}: cannot be read as a trajectory: {exc}") from exc
     rows: list[list[float]] = []
-    faults: dict[int, str] = {}
-    blank = 0
+    bad: dict[int, tuple[int, str]] = {}
+    n_unread = blank = 0
     for at, line in enumerate(lines, start=1):
         if not line.strip():
             blank = blank or (at if rows else 0)
@@ -111,16 +113,19 @@ def read_rows(
             row = parse(line)
         except (ValueError, IndexError):
             row = []
-        if len(row) != width or not np.isfinite(row).all():
-            faults[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
+        n_unread += len(row) != width
+        if len(row) != width or not all(map(isfinite, row)):
+            bad[len(rows)] = at, line[:80]
             row = [np.nan] * width
         rows.append(row)
     if not rows:
         raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
-    if faults and (damaged is None or len(faults) == len(rows)):
-        raise TrajectoryFileError(next(iter(faults.values())))
-    if damaged is not None:
-        damaged.update(faults)
+    refused = damaged is None or len(bad) == len(rows) or 2 * n_unread > len(rows)
+    for row_number, (at, line) in bad.items():
+        fault = f"{path}, line {at}: expected {expected}, got {line!r}"
+        if damaged is None or refused:
+            raise TrajectoryFileError(fault)
+        damaged[row_number] = fault
     return np.array(rows)
 
 
