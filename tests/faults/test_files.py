@@ -12,7 +12,17 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.datasets import DatasetError, DatasetWarning, ImageError, Layout, check_sequence, read_sequence
+from conformodal.datasets import (
+    DatasetError,
+    DatasetWarning,
+    ImageError,
+    Layout,
+    PixelNoise,
+    SplitError,
+    check_sequence,
+    make_split,
+    read_sequence,
+)
 from conformodal.datasets.streams import SequenceStream, open_stream
 from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz, read_euroc, read_kitti, read_tum
 
@@ -615,6 +625,32 @@ def test_check_overwrites_itself_and_no_file(tmp_path):
     assert invoke("data", "check", folder, "--out", tmp_path / "file").exit_code == 2
     assert (tmp_path / "file").read_text() == "mine"
     assert invoke("data", "check", folder, "--out", folder).exit_code == 2
+
+
+@pytest.mark.parametrize("name", ["[red]a[/b]", "[/]", "a b", "-a", "\u00fc\u4e2d", "%s {} $(ls)", "a\nb"])
+def test_folders_of_any_name_are_read(tmp_path, name):
+    root = tmp_path / name
+    root.mkdir(parents=True)
+    folder = WRITERS[Layout.IMAGES](root)
+    assert len(read_sequence(folder)) == N
+    assert invoke("data", "check", folder).exit_code == 0
+    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"seed": -1}, {"seed": 0.5}, {"n_blocks": 0}, {"n_blocks": -3}, {"test": NAN}, {"calibration": 0}, {"used": NAN}],
+)
+def test_splits_that_are_none_are_refused(settings):
+    with pytest.raises(SplitError):
+        make_split(np.zeros(50, dtype=np.int64), "blocks", **settings)
+
+
+@pytest.mark.parametrize("settings", [{"sigma": NAN}, {"sigma": -1}, {"sigma": 0.1, "seed": -1}])
+def test_noise_that_is_none_is_refused(settings):
+    with pytest.raises(DatasetError, match="noise needs"):
+        PixelNoise(**settings)
 
 
 # Trajectories by themselves stay strict

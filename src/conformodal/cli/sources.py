@@ -49,7 +49,7 @@ def open_sequence(
     """
     if layout is Layout.AUTO:
         layout = recognise(path)
-        console.print(f"{path}: {layout} layout", soft_wrap=True)
+        console.print(f"{path}: {layout} layout", soft_wrap=True, markup=False)
     with _said_elsewhere():
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
     if remarks:
@@ -84,9 +84,10 @@ def open_source(
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
-        console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True)
+        console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True, markup=False)
         say_remarks(stream.sequence)
     else:
         count = "" if stream.n_frames is None else f", {stream.n_frames} frames"
-        console.print(f"{stream.name}: {type(stream).__name__.removesuffix('Stream').lower()}{count}", soft_wrap=True)
+        kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
+        console.print(f"{stream.name}: {kind_of_stream}{count}", soft_wrap=True, markup=False)
     return stream

@@ -79,7 +79,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
     why = {i: f"{path}: transform_matrix {faults.get(i, 'holds NaN or infinity')}" for i in unknown}
     recording = np.zeros(len(frames), dtype=np.int64)
-    table = table_of(poses @ OPENGL_AXES)
+    poses[unknown] = np.nan
+    table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
     draft = Draft(folder.name, images, even_times(folder, len(frames)), recording, table, why, remarks)
     return draft.sequence(camera, require_poses=require_poses)
 

@@ -34,6 +34,8 @@ class PixelNoise:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sigma) and self.sigma >= 0):
             raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
+        if self.seed < 0:
+            raise DatasetError(f"noise needs a seed of at least 0, got {self.seed}")
 
     def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""

@@ -100,6 +100,9 @@ def make_split(
         raise SplitError(
             f"used ({used}) must be more than calibration ({calibration}), and with test ({test}) at most 1"
         )
+    for name, value, least in (("seed", seed, 0), ("n_blocks", n_blocks, 1)):
+        if not isinstance(value, (int, np.integer)) or value < least:
+            raise SplitError(f"{name} must be a whole number of at least {least}, got {value!r}")
     free, listed = _pieces(recording, kind, n_blocks, given_test)
     if kind is SplitKind.RECORDINGS and len(free) < 3:
         raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")
