@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,7 +23,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
+from conformodal._files import write_whole
+from conformodal.odometry import OdometryRun, TrainingData, as_trajectory, model_digest
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import (
@@ -180,22 +182,36 @@ def root_mean_square(miss: npt.NDArray[np.float64]) -> float:
 
 
 def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
-    """Write the regressor beside a saved model: ``classical.safetensors`` and ``classical.json``."""
+    """Write the regressor beside the saved model that it belongs to: ``classical.safetensors``, ``classical.json``."""
     arrays: dict[str, npt.NDArray[Any]] = {f"head.{k}": v.numpy() for k, v in regressor.head.state_dict().items()}
     arrays |= {"mean": regressor.mean, "scale": regressor.scale, "spread_m": regressor.spread_m}
     content = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record = {
+        "model": model_digest(folder),
         "hidden": regressor.head.output.in_features,
         "training": asdict(regressor.training),
         "spread_rad": regressor.spread_rad,
         "sha256": hashlib.sha256(content).hexdigest(),
     }
-    (folder / _FILES[1]).write_bytes(content)
-    (folder / _FILES[0]).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / _FILES[1], content)
+    write_whole(folder / _FILES[0], json.dumps(record, indent=1) + "\n")
 
 
-def load_classical(folder: Path) -> ClassicalRegressor | None:
-    """The regressor beside a saved model, or None if there is none.
+def remove_classical(folder: Path) -> None:
+    """Remove the regressor beside a model, if there is one: another model takes that one's place."""
+    for name in _FILES:
+        (folder / name).unlink(missing_ok=True)
+
+
+def load_classical(folder: Path, say: Callable[[str], None] = warnings.warn) -> ClassicalRegressor | None:
+    """The regressor beside a saved model, or None if there is none that belongs to it.
+
+    Parameters
+    ----------
+    folder
+        Of the model.
+    say
+        Told where there is one that belongs to another model, as a training that was killed may leave it.
 
     Raises
     ------
@@ -206,6 +222,9 @@ def load_classical(folder: Path) -> ClassicalRegressor | None:
         return None
     try:
         record = json.loads((folder / _FILES[0]).read_text(encoding="utf-8"))
+        if record.get("model") != model_digest(folder):
+            say(f"{folder / _FILES[0]}: belongs to another model than the one beside it, and is left out; train again")
+            return None
         content = (folder / _FILES[1]).read_bytes()
         if hashlib.sha256(content).hexdigest() != record["sha256"]:
             raise ExperimentError(f"{folder / _FILES[1]}: is not the file that was saved: its digest differs")
@@ -218,5 +237,5 @@ def load_classical(folder: Path) -> ClassicalRegressor | None:
         return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], training, arrays["spread_m"], angle)
     except ExperimentError:
         raise
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as exc:
+    except (OSError, SafetensorError, LookupError, TypeError, ValueError, AttributeError, RuntimeError) as exc:
         raise ExperimentError(f"{folder / _FILES[0]}: cannot be used: {type(exc).__name__}: {exc}") from exc

@@ -23,7 +23,7 @@ from .results import read_metrics, read_trajectories, write_metrics, write_run
 from .scene import Scene, learn_scene
 from .selection import calibrate_selection, recording_errors, recording_sizes
 from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
-from .store import load_model, save_model
+from .store import load_model, model_digest, save_model
 from .streaming import StreamRunner
 from .tally import RegionTally
 from .targets import TARGET_NAMES, pose_targets, target_scale
@@ -80,6 +80,7 @@ __all__ = [
     "make_folds",
     "measure_depths",
     "measure_motions",
+    "model_digest",
     "pose_errors",
     "pose_targets",
     "prepare_training_data",

@@ -13,6 +13,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from conformodal._files import replacing
+
 from .errors import ResultsError
 from .records import REGIONS, iter_region_records
 from .targets import TARGET_NAMES
@@ -36,11 +38,11 @@ def write_region_parquet(folder: Path) -> Path:
     fields = [(name, kinds.get(name, pa.string())) for name in _PLAIN]
     schema = pa.schema([*fields, *((name, interval) for name in TARGET_NAMES)])
     path = folder / FILE
-    with pq.ParquetWriter(path, schema) as writer:
+    with replacing(path) as part, pq.ParquetWriter(part, schema) as writer:
         coming = iter_region_records(folder / REGIONS)
         while records := list(islice(coming, _ROWS_AT_A_TIME)):  # itertools.batched came with Python 3.12
             rows = [
-                {**{name: r[name] for name, _ in fields}, **{k: _bounded(v) for k, v in r["intervals"].items()}}
+                {**{name: _text(r[name]) for name, _ in fields}, **{k: _bounded(v) for k, v in r["intervals"].items()}}
                 for r in records
             ]
             writer.write_table(pa.Table.from_pylist(rows, schema))
@@ -70,6 +72,11 @@ def _records(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 
 def _bounded(parts: list[list[float | None]]) -> list[list[float]]:
     return [[-math.inf if a is None else a, math.inf if b is None else b] for a, b in parts]
+
+
+def _text(value: Any) -> Any:
+    """Undecodable bytes of a file name with backslashes: Arrow has UTF-8 only."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def _open(value: float) -> float | None:

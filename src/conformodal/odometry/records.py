@@ -18,6 +18,7 @@ from .region_rules import Evidence
 from .targets import TARGET_NAMES, pose_targets
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
+_ANY_SIGN = [1.0, 0.1, 0.01, 0.001]  # tells q from -q
 
 
 def region_record(
@@ -58,37 +59,65 @@ def _bound(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def read_region_records(path: Path) -> list[dict[str, Any]]:
+def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any]]:
     """Records of ``regions.jsonl``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    torn
+        Whether the last line may be half a record, as a killed run leaves it; it is left out then.
 
     Raises
     ------
     ResultsError
         If the file is missing or a line is no such record; names the line.
     """
-    return list(iter_region_records(path))
+    return list(iter_region_records(path, torn=torn))
 
 
-def iter_region_records(path: Path) -> Iterator[dict[str, Any]]:
+def iter_region_records(path: Path, *, torn: bool = False) -> Iterator[dict[str, Any]]:
     """The same, one after the other."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8", errors="surrogateescape") as file:
             for number, line in enumerate(file, start=1):
                 try:
                     record = json.loads(line)
-                    if set(record["intervals"]) != set(TARGET_NAMES) or not math.isfinite(record["timestamp_s"]):
-                        raise KeyError("intervals")
-                except (ValueError, KeyError, TypeError) as exc:
+                    _check(record)
+                except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as exc:
+                    if torn and not line.endswith("\n"):
+                        return
                     raise ResultsError(f"{path}, line {number}: is no region record: {exc}") from exc
                 yield record
     except OSError as exc:
         raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
 
 
+def _check(record: dict[str, Any]) -> None:
+    if set(record["intervals"]) != set(TARGET_NAMES) or not math.isfinite(record["timestamp_s"]):
+        raise KeyError("intervals")
+    if not isinstance(record["frame"], str) or not isinstance(record["motion"], str):
+        raise TypeError("frame and motion must be text")
+    record["reliable"]
+    for parts in record["intervals"].values():
+        for low, high in parts:
+            if (low is not None and not math.isfinite(low)) or (high is not None and not math.isfinite(high)):
+                raise ValueError(f"an interval ends at {low}, {high}")
+
+
 def records_contain(
-    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64]
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64] | None
 ) -> npt.NDArray[np.bool_]:
-    """Whether stored intervals hold the true poses, (n, 7)."""
+    """Whether stored intervals hold the true poses, (n, 7).
+
+    Where no reference for the signs of quaternions is known, each frame has the sign that more of its intervals hold.
+    """
+    if sign_reference is None:
+        here, there = (
+            records_contain(records, truth, np.array(sign)) for sign in (_ANY_SIGN, [-v for v in _ANY_SIGN])
+        )
+        return np.where(here.sum(axis=1, keepdims=True) >= there.sum(axis=1, keepdims=True), here, there)
     targets = pose_targets(truth, sign_reference)
     inside = np.zeros(targets.shape, dtype=np.bool_)
     for i, record in enumerate(records):

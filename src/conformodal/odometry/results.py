@@ -7,17 +7,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from conformodal._files import write_whole
 from conformodal.poses import Trajectory, read_tum
 
 from .answers import METHODS
 from .errors import ResultsError
 from .estimates import OdometryRun
+from .folders import check_owner
 from .records import METRICS, TRAJECTORY
 from .region_rules import Evidence
 from .writer import ResultsWriter
 
 
-def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None) -> None:
+def write_run(
+    folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None, command: str = "run"
+) -> None:
     """Write a run: ``trajectory.tum`` (the answer), ``regions.jsonl``, ``methods/NAME.tum`` and ``truth.tum``.
 
     Parameters
@@ -30,8 +34,10 @@ def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth:
         Names of the answered frames.
     truth
         True poses of the answered frames, if known.
+    command
+        Whose results they are, see :class:`~conformodal.odometry.ResultsWriter`.
     """
-    with ResultsWriter(folder) as writer:
+    with ResultsWriter(folder, command) as writer:
         for name, trajectory in run.trajectories.items():
             writer.poses(name, trajectory)
         if truth is not None:
@@ -56,10 +62,17 @@ def read_trajectories(folder: Path) -> dict[str, Trajectory]:
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:
-    """Write ``metrics.json``; returns its path."""
+    """Write ``metrics.json``; returns its path.
+
+    Raises
+    ------
+    FolderError
+        If the folder holds results of another command.
+    """
+    if "command" in metrics:
+        check_owner(folder, metrics["command"])
     path = folder / METRICS
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     return path
 
 
@@ -74,7 +87,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     path = folder / METRICS
     try:
         metrics = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as exc:
+    except (OSError, ValueError, RecursionError) as exc:
         raise ResultsError(f"{path}: cannot be read as metrics: {exc}") from exc
     if not isinstance(metrics, dict):
         raise ResultsError(f"{path}: holds {type(metrics).__name__}, expected an object")

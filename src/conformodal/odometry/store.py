@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, SplitConformal
+from conformodal._files import write_whole
+from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.datasets import Split, SplitKind
 from conformodal.motion import LandmarkMap
 from conformodal.poses import PinholeCamera
@@ -40,7 +40,18 @@ from .region_rules import RegionRules
 from .sizing import Sizing
 
 FORMAT = "conformodal-model-11"
-_JSON, _WEIGHTS = "model.json", "weights.safetensors"
+_JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
+_ATTEMPTS = 2
+_DAMAGE = (
+    SafetensorError,
+    AttributeError,
+    IndexError,
+    KeyError,
+    TypeError,
+    ValueError,  # and every error of this package
+    ArithmeticError,
+    RuntimeError,  # torch, and JSON nested without end
+)
 _LOCAL_NUMBERS = ("typical", "limit")
 _MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
@@ -50,7 +61,7 @@ _PRIOR_DEPTHS = ("depth_m", "depth_spread")
 
 
 def save_model(model: PoseModel, folder: Path) -> None:
-    """Write a model into a folder, created if missing."""
+    """Write a model into a folder, created if missing; a model that was there is whole until the new one is."""
     heads = {"head": model.head, **{f"finder{k}": finder for k, finder in enumerate(model.finders)}}
     arrays: dict[str, npt.NDArray[Any]] = {
         f"{name}.{k}": v.numpy() for name, head in heads.items() for k, v in head.state_dict().items()
@@ -108,11 +119,10 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
     }
     record["sha256"] = _digest(record)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in ((_WEIGHTS, weights), (_JSON, (json.dumps(record, indent=1) + "\n").encode())):
-        part = folder / f"{name}.{os.getpid()}.part"
-        part.write_bytes(content)
-        part.replace(folder / name)  # a model that is saved again is whole at any time
+    # whole at any time: the new weights are beside the old ones until the record of the new ones is there
+    write_whole(folder / _NEXT, weights)
+    write_whole(folder / _JSON, json.dumps(record, indent=1) + "\n")
+    (folder / _NEXT).replace(folder / _WEIGHTS)
 
 
 def load_model(folder: Path | str) -> PoseModel:
@@ -124,19 +134,40 @@ def load_model(folder: Path | str) -> PoseModel:
         If a file is missing, damaged or altered, or was made for another version or backbone.
     """
     folder = Path(folder)
-    record = _read_record(folder / _JSON)
-    path = folder / _WEIGHTS
     try:
-        content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != record["weights_sha256"]:
-            raise ModelFileError(f"{path}: is not the file that was saved with {_JSON}: its digest differs")
-        return _assemble(record, load_tensors(content), path)
-    except OSError as exc:
-        raise ModelFileError(f"{path}: cannot be read: {exc.strerror}") from exc
+        record, content = _read(folder)
+        return _assemble(record, load_tensors(content), folder / _WEIGHTS)
     except ModelFileError:
         raise
-    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, ConformodalError) as exc:
+    except _DAMAGE as exc:
         raise ModelFileError(f"{folder}: is no complete {FORMAT}: {type(exc).__name__}: {exc}") from exc
+
+
+def model_digest(folder: Path) -> str | None:
+    """What identifies the trained model in a folder, whatever radius it was given later; None where there is none."""
+    try:
+        digest = _read_record(folder / _JSON)["weights_sha256"]
+    except (ModelFileError, KeyError):
+        return None
+    return str(digest)
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], bytes]:
+    """The record, and the weights that it names; read again where another process has just replaced both."""
+    path = folder / _WEIGHTS
+    for _ in range(_ATTEMPTS):
+        record = _read_record(folder / _JSON)
+        problem = ""
+        for name in (_NEXT, _WEIGHTS):
+            try:
+                content = (folder / name).read_bytes()
+            except OSError as exc:
+                problem = f"cannot be read: {exc.strerror}"
+                continue
+            if hashlib.sha256(content).hexdigest() == record["weights_sha256"]:
+                return record, content
+            problem = f"is not the file that was saved with {_JSON}: its digest differs"
+    raise ModelFileError(f"{path}: {problem}")
 
 
 def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path: Path) -> PoseModel:
@@ -276,7 +307,7 @@ def _read_record(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except OSError as exc:
         raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
-    except ValueError as exc:
+    except (ValueError, RecursionError) as exc:
         raise ModelFileError(f"{path}: is no JSON: {exc}") from exc
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         found = record.get("format") if isinstance(record, dict) else type(record).__name__

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
@@ -14,6 +16,7 @@ import numpy.typing as npt
 from conformodal.poses import RelativeMotion, Trajectory, tum_lines
 
 from .answers import METHODS
+from .folders import UNFINISHED, claimed, discard, holds_results, replace_results
 from .records import REGIONS, TRAJECTORY, TRUTH, region_record
 from .region_rules import Evidence
 
@@ -21,19 +24,42 @@ from .region_rules import Evidence
 class ResultsWriter:
     """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum``.
 
+    Where the folder holds results already, new ones are written under ``unfinished`` in it, and take their place all
+    together at the end. Where the work breaks off by an error, those before stay, and so does what was written.
+
     Parameters
     ----------
     folder
-        Created if missing; results of an earlier run in it are replaced.
+        Created if missing, and locked until the end; results of an earlier run in it are replaced.
+    command
+        Whose results they are.
+
+    Attributes
+    ----------
+    place
+        Where files are until :meth:`close`; what belongs to the results is written there too.
+
+    Raises
+    ------
+    FolderError
+        If the folder cannot be written, holds something else than results of this command, or is in use.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        (folder / "methods").mkdir(parents=True, exist_ok=True)
-        for old in [*(folder / "methods").glob("*.tum"), folder / TRAJECTORY, folder / TRUTH]:
-            old.unlink(missing_ok=True)
+    def __init__(self, folder: Path, command: str = "run") -> None:
+        self.folder = self.place = folder
         self._open: dict[str, TextIO] = {}
-        self._lines(REGIONS, [])
+        self._n_regions = 0
+        self._claim = ExitStack()
+        self._claim.enter_context(claimed(folder, command))
+        try:
+            if holds_results(folder):
+                self.place = folder / UNFINISHED
+                shutil.rmtree(self.place, ignore_errors=True)
+            (self.place / "methods").mkdir(parents=True, exist_ok=True)
+            self._lines(REGIONS, [])
+        except BaseException:
+            self._claim.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -41,7 +67,10 @@ class ResultsWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if kind is None:
+            self.close()
+        else:
+            self._break_off()
 
     def region(
         self,
@@ -55,6 +84,7 @@ class ResultsWriter:
         """Write the region of the next frame; returns its record."""
         record = region_record(name, timestamp_s, motion, intervals, known_p, kind)
         self._lines(REGIONS, [json.dumps(record)])
+        self._n_regions += 1
         return record
 
     def poses(self, method: str, trajectory: Trajectory) -> None:
@@ -66,15 +96,29 @@ class ResultsWriter:
         self._lines(TRUTH, tum_lines(trajectory))
 
     def close(self) -> None:
-        """Everything is on disk afterwards."""
-        for file in self._open.values():
-            file.close()
-        self._open.clear()
+        """Everything is on disk afterwards, in the place of earlier results."""
+        with self._claim:
+            while self._open:
+                self._open.popitem()[1].close()
+            if self.place != self.folder:
+                self.place = self.folder
+                replace_results(self.folder)
+
+    def _break_off(self) -> None:
+        """What was answered stays, and nothing where nothing was."""
+        with self._claim:
+            while self._open:
+                with suppress(OSError):  # the disk may be full: what broke off the work is told
+                    self._open.popitem()[1].close()
+            if not self._n_regions:
+                discard(self.place)
+            if not self._n_regions and self.place != self.folder:
+                self.place.rmdir()
 
     def _lines(self, name: str, lines: Sequence[str]) -> None:
         if name not in self._open:
             # a line at a time reaches the disk, so that others can follow a run
-            self._open[name] = (self.folder / name).open("w", encoding="utf-8", buffering=1)
+            self._open[name] = (self.place / name).open("w", encoding="utf-8", buffering=1)
             if name.endswith(".tum"):
                 self._open[name].write("# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)\n")
         self._open[name].writelines(f"{line}\n" for line in lines)

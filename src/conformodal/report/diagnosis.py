@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from conformodal._files import replacing
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
 
@@ -47,7 +48,8 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
         wrap=True,
     )
     if path is not None:
-        figure.savefig(path)
+        with replacing(Path(path)) as part:
+            figure.savefig(part, format=Path(path).suffix.removeprefix(".") or None)
     return figure
 
 

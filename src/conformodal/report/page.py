@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from conformodal._files import write_whole
+
 from .templating import render_page
 from .viewer import Viewer
 
@@ -64,11 +66,8 @@ class ReportContent:
 
 def write_page(path: Path, content: ReportContent) -> None:
     """Write the page, and its figures as files under ``figures`` beside it."""
-    folder = path.parent / "figures"
-    if content.figures:
-        folder.mkdir(parents=True, exist_ok=True)
     for figure in content.figures:
-        (folder / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+        write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
     errors = content.metrics.get("errors") or {}
     ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")

@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from scipy.stats import spearmanr
 
+from conformodal._files import replacing, write_whole
 from conformodal.conformal import coverage_band
 
 from .figures import COLOURS, as_svg
@@ -25,9 +26,9 @@ _REACH = 1.15  # how far beyond the truth's own range a panel shows
 
 def save_figure(figure: Figure, folder: Path, name: str) -> None:
     """Write ``NAME.svg`` and ``NAME.png``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.svg").write_text(as_svg(figure), encoding="utf-8")
-    figure.savefig(folder / f"{name}.png", dpi=_PNG_DPI, metadata={"Software": "conformodal"})
+    write_whole(folder / f"{name}.svg", as_svg(figure))
+    with replacing(folder / f"{name}.png") as part:
+        figure.savefig(part, format="png", dpi=_PNG_DPI, metadata={"Software": "conformodal"})
 
 
 def band_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:

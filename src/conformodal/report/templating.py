@@ -7,9 +7,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader
 
+from conformodal._files import write_whole
+
 
 def render_page(path: Path, template: str, **content: Any) -> None:
     """Write a page; what is put into it is escaped unless the template says that it is safe."""
     environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(environment.get_template(f"{template}.html.j2").render(**content), encoding="utf-8")
+    write_whole(path, environment.get_template(f"{template}.html.j2").render(**content))

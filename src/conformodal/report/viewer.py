@@ -69,9 +69,14 @@ def make_viewer(folder: Path, images: Mapping[str, bytes], level: float | None =
     known = any("kp" in frame for frame in shown)
     note = "" if len(shown) == len(answer) else f"{len(shown)} of {len(answer)} frames are shown, evenly spread."
     script = files("conformodal.report").joinpath("templates/viewer.js").read_text(encoding="utf-8")
-    # "</" could end the script element early
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    text = json_in_script(data)
     return Viewer(text, script, note, bool(images), truth is not None, classical is not None, known)
+
+
+def json_in_script(data: Any) -> str:
+    """JSON for a script element of a page: no name in it can end the element, or hide what follows in a comment."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)  # ASCII, so without line separators of Unicode
+    return text.translate({ord(c): f"\\u{ord(c):04x}" for c in "<>&"})
 
 
 def _beside(path: Path, n: int) -> Trajectory | None:

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
 
 from conformodal.datasets import ImageError, PixelNoise, read_image
 
 from .backbone import Backbone
+from .keeping import keep_arrays, kept_arrays
 
 _BATCH = 16
 Progress = Callable[[int, int], None]
@@ -60,20 +58,14 @@ class FeatureCache:
         """The vector of a key, or None where it is not there or not whole."""
         if self.folder is None:
             return None
-        try:
-            return np.asarray(load_tensors(self._path(key).read_bytes())["features"], dtype=np.float16)
-        except (OSError, SafetensorError, KeyError):
-            return None
+        found = kept_arrays(self._path(key), key)
+        return None if found is None else found.get("features")
 
     def store(self, key: str, vector: npt.NDArray[np.float16]) -> None:
         """Keep a vector; written beside and moved into place, so that a killed run leaves no half file."""
         if self.folder is None:
             return
-        target = self._path(key)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        part = target.with_suffix(f".{os.getpid()}.part")
-        part.write_bytes(save_tensors({"features": vector}))
-        part.replace(target)
+        keep_arrays(self._path(key), key, {"features": vector})
 
     def _path(self, key: str) -> Path:
         assert self.folder is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,16 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
 from torch.utils.data import Dataset
 
-from conformodal.datasets import read_image
+from conformodal.datasets import ImageError, read_image
 
 from .backbone import Backbone
 from .errors import VisionError
 from .features import FeatureCache
+from .keeping import keep_arrays, kept_arrays
 from .training import Progress
 
 
@@ -116,12 +113,13 @@ def fine_tune(
     key = _digest(backbone, image_files, y, config)
     kept = None if cache.folder is None else cache.folder.parent / "backbones" / f"{key}.safetensors"
     tuned = Backbone(backbone.config)
-    if kept is not None and kept.is_file():
+    found = None if kept is None else kept_arrays(kept, key)
+    if found is not None:
         try:
-            tuned.take_weights(load_tensors(kept.read_bytes()))
+            tuned.take_weights(found)
             return tuned.to(backbone.device)
-        except (OSError, SafetensorError, VisionError):
-            tuned = Backbone(backbone.config)  # damaged: tune again
+        except VisionError:
+            tuned = Backbone(backbone.config)  # not of this network: tune again
     from .tuning_loop import run_tuning  # noqa: PLC0415 - Lightning takes seconds to import
 
     tuned.to(backbone.device)
@@ -130,10 +128,7 @@ def fine_tune(
     weights = tuned.weights()
     tuned.take_weights(weights)
     if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{os.getpid()}.part")
-        part.write_bytes(save_tensors(weights))
-        part.replace(kept)
+        keep_arrays(kept, key, weights)
     return tuned
 
 
@@ -141,6 +136,9 @@ def _digest(backbone: Backbone, files: Sequence[Path], labels: npt.NDArray[np.fl
     digest = hashlib.sha256(backbone.fingerprint.encode())
     digest.update(repr(sorted(asdict(config).items())).encode())
     for path in files:
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+        try:
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        except OSError as exc:
+            raise ImageError(f"{path}: image is missing or unreadable: {exc.strerror}") from exc
     digest.update(labels.tobytes())
     return digest.hexdigest()[:32]

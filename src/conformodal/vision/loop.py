@@ -9,7 +9,7 @@ import signal
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,13 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback
 from torch.utils.data import DataLoader, TensorDataset
 
+from conformodal._files import FolderInUseError, locked
+
 from .heads import Head
+from .states import KeepState, kept_state
 from .training import Loss, Progress, TrainingConfig
 
 _CHECKPOINT_EVERY_EPOCHS = 10
@@ -38,7 +41,7 @@ class _Module(lightning.LightningModule):
     def training_step(self, _: list[torch.Tensor]) -> None:
         counted: Any = self.optimizers()
         schedule: Any = self.lr_schedulers()
-        # of seed and epoch alone: a training that is taken up again goes on as it would have
+        # of seed and epoch alone; all other random numbers are kept with the state of the training
         order = np.random.default_rng((self.config.seed, self.current_epoch)).permutation(len(self.x))
         batches = torch.split(torch.from_numpy(order), self.batch_size)
         for k, at in enumerate(batches, 1):
@@ -81,7 +84,7 @@ def run_loop(
     """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.training.fit_head`."""
     loader: DataLoader[Any] = DataLoader(TensorDataset(torch.zeros(1)))  # epochs; the module holds the samples
     module = _Module(head, x, y, loss, config)
-    folder = None if checkpoint_dir is None else checkpoint_dir / _digest(x, y, loss, config)
+    folder = None if checkpoint_dir is None else checkpoint_dir / _digest(head, x, y, loss, config)
     fit_module(module, loader, config.epochs, folder, progress)
 
 
@@ -110,11 +113,34 @@ def fit_module(
     accelerator
         Lightning's name of the device.
     """
-    callbacks: list[Callback] = [] if progress is None else [_Report(progress)]
+    with ExitStack() as stack:
+        if folder is not None:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                stack.enter_context(locked(folder.with_name(f"{folder.name}.lock")))
+            except FolderInUseError:  # another process trains the same, and keeps the state
+                folder = None
+        _fit(module, loader, epochs, folder, progress, keep_every, accelerator)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _fit(
+    module: lightning.LightningModule,
+    loader: DataLoader[Any],
+    epochs: int,
+    folder: Path | None,
+    progress: Progress | None,
+    keep_every: int,
+    accelerator: str,
+) -> None:
+    callbacks: list[Callback] = []
     resume = None
     if folder is not None:
-        callbacks.append(ModelCheckpoint(folder, filename="last", every_n_epochs=keep_every))
-        resume = folder / "last.ckpt" if (folder / "last.ckpt").is_file() else None
+        callbacks.append(KeepState(folder, keep_every, loader.generator))
+        resume = kept_state(folder)
+    if progress is not None:
+        callbacks.append(_Report(progress))
     with _quiet():
         trainer = lightning.Trainer(
             max_epochs=epochs,
@@ -122,7 +148,7 @@ def fit_module(
             devices=1,
             callbacks=callbacks,
             logger=False,
-            enable_checkpointing=folder is not None,
+            enable_checkpointing=False,
             enable_progress_bar=False,
             enable_model_summary=False,
         )
@@ -136,12 +162,11 @@ def fit_module(
         finally:
             if threading.current_thread() is threading.main_thread():
                 signal.signal(signal.SIGINT, handler)
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
-def _digest(x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> str:
-    digest = hashlib.sha256(repr((sorted(asdict(config).items()), loss.__qualname__)).encode())
+def _digest(head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> str:
+    what = (sorted(asdict(config).items()), loss.__qualname__, type(head).__qualname__, head.outputs)
+    digest = hashlib.sha256(repr(what).encode())
     digest.update(x.numpy().tobytes())
     digest.update(y.numpy().tobytes())
     return digest.hexdigest()[:32]

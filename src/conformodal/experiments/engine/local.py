@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 
@@ -37,7 +38,13 @@ class LocalEngine:
             raise ExperimentError(f"workers must be at least 1, got {self.workers}")
 
     def results(self, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
-        """See :class:`~conformodal.experiments.engine.Engine`."""
+        """See :class:`~conformodal.experiments.engine.Engine`.
+
+        Raises
+        ------
+        ExperimentError
+            If a worker process dies, as where memory runs out.
+        """
         if self.workers == 1 or len(tasks) < 2:
             for i, task in enumerate(tasks):
                 yield i, work(task)
@@ -67,6 +74,11 @@ class LocalEngine:
                     result = future.result()
                     go_on(worker)
                     yield i, result
+        except BrokenProcessPool as exc:
+            raise ExperimentError(
+                "a worker process was killed, perhaps for want of memory; results that came before are kept, and the "
+                "same command goes on, best with fewer workers"
+            ) from exc
         finally:
             for pool in pools:
                 pool.shutdown(wait=True, cancel_futures=True)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
+
+from conformodal._files import write_whole
 
 from ..errors import ExperimentError
 from .engines import Engine, Progress, Result, Task, Work
@@ -63,7 +64,7 @@ def run_tasks(
 def _kept(path: Path, settings: Result) -> Result | None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(record, dict) or record.get("settings") != json.loads(json.dumps(settings)):
         return None
@@ -72,7 +73,4 @@ def _kept(path: Path, settings: Result) -> Result | None:
 
 
 def _keep(path: Path, settings: Result, result: Result) -> None:
-    """Written beside and moved into place: a killed run leaves no half result."""
-    part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_text(json.dumps({"settings": settings, "result": result}, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_whole(path, json.dumps({"settings": settings, "result": result}, indent=1) + "\n")

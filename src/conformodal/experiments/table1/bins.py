@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from conformodal.datasets import Sequence, SplitKind
 from conformodal.odometry import (
     METRICS,
     ModelConfig,
+    ResultsError,
     VisualOdometry,
     data_digest,
     prepare_training_data,
@@ -47,12 +49,22 @@ def bin_runs(
             training=TrainingConfig(epochs=epochs),
         )
         settings = {"n_bins": k, "epochs": epochs, "data": data_digest(sequence)}
-        if (place / METRICS).is_file() and read_metrics(place).get("configuration") == settings:
+        if _has(place, settings):
             continue
         data = prepare_training_data(sequence, config, cache, progress)
         model = train_model(data, config, progress=progress)
         run = VisualOdometry(model).process(sequence, data.split.test, cache=cache, progress=progress)
         names = [sequence.image_paths[i].name for i in run.frames]
-        write_run(place, run, names, sequence.require_truth()[run.frames])
+        write_run(place, run, names, sequence.require_truth()[run.frames], "bins")
         write_metrics(place, {"command": "bins", "provenance": provenance(), "configuration": settings})
     return found
+
+
+def _has(place: Path, settings: dict[str, Any]) -> bool:
+    """Whether a run with these settings is there; one whose record is damaged is made again."""
+    if not (place / METRICS).is_file():
+        return False
+    try:
+        return bool(read_metrics(place).get("configuration") == settings)
+    except ResultsError:
+        return False

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from conformodal._files import replacing, write_whole
+
 from ..errors import ExperimentError
 from .conditions import Row, TrainingTask
 
@@ -68,7 +70,7 @@ def _region(found: Record) -> Record:
 
 def write_json(records: Sequence[Record], path: Path) -> None:
     """All records, as a list of objects."""
-    path.write_text(json.dumps(list(records), indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(list(records), indent=1) + "\n")
 
 
 def write_parquet(records: Sequence[Record], path: Path) -> None:
@@ -85,4 +87,5 @@ def write_parquet(records: Sequence[Record], path: Path) -> None:
     except ModuleNotFoundError as exc:
         raise ExperimentError("Parquet needs pyarrow: pip install 'conformodal[arrow]'") from exc
     names = dict.fromkeys(name for record in records for name in record)
-    pq.write_table(pa.table({name: [record.get(name) for record in records] for name in names}), path)
+    with replacing(path) as part:
+        pq.write_table(pa.table({name: [record.get(name) for record in records] for name in names}), part)

@@ -1,0 +1,48 @@
+"""Arrays in cache files that tell whether they are whole and in the right place."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from conformodal._files import write_whole
+
+_DIGEST = "digest"
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+
+def keep_arrays(path: Path, key: str, arrays: Arrays) -> None:
+    """Write arrays with a digest of them and of their key."""
+    write_whole(path, save_tensors({**arrays, _DIGEST: _digest(key, arrays)}))
+
+
+def kept_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
+    """The arrays of a file, or None where there are none; a file that is damaged, or another key's, is removed."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    with suppress(SafetensorError, KeyError, TypeError, ValueError, AttributeError):
+        arrays = load_tensors(content)
+        if np.array_equal(arrays.pop(_DIGEST), _digest(key, arrays)):
+            return arrays
+    with suppress(OSError):
+        path.unlink()
+    return None
+
+
+def _digest(key: str, arrays: Arrays) -> npt.NDArray[np.uint8]:
+    digest = hashlib.blake2b(key.encode(), digest_size=16)
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), dtype=np.uint8)

@@ -1,0 +1,247 @@
+"""Caches and states that are damaged, stopped, or shared: noticed, made again, and the same to the bit."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import save as save_tensors
+
+from conformodal._files import FolderInUseError, locked
+from conformodal.datasets import ImageError
+from conformodal.vision import (
+    Backbone,
+    BackboneConfig,
+    FeatureCache,
+    FineTuning,
+    Head,
+    TrainingConfig,
+    extract_features,
+    fine_tune,
+    fit_head,
+    mean_squared_error,
+    soft_cross_entropy,
+)
+from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.states import FILE, kept_state
+
+
+def flip(path: Path, at: float) -> None:
+    content = bytearray(path.read_bytes())
+    content[min(int(at * len(content)), len(content) - 1)] ^= 4
+    path.write_bytes(bytes(content))
+
+
+DAMAGE = {
+    "empty": lambda p: p.write_bytes(b""),
+    "cut at the start": lambda p: p.write_bytes(p.read_bytes()[:7]),
+    "cut in half": lambda p: p.write_bytes(p.read_bytes()[: p.stat().st_size // 2]),
+    "last byte gone": lambda p: p.write_bytes(p.read_bytes()[:-1]),
+    "bit at the start": lambda p: flip(p, 0.0),
+    "bit in the middle": lambda p: flip(p, 0.5),
+    "bit near the end": lambda p: flip(p, 0.97),
+    "last bit": lambda p: flip(p, 1.0),
+    "zeros": lambda p: p.write_bytes(bytes(p.stat().st_size)),
+    "text": lambda p: p.write_text("not a tensor " * 50),
+    "twice": lambda p: p.write_bytes(p.read_bytes() * 2),
+    "other arrays": lambda p: p.write_bytes(save_tensors({"features": np.zeros(3, np.float16)})),
+}
+
+
+def toy():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(50, 12)).astype(np.float32)
+    hot = np.eye(3, dtype=np.float32)[rng.integers(0, 3, (50, 2))].reshape(50, 6)
+    return x, hot
+
+
+def bits(head: Head) -> list[bytes]:
+    return [value.numpy().tobytes() for value in head.state_dict().values()]
+
+
+def trained(folder, stop_at=None, config=None):
+    x, y = toy()
+
+    def stop(done, _):
+        if done == stop_at:
+            raise KeyboardInterrupt
+
+    config = config or TrainingConfig(epochs=23, hidden=8, batch_size=16)
+    return fit_head(x, y, [3, 3], soft_cross_entropy, config, checkpoint_dir=folder, progress=stop)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted():
+    return bits(trained(None))
+
+
+@pytest.mark.parametrize("stop_at", [1, 9, 10, 11, 20, 22])
+def test_a_training_taken_up_again_ends_as_the_uninterrupted_one(tmp_path, uninterrupted, stop_at):
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, stop_at)
+    torch.rand(7)  # numbers that something else draws in between
+    assert bits(trained(tmp_path)) == uninterrupted
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_training_stopped_twice_ends_as_the_uninterrupted_one(tmp_path, uninterrupted):
+    for stop_at in (12, 21):
+        with pytest.raises(KeyboardInterrupt):
+            trained(tmp_path, stop_at)
+    assert bits(trained(tmp_path)) == uninterrupted
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_state_is_dropped(tmp_path, uninterrupted, damage):
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, 12)
+    (state,) = tmp_path.rglob(FILE)
+    DAMAGE[damage](state)
+    assert kept_state(state.parent) is None
+    assert not state.exists()
+    assert bits(trained(tmp_path)) == uninterrupted
+
+
+def test_a_damaged_state_does_not_stop_the_training(tmp_path, uninterrupted):
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, 12)
+    (state,) = tmp_path.rglob(FILE)
+    flip(state, 0.4)
+    assert bits(trained(tmp_path)) == uninterrupted
+
+
+def test_states_hold_tensors_and_no_code(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, 12)
+    (state,) = tmp_path.rglob(FILE)
+    assert torch.load(state, weights_only=True)["epoch"] == 9
+
+
+@pytest.mark.parametrize("other", ["outputs", "loss"])
+def test_the_state_of_another_head_is_not_taken_up(tmp_path, other):
+    x, y = toy()
+    config = TrainingConfig(epochs=12, hidden=8)
+    outputs, loss = ([2, 4], soft_cross_entropy) if other == "outputs" else ([3, 3], mean_squared_error)
+    plain = bits(fit_head(x, y, outputs, loss, config))
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, 11, config)
+    assert bits(fit_head(x, y, outputs, loss, config, checkpoint_dir=tmp_path)) == plain
+
+
+HOLD = "import sys; from pathlib import Path; from conformodal._files import locked\n"
+HOLD += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+
+
+def test_two_trainings_of_the_same_do_not_meet(tmp_path, uninterrupted):
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, 12)
+    (state,) = tmp_path.rglob(FILE)
+    before = state.read_bytes()
+    lock = state.parent.with_name(f"{state.parent.name}.lock")
+    command = [sys.executable, "-c", HOLD, str(lock)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(FolderInUseError, match=f"in use by process {other.pid}"), locked(lock):
+            pass
+        assert bits(trained(tmp_path)) == uninterrupted
+        assert state.read_bytes() == before  # the other's
+        other.kill()  # its lock goes with it
+    assert bits(trained(tmp_path)) == uninterrupted
+    assert not state.exists()
+
+
+@pytest.fixture(scope="module")
+def features(small_world, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("features")
+    files = sorted(small_world.folder.rglob("*.png"))[:3]
+    backbone = Backbone(BackboneConfig.for_images(64, 48))
+    expected = extract_features(files, backbone, FeatureCache(folder))
+    return files, backbone, folder, expected
+
+
+@pytest.mark.parametrize("damage", [*DAMAGE, "a folder", "no vector", "longer", "not finite", "another's"])
+def test_a_damaged_vector_is_made_again(features, damage):
+    files, backbone, folder, expected = features
+    cache = FeatureCache(folder)
+    key = cache.key(backbone, files[1])
+    path = cache._path(key)
+    if damage == "no vector":
+        path.write_bytes(save_tensors({"other": expected[1].astype(np.float16)}))
+    elif damage == "longer":
+        path.write_bytes(save_tensors({"features": np.zeros(expected.shape[1] + 1, np.float16)}))
+    elif damage == "not finite":
+        path.write_bytes(save_tensors({"features": np.full(expected.shape[1], np.nan, np.float16)}))
+    elif damage == "another's":
+        path.write_bytes(cache._path(cache.key(backbone, files[0])).read_bytes())
+    elif damage == "a folder":
+        path.unlink()
+        path.mkdir()
+        assert cache.load(key) is None
+        path.rmdir()
+    else:
+        DAMAGE[damage](path)
+    found = extract_features(files, backbone, FeatureCache(folder))
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(cache.load(key), expected[1].astype(np.float16))
+
+
+def test_an_image_that_vanished_is_named(features, tmp_path):
+    _, backbone, _, _ = features
+    with pytest.raises(ImageError, match=r"gone\.png"):
+        extract_features([tmp_path / "gone.png"], backbone, FeatureCache(None))
+    tuning = FineTuning(1, 1)
+    with pytest.raises(ImageError, match=r"gone\.png"):
+        fine_tune(backbone, [tmp_path / "gone.png"] * 2, np.ones((2, 1)), [1], tuning, FeatureCache(None))
+
+
+@pytest.fixture(scope="module")
+def tuned(features):
+    files, backbone, _, _ = features
+    return lambda cache, progress=None: fine_tune(
+        backbone, files, np.eye(3, dtype=np.float32), [3], FineTuning(1, 3, 2), cache, progress
+    )
+
+
+def test_fine_tuning_taken_up_again_ends_as_the_uninterrupted_one(tuned, tmp_path):
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    expected = tuned(FeatureCache(None)).tuned
+    with pytest.raises(KeyboardInterrupt):
+        tuned(FeatureCache(tmp_path), stop)
+    assert tuned(FeatureCache(tmp_path)).tuned == expected
+    (kept,) = (tmp_path / "backbones").iterdir()
+    for damage in ("bit in the middle", "cut in half", "other arrays"):
+        DAMAGE[damage](kept)
+        assert tuned(FeatureCache(tmp_path)).tuned == expected
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_kept_arrays_are_whole_or_gone(tmp_path, damage):
+    arrays = {"a": np.arange(300.0), "b": np.ones((2, 3), np.float16)}
+    path = tmp_path / "x.safetensors"
+    keep_arrays(path, "key", arrays)
+    found = kept_arrays(path, "key")
+    assert all(np.array_equal(found[k], v) for k, v in arrays.items())
+    DAMAGE[damage](path)
+    assert kept_arrays(path, "key") is None
+    assert not path.exists()
+
+
+def test_arrays_of_another_key_are_not_taken(tmp_path):
+    keep_arrays(tmp_path / "x", "key", {"a": np.arange(3)})
+    assert kept_arrays(tmp_path / "x", "other") is None
+
+
+@pytest.mark.parametrize("name", ["x", "a b", "é", "x" * 200])
+def test_locks_are_held_once_and_leave_nothing(tmp_path, name):
+    file = tmp_path / name
+    with locked(file), locked(file):
+        assert file.read_text() == f"{os.getpid()}\n"
+    assert not file.exists()
+    with locked(file):
+        pass
