@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from conformodal._files import check_writable
 from conformodal.datasets import Layout
 from conformodal.odometry import (
     METHODS,
@@ -18,9 +19,11 @@ from conformodal.odometry import (
     recordings_needed,
     save_model,
 )
+from conformodal.odometry.folders import claimed
 from conformodal.vision import FeatureCache, default_cache_dir
 
-from .console import console, kind_errors, print_where, progress_bars
+from .console import console, kind_errors, print_where, progress_bars, say_strongly
+from .options import OptionError
 from .sources import FOLLOW_OUTSIDE, open_sequence
 
 
@@ -45,23 +48,34 @@ def calibrate(
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
     """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
+    if method not in METHODS:
+        raise OptionError(f"--method must be one of {', '.join(METHODS)}, got {method!r}")
     loaded = load_model(model)
-    sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
-    features = FeatureCache(cache or default_cache_dir())
-    with progress_bars() as report:
-        radius = calibrate_selection(
-            loaded, sequence, alpha, promise, method, sizing, metres_per_radian, cache=features, progress=report
-        )
-    loaded.radius = radius
-    save_model(loaded, model)
+    cache_dir = cache or default_cache_dir()
+    with claimed(model, "train", apart=[data]):
+        check_writable(cache_dir)
+        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
+        with progress_bars() as report:
+            radius = calibrate_selection(
+                loaded,
+                sequence,
+                alpha,
+                promise,
+                method,
+                sizing,
+                metres_per_radian,
+                cache=FeatureCache(cache_dir),
+                progress=report,
+            )
+        loaded.radius = radius
+        save_model(loaded, model)
     if isfinite(radius.radius_m):
         size = "" if sizing is Sizing.NONE else ", times the size of the recording"
         console.print(f"radius {radius.radius_m:.4f} m and {radius.degrees():.2f} degrees{size}. ", end="")
         console.print(radius.assumption, soft_wrap=True)
     else:
-        console.print(
-            f"[bold]The radius is infinite[/]: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
-            f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read.",
-            soft_wrap=True,
+        say_strongly(
+            f"The radius is infinite: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
+            f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read."
         )
     print_where(model)

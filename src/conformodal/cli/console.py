@@ -3,54 +3,100 @@
 from __future__ import annotations
 
 import functools
+import inspect
+import io
+import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import ParamSpec, Self
+from typing import Any, ParamSpec, Self
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
-from conformodal.conformal import ConformodalError
 from conformodal.odometry import Estimate, Evidence
+
+from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
+from .options import check_options
 
 P = ParamSpec("P")
 Report = Callable[[str, int, int], None]
 
-console = Console(highlight=False)
-_errors = Console(stderr=True, highlight=False)
 
-INTERRUPTED = 130
-BAD_INPUT = 2
+def plain(text: str) -> str:
+    """Text on one line that a terminal shows as it is: control characters and undecodable bytes with backslashes."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+class PlainConsole(Console):
+    """Prints text as it is: what a name or a message holds is no markup, no emoji and no command.
+
+    Where the reader of the output goes, as ``head`` does, the work goes on without one.
+    """
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """See :meth:`rich.console.Console.render_str`; every text that is printed comes by here."""
+        return super().render_str(plain(text), **{**options, "markup": False, "emoji": False, "highlight": False})
+
+    def on_broken_pipe(self) -> None:
+        """Nobody reads any more: that is no reason to lose the work."""
+        self.quiet = True
+        with suppress(OSError, ValueError):  # else the interpreter tries once more when it ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+
+
+console = PlainConsole()
+_errors = PlainConsole(stderr=True)
 
 
 def kind_errors(command: Callable[P, None]) -> Callable[P, None]:
-    """Turn this package's errors into one line on stderr and exit code 2, and Ctrl-C into 130."""
+    """Check options first, and end what goes wrong with one line on stderr and an exit code, see :mod:`.failures`."""
+    defaults = {p.name: p.default for p in inspect.signature(command).parameters.values()}
 
     @functools.wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except ConformodalError as exc:
-            _errors.print(f"[bold red]error:[/] {type(exc).__name__}: ", end="")
-            _errors.print(str(exc), markup=False, soft_wrap=True)
-            raise typer.Exit(BAD_INPUT) from exc
-        except KeyboardInterrupt:
-            _errors.print("interrupted; the same command goes on from what was kept (features, training state)")
-            raise typer.Exit(INTERRUPTED) from None
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
+        with stopping() as came:
+            try:
+                check_options(kwargs, defaults)
+                command(*args, **kwargs)
+            except (typer.Exit, typer.Abort, typer.BadParameter):
+                raise
+            except KeyboardInterrupt:
+                say_error("interrupted; the same command goes on from what was kept (features, training state)", "")
+                raise typer.Exit(stop_code(came)) from None
+            except Exception as exc:
+                said, code = explained(exc)
+                if code == OWN_FAULT and show_all():
+                    raise
+                say_error(said)
+                raise typer.Exit(code) from exc
 
     return wrapped
+
+
+def say_error(said: str, start: str = "error: ") -> None:
+    """One line on stderr."""
+    _errors.print(Text(start, style="bold red") + Text(plain(said)), soft_wrap=True)
+
+
+def say_strongly(said: str) -> None:
+    """A line that a user should not miss."""
+    console.print(Text(plain(said), style="bold"), soft_wrap=True)
 
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
     """Bars for stages: call the yielded function with stage, steps done and steps in all."""
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
         tasks: dict[str, int] = {}
 
@@ -74,7 +120,6 @@ def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
 
 def print_where(folder: Path) -> None:
     """The last line: where the results are."""
-    sys.stdout.flush()
     console.print(f"results: {folder.resolve()}", soft_wrap=True)
 
 
@@ -92,7 +137,7 @@ class StatusLine:
             TextColumn("{task.fields[fps]:5.1f} fps"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[state]}"),
+            TextColumn("{task.fields[state]}", markup=False),
         )
         self._progress = Progress(*columns, TimeRemainingColumn(), console=_errors)
         self._task = self._progress.add_task("frames", total=n_frames, fps=0.0, state="")
@@ -110,7 +155,7 @@ class StatusLine:
         self._recent.append(time.perf_counter())
         passed = self._recent[-1] - self._recent[0]
         fps = (len(self._recent) - 1) / passed if passed > 0 else 0.0
-        self._progress.update(self._task, completed=done, fps=fps, state=state_of(estimate))
+        self._progress.update(self._task, completed=done, fps=fps, state=plain(state_of(estimate)))
 
 
 def state_of(estimate: Estimate) -> str:

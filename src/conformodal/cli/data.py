@@ -110,7 +110,7 @@ def convert(
         soft_wrap=True,
     )
     for note in done.notes:
-        console.print(f"note: {note}", soft_wrap=True, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
     print_where(out)
 
 

@@ -24,6 +24,7 @@ from conformodal.odometry import (
     write_metrics,
     write_run,
 )
+from conformodal.odometry.folders import claimed
 from conformodal.poses import Trajectory
 from conformodal.report import (
     PageFigure,
@@ -56,7 +57,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
     config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
-    with progress_bars() as report:
+    with claimed(out, "demo"), progress_bars() as report:
         write_corridor(
             out / "corridor",
             n_modules=N_MODULES,
@@ -75,11 +76,11 @@ def demo(
             Renderer(world),
             progress=lambda done, total: report("look-alikes", done, total),
         )
-    outcome.metrics["ambiguity"] = _ambiguity_record(alike)
-    outcome.metrics["command"] = "demo"
-    outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
-    write_metrics(out, outcome.metrics)
-    write_page(out / "report.html", _page(outcome, sequence, model, world, alike, out))
+        outcome.metrics["ambiguity"] = _ambiguity_record(alike)
+        outcome.metrics["command"] = "demo"
+        outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
+        write_metrics(out, outcome.metrics)
+        write_page(out / "report.html", _page(outcome, sequence, model, world, alike, out))
     say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
     record = outcome.metrics["ambiguity"]
     console.print(
@@ -112,7 +113,7 @@ def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> 
     features = extract_features(paths, model.backbone, cache)
     result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
     truth = sequence.require_truth()[result.frames]
-    write_run(out, result, [path.name for path in paths], truth)
+    write_run(out, result, [path.name for path in paths], truth, "demo")
     counts = {
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),

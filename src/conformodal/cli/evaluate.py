@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from conformodal._files import writing_in
 from conformodal.datasets import Layout
 from conformodal.experiments import error_table
 from conformodal.odometry import (
+    METRICS,
     TARGET_NAMES,
     OdometryError,
     provenance,
     read_metrics,
     read_region_records,
     read_trajectories,
+    read_unfinished,
     records_contain,
     write_metrics,
 )
+from conformodal.odometry.folders import check_belongs, claimed, result_digests, settle
+from conformodal.odometry.records import REGIONS
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
 
-from .console import console, kind_errors, print_errors, print_where
+from .console import console, kind_errors, print_errors, print_where, say_strongly
 from .sources import open_sequence
 
 
@@ -37,40 +43,104 @@ def evaluate(
     ] = Alignment.NONE,
 ) -> None:
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
-    metrics = read_metrics(out)
-    trajectories = read_trajectories(out)
-    records = read_region_records(out / "regions.jsonl")
-    true_poses = read_truth(truth, layout)
-    answer = next(iter(trajectories.values()))
-    if any(len(t) != len(answer) for t in trajectories.values()) or len(records) != len(answer):
-        raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
-    mine, theirs = associate(answer, true_poses)
-    matched = true_poses[theirs]
-    moved = {name: align(t[mine], matched, alignment) for name, t in trajectories.items()}
-    errors = {name: row | motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
-    sign = np.array(metrics["sign_reference_quat_wxyz"])
-    inside = records_contain([records[i] for i in mine], matched, sign)
-    result: dict[str, Any] = {
-        "command": "evaluate",
-        "provenance": provenance(),
-        "configuration": {"results": metrics["configuration"], "truth": truth.name, "align": alignment},
-        "seed": metrics["seed"],
-        "n_matched": len(mine),
-        "n_answered": len(answer),
-        "errors": errors,
-        "coverage": {
-            "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
-            "joint_coverage": float(inside.all(axis=1).mean()),
-            "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
-            "frames relate to the calibration frames",
-        },
-    }
-    write_metrics(out / "evaluation", result)
-    console.print(f"{len(mine)} of {len(answer)} poses have a true one within 0.01 s")
+    with writing_in(out), claimed(out / "evaluation", "evaluate"):
+        settle(out)
+        found = read_results(out)
+        true_poses = read_truth(truth, layout)
+        mine, theirs = associate(found.times, true_poses)
+        matched = true_poses[theirs]
+        moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
+        errors = {name: row | motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
+        metrics = found.metrics
+        sign = metrics.get("sign_reference_quat_wxyz")
+        inside = records_contain(
+            [found.records[i] for i in mine], matched, None if sign is None else np.array(sign, dtype=np.float64)
+        )
+        result: dict[str, Any] = {
+            "command": "evaluate",
+            "results": result_digests(out),
+            "provenance": provenance(),
+            "configuration": {"results": metrics.get("configuration"), "truth": truth.name, "align": alignment},
+            "seed": metrics.get("seed"),
+            "unfinished": found.unfinished,
+            "n_matched": len(mine),
+            "n_answered": len(found.times),
+            "errors": errors,
+            "coverage": {
+                "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
+                "joint_coverage": float(inside.all(axis=1).mean()),
+                "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
+                "frames relate to the calibration frames",
+            },
+        }
+        write_metrics(out / "evaluation", result)
+    if found.unfinished:
+        say_strongly("the run did not come to its end: what it had written until then is evaluated")
+    console.print(f"{len(mine)} of {len(found.times)} poses have a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
     console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
     print_where(out / "evaluation")
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What lies in a folder of results: as many records as poses of each method.
+
+    Attributes
+    ----------
+    metrics
+        Of the run; empty where they are missing.
+    records, trajectories
+        One record a frame; trajectories by method, the answer first.
+    times
+        Of the frames, as a trajectory whose poses mean nothing if there is no method.
+    unfinished
+        Whether the run was killed.
+    """
+
+    metrics: dict[str, Any]
+    records: list[dict[str, Any]]
+    trajectories: dict[str, Trajectory]
+    times: Trajectory
+    unfinished: bool
+
+
+def read_results(out: Path) -> Results:
+    """Read results; of a run that was killed, what is whole: frames that all its files know.
+
+    Raises
+    ------
+    ResultsError, TrajectoryFileError, FolderError
+        If a file is missing, damaged, or belongs to other results.
+    OdometryError
+        If files differ in length though the run came to its end.
+    """
+    metrics = read_metrics(out) if (out / METRICS).is_file() else {}
+    unfinished = not metrics or bool(metrics.get("unfinished"))
+    records = read_region_records(out / REGIONS, torn=unfinished)
+    if not unfinished:
+        check_belongs(out, metrics)
+        trajectories = read_trajectories(out)
+        answer = next(iter(trajectories.values()))
+        if any(len(t) != len(answer) for t in trajectories.values()) or len(records) != len(answer):
+            raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
+        return Results(metrics, records, trajectories, answer, unfinished)
+    if not records:
+        raise OdometryError(f"{out}: the run was killed before it had answered a frame; run it again")
+    return _common(metrics, records, read_unfinished(out))
+
+
+def _common(metrics: dict[str, Any], records: list[dict[str, Any]], trajectories: dict[str, Trajectory]) -> Results:
+    """The frames that all files know, by their times in microseconds, which is what files say."""
+    stamps = [round(1e6 * r["timestamp_s"]) for r in records]
+    known = {name: np.round(1e6 * t.timestamps_s).astype(np.int64) for name, t in trajectories.items()}
+    both = sorted(set(stamps).intersection(*(set(times.tolist()) for times in known.values())))
+    at = {stamp: i for i, stamp in enumerate(stamps)}
+    kept = {name: t[np.flatnonzero(np.isin(known[name], both))] for name, t in trajectories.items()}
+    n = len(both)
+    nowhere = Trajectory(np.array(both) / 1e6, np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)))
+    return Results(metrics, [records[at[s]] for s in both], kept, next(iter(kept.values()), nowhere), True)
 
 
 def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from conformodal.experiments import (
 from conformodal.odometry import Evidence, OdometryError, PoseModel, RegionTally, identify, provenance
 from conformodal.poses import Trajectory
 
-from .console import console, print_errors
+from .console import console, print_errors, say_strongly
 
 _SAME_CAMERA = 1e-6  # shares of the width: what a text file may round
 
@@ -80,7 +80,7 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
         )
     if (at < 0).any():
         missing = f"{(at < 0).sum()} of {n} frames of the {part} part are not in {sequence.name}, or have no pose there"
-        console.print(missing, soft_wrap=True, markup=False)
+        console.print(missing, soft_wrap=True)
     return np.sort(at[at >= 0])
 
 
@@ -171,14 +171,13 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     fixed = f", landmarks recognised in {metrics['n_fixed']}" if metrics["n_fixed"] else ""
     console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{fixed}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
-        console.print(f"  {name}: {why}", soft_wrap=True, markup=False)
+        console.print(f"  {name}: {why}", soft_wrap=True)
     for line in _said_of_unknown(metrics):
         console.print(line, soft_wrap=True)
     if whole_space:
-        console.print(
-            "[bold]The region of a known place is the whole space in some target[/]: too few calibration frames with "
-            "the same kind of evidence for this alpha, or too many of them beyond the training range.",
-            soft_wrap=True,
+        say_strongly(
+            "The region of a known place is the whole space in some target: too few calibration frames with the same "
+            "kind of evidence for this alpha, or too many of them beyond the training range."
         )
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
@@ -189,7 +188,6 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
             f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
             f"({coverage['joint']}); {_abstained(coverage)}. " + coverage["assumption"],
             soft_wrap=True,
-            markup=False,
         )
 
 

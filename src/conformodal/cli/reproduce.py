@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from conformodal._files import check_writable, write_whole
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import Engine, LocalEngine, RayEngine, run_tasks
 from conformodal.experiments.table1 import (
@@ -32,14 +34,15 @@ from conformodal.experiments.table1 import (
     write_json,
     write_parquet,
 )
-from conformodal.odometry import METRICS, data_digest, provenance, read_metrics, write_metrics
+from conformodal.odometry import ResultsError, data_digest, provenance, read_metrics, write_metrics
+from conformodal.odometry.folders import claimed
 from conformodal.report import Section, error_chart, write_comparison
 from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
 from .figures import draw_figures
 from .sources import open_sequence
-from .train import tuning_of
+from .train import check_fine_tuning, tuning_of
 
 app = typer.Typer(help="The paper's results on a data set of your own.", no_args_is_help=True)
 
@@ -89,40 +92,46 @@ def table1(
     address: Address = None,
 ) -> None:
     """Less data, other networks, noise: the conformal method beside every baseline. Writes OUT/table1.md and .html."""
-    sequence = open_sequence(data, layout, require_poses=True)
-    splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
-    rows = rows_of(networks.split(","))
-    settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
-    settings |= {"networks": networks, "fine_tune": fine_tune, "engine": engine, "workers": workers}
-    # a run that only goes on does not hide what those before it took, if they came to their end
-    earlier = read_metrics(out) if (out / METRICS).is_file() else {}
-    before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
-    started = time.perf_counter()
-    where = _engine(engine, workers, address)
-    tasks, results = _work(sequence, out, rows, splits, seeds, epochs, fine_tune, cache, where)
-    records = tidy(rows, tasks, results)
-    write_json(records, out / "table1.json")
-    if find_spec("pyarrow"):  # an extra
-        write_parquet(records, out / "table1.parquet")
-    title, note = f"The paper's table 1 on {sequence.name}", _note(seeds, epochs, networks, workers, fine_tune)
-    tables = {str(kind): _tables(rows, tasks, results, records, str(kind)) for kind in splits}
-    text = [f"# {title}", "", note]
-    for kind, found in tables.items():
-        text += ["", f"## Split `{kind}`"]
-        for name, table in found:
-            text += ["", f"{name}:", "", table.markdown()]
-    (out / "table1.md").write_text("\n".join(text) + "\n", encoding="utf-8")
-    record: dict[str, Any] = {"command": "reproduce table1", "provenance": provenance(), "configuration": settings}
-    record["seconds"] = round(before + time.perf_counter() - started, 3)
-    write_metrics(out, record)
-    sections = [
-        Section(
-            f"Split {kind}", _CAPTION, error_chart([r.label for r in rows], _errors(rows, records, kind), "m"), found
-        )
-        for kind, found in tables.items()
-    ]
-    write_comparison(out / "table1.html", title, [note.replace("`", "")], sections, record)
-    console.print("\n".join(text), soft_wrap=True, markup=False)
+    where, cache_dir = _engine(engine, workers, address), cache or default_cache_dir()
+    rows = _rows(networks, fine_tune)
+    with claimed(out, "reproduce", apart=[data]):
+        check_writable(cache_dir)
+        sequence = open_sequence(data, layout, require_poses=True)
+        splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
+        settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
+        settings |= {"networks": networks, "fine_tune": fine_tune, "engine": engine, "workers": workers}
+        # a run that only goes on does not hide what those before it took, if they came to their end
+        earlier = _earlier(out)
+        before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
+        started = time.perf_counter()
+        tasks, results = _work(sequence, out, rows, splits, seeds, epochs, fine_tune, cache_dir, where)
+        records = tidy(rows, tasks, results)
+        write_json(records, out / "table1.json")
+        if find_spec("pyarrow"):  # an extra
+            write_parquet(records, out / "table1.parquet")
+        title, note = f"The paper's table 1 on {sequence.name}", _note(seeds, epochs, networks, workers, fine_tune)
+        tables = {str(kind): _tables(rows, tasks, results, records, str(kind)) for kind in splits}
+        text = [f"# {title}", "", note]
+        for kind, found in tables.items():
+            text += ["", f"## Split `{kind}`"]
+            for name, table in found:
+                text += ["", f"{name}:", "", table.markdown()]
+        write_whole(out / "table1.md", "\n".join(text) + "\n")
+        record: dict[str, Any] = {"command": "reproduce table1", "provenance": provenance(), "configuration": settings}
+        record["seconds"] = round(before + time.perf_counter() - started, 3)
+        write_metrics(out, record)
+        sections = [
+            Section(
+                f"Split {kind}",
+                _CAPTION,
+                error_chart([r.label for r in rows], _errors(rows, records, kind), "m"),
+                found,
+            )
+            for kind, found in tables.items()
+        ]
+        write_comparison(out / "table1.html", title, [note.replace("`", "")], sections, record)
+    for line in "\n".join(text).splitlines():
+        console.print(line, soft_wrap=True)
     print_where(out)
 
 
@@ -142,23 +151,47 @@ def figures(
     address: Address = None,
 ) -> None:
     """The paper's figures from the runs of seed 0 under OUT, as SVG and PNG; what is not there yet is run first."""
-    sequence = open_sequence(data, layout, require_poses=True)
-    rows = rows_of(networks.split(","))
-    _, results = _work(sequence, out, rows, [split], 1, epochs, fine_tune, cache, _engine(engine, workers, address))
-    with progress_bars() as report:
-        bins = bin_runs(sequence, out / "runs", split, epochs, FeatureCache(cache or default_cache_dir()), report)
-    written = draw_figures(sequence, out, split, rows, bins, results)
-    write_metrics(
-        out / "figures",
-        {
-            "command": "reproduce figures",
-            "provenance": provenance(),
-            "configuration": {"data": sequence.name, "seed": 0, "split": split, "epochs": epochs, "networks": networks},
-            "figures": written,
-        },
-    )
+    where, cache_dir = _engine(engine, workers, address), cache or default_cache_dir()
+    rows = _rows(networks, fine_tune)
+    with claimed(out, "reproduce", apart=[data]):
+        check_writable(cache_dir)
+        sequence = open_sequence(data, layout, require_poses=True)
+        _, results = _work(sequence, out, rows, [split], 1, epochs, fine_tune, cache_dir, where)
+        with progress_bars() as report:
+            bins = bin_runs(sequence, out / "runs", split, epochs, FeatureCache(cache_dir), report)
+        written = draw_figures(sequence, out, split, rows, bins, results)
+        write_metrics(
+            out / "figures",
+            {
+                "command": "reproduce figures",
+                "provenance": provenance(),
+                "configuration": {
+                    "data": sequence.name,
+                    "seed": 0,
+                    "split": split,
+                    "epochs": epochs,
+                    "networks": networks,
+                },
+                "figures": written,
+            },
+        )
     console.print(f"{len(written)} figures: {', '.join(written)}", soft_wrap=True)
     print_where(out / "figures")
+
+
+def _rows(networks: str, fine_tune: str) -> tuple[Row, ...]:
+    """Rows with networks that are there, and that have as many blocks as are to be trained."""
+    names = networks.split(",")
+    for name in names:
+        check_fine_tuning(name, tuning_of(fine_tune, FineTuning().epochs, 0))
+    return rows_of(names)
+
+
+def _earlier(out: Path) -> dict[str, Any]:
+    """What an earlier run said, if it came to its end and can be read."""
+    with suppress(ResultsError):
+        return read_metrics(out)
+    return {}
 
 
 def _work(
@@ -169,12 +202,12 @@ def _work(
     seeds: int,
     epochs: int,
     fine_tune: str,
-    cache: Path | None,
+    cache: Path,
     engine: Engine,
 ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
     tuning = tuning_of(fine_tune, FineTuning().epochs, 0)
     tasks = tasks_of(rows, splits, list(range(seeds)), epochs, data_digest(sequence), tuning)
-    worker = Table1Worker(sequence, FeatureCache(cache or default_cache_dir()), out / "runs")
+    worker = Table1Worker(sequence, FeatureCache(cache), out / "runs")
     with progress_bars() as report:
         return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import numpy as np
@@ -31,17 +27,21 @@ from conformodal.odometry import (
     StreamRunner,
     VisualOdometry,
     load_model,
+    model_digest,
+    provenance,
     read_trajectories,
     write_metrics,
     write_region_parquet,
 )
+from conformodal.odometry.folders import check_no_stray, claimed, result_digests
 from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
 
-from .console import StatusLine, console, kind_errors, print_where
+from .console import StatusLine, kind_errors, print_where, say_strongly
+from .failures import BROKE_OFF, stop_code, stopping
 from .outcome import Known, Part, part_frames, run_metrics, say, summary
 from .sources import FOLLOW_OUTSIDE, open_source
 
-INTERRUPTED, BROKE_OFF = 130, 3
+INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time for landmarks in each of them: a 30 Hz camera then gets five fixes a second.
 FIX_EVERY_LIVE = 6
 
@@ -82,31 +82,36 @@ def run(
     save: Annotated[Path | None, typer.Option(help="Record for Rerun: a file .rrd (extra 'view').")] = None,
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
-    loaded = load_model(model)
-    if alpha is not None:
-        loaded.recalibrate(alpha)
-    if novelty_level is not None:
-        loaded.set_novelty_level(novelty_level)
-    as_trained = part is not Part.ALL
-    stream = open_source(
-        source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
-    )
-    if isinstance(stream, SequenceStream):
-        stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
-    elif part is not Part.ALL:
-        raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
-    if stream.camera is not None:
-        loaded.check_camera(stream.camera)
-    live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
-    metrics, whole_space = stream_through(
-        loaded, load_classical(model), stream, part, out, pace, limit, live, fix_every
-    )
+    with claimed(out, "run", apart=[model, Path(source)]):
+        check_no_stray(out)
+        loaded = load_model(model)
+        if alpha is not None:
+            loaded.recalibrate(alpha)
+        if novelty_level is not None:
+            loaded.set_novelty_level(novelty_level)
+        as_trained = part is not Part.ALL
+        stream = open_source(
+            source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
+        )
+        if isinstance(stream, SequenceStream):
+            stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
+        elif part is not Part.ALL:
+            raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
+        if stream.camera is not None:
+            loaded.check_camera(stream.camera)
+        live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
+        classical = load_classical(model, say_strongly)
+        metrics, whole_space = stream_through(
+            loaded, classical, stream, part, out, pace, limit, live, fix_every, model_digest(model)
+        )
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
-        console.print(f"[bold]stopped early[/]: {metrics['stopped']}", soft_wrap=True)
+        say_strongly(f"stopped early: {metrics['stopped']}")
     print_where(out)
+    if metrics["stopped"] == INTERRUPTED:
+        raise typer.Exit(stop_code([metrics["signal"]]))
     if metrics["stopped"]:
-        raise typer.Exit(INTERRUPTED if metrics["stopped"] == "interrupted" else BROKE_OFF)
+        raise typer.Exit(BROKE_OFF)
 
 
 def stream_through(
@@ -119,6 +124,7 @@ def stream_through(
     limit: int | None = None,
     live: LiveView | None = None,
     fix_every: int | None = None,
+    digest: str | None = None,
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
@@ -135,11 +141,13 @@ def stream_through(
     lossy = stream.live or pace is Pace.CAMERA
     odometry = VisualOdometry(model, fix_every=fix_every or (FIX_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
-    with ResultsWriter(out) as writer:
+    # a signal stops the stream; what follows is brought to its end, so that results are kept
+    with stopping(gently=True) as stop, ResultsWriter(out) as writer:
+        write_metrics(writer.place, _unfinished(model, part, digest))
         others = None if classical is None else classical.answers
         runner = StreamRunner(odometry, writer, others, truth=truth)
         try:
-            with _stop_flag() as stop, StatusLine(stream.n_frames) as status:
+            with StatusLine(stream.n_frames) as status:
                 for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
                     estimate = runner.push(frame)
                     if estimate is not None:
@@ -152,7 +160,7 @@ def stream_through(
                         status.update(number, estimate)
                     limited = number == limit
                     if stop or limited:
-                        stopped = "interrupted" if stop else ""
+                        stopped = INTERRUPTED if stop else ""
                         break
         except SourceError as exc:
             stopped = str(exc)
@@ -161,39 +169,59 @@ def stream_through(
                 live.close()
         runner.finish()
         seconds = time.perf_counter() - started
+        _check_answered(runner, stream.name, stopped)
         known = None
-        if runner.n_answered and truth is not None:
+        if truth is not None:
             known = Known(truth[np.array(runner.answered)], runner.tally)
             writer.truth(known.truth)
+        counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": digest}
+        counts |= {"signal": stop[0]} if stopped == INTERRUPTED else {}
+        whole = not (stopped or limited or lossy or runner.windowed)
+        needed = known is not None or (model.radius is not None and part is Part.ALL)
+        metrics = run_metrics(
+            model,
+            classical,
+            part,
+            read_trajectories(writer.place) if needed else {},
+            known,
+            counts,
+            whole=whole,
+            fixed_all=odometry.fix_every == 1,
+            recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
+        )
+        write_metrics(writer.place, metrics)
+        if find_spec("pyarrow"):  # an extra
+            write_region_parquet(writer.place)
+        viewer = make_viewer(writer.place, pictures.kept, model.rules.level)
+        page = ReportContent(f"conformodal: {stream.name}", summary(stream.name, metrics), metrics, viewer=viewer)
+        write_page(writer.place / "report.html", page)
+    return metrics, whole_space
+
+
+def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
     if not runner.n_answered:
         first = next(iter(runner.problems.values()), "it holds no frame")
-        raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
-    counts = {**_counts(runner), "fix_every": odometry.fix_every, "stopped": stopped, "seconds": round(seconds, 2)}
-    whole = not (stopped or limited or lossy or runner.windowed)
-    needed = known is not None or (model.radius is not None and part is Part.ALL)
-    trajectories = read_trajectories(out) if needed else {}
-    metrics = run_metrics(
-        model,
-        classical,
-        part,
-        trajectories,
-        known,
-        counts,
-        whole=whole,
-        fixed_all=odometry.fix_every == 1,
-        recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
-    )
-    write_metrics(out, metrics)
-    if find_spec("pyarrow"):  # an extra
-        write_region_parquet(out)
-    lines, viewer = summary(stream.name, metrics), make_viewer(out, pictures.kept, model.rules.level)
-    write_page(out / "report.html", ReportContent(f"conformodal: {stream.name}", lines, metrics, viewer=viewer))
-    return metrics, whole_space
+        raise OdometryError(f"{name}: no frame could be answered: {stopped or first}")
+
+
+def _unfinished(model: PoseModel, part: Part, digest: str | None) -> dict[str, Any]:
+    """What a run that is killed leaves as its metrics: enough to evaluate what it has written."""
+    return {
+        "command": "run",
+        "unfinished": True,
+        "model": digest,
+        "provenance": provenance(),
+        "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
+        "seed": model.split.seed,
+        "sign_reference_quat_wxyz": model.sign_reference.tolist(),
+    }
 
 
 def _counts(runner: StreamRunner) -> dict[str, Any]:
     return {
         "n_answered": runner.n_answered,
+        "fix_every": runner.odometry.fix_every,
+        "results": result_digests(runner.writer.place),
         "n_unreliable": runner.n_unreliable,
         "n_fixed": runner.n_fixed,
         "n_unknown": runner.n_unknown,
@@ -201,20 +229,3 @@ def _counts(runner: StreamRunner) -> dict[str, Any]:
         "problems": runner.problems,
         "motion": dict(sorted(runner.motion.items())),
     }
-
-
-@contextmanager
-def _stop_flag() -> Iterator[list[int]]:
-    """A list that is no longer empty after Ctrl-C; a second Ctrl-C interrupts at once."""
-    asked: list[int] = []
-
-    def ask(number: int, _: FrameType | None) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -11,9 +11,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from conformodal._files import check_writable
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.experiments import opponents_training, save_classical, train_classical
+from conformodal.experiments import opponents_training, remove_classical, save_classical, train_classical
 from conformodal.odometry import (
     TARGET_NAMES,
     Calibration,
@@ -21,19 +22,32 @@ from conformodal.odometry import (
     Landmarks,
     ModelConfig,
     PoseModel,
+    model_digest,
     prepare_training_data,
     provenance,
     save_model,
     train_model,
     write_metrics,
 )
+from conformodal.odometry.folders import claimed
 from conformodal.poses import PinholeCamera
-from conformodal.vision import NETWORKS, FeatureCache, FineTuning, TrainingConfig, VisionError, default_cache_dir
+from conformodal.vision import (
+    NETWORKS,
+    Backbone,
+    BackboneConfig,
+    FeatureCache,
+    FineTuning,
+    TrainingConfig,
+    VisionError,
+    default_cache_dir,
+    find_network,
+)
 
-from .console import Report, console, kind_errors, print_where, progress_bars
+from .console import Report, console, kind_errors, print_where, progress_bars, say_strongly
 from .sources import FOLLOW_OUTSIDE, open_sequence
 
 _DEFAULT = ModelConfig()
+_DIGITS = 9
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 _WHERE = {
     Evidence.SOFTMAX: "where landmarks are not looked for",
@@ -135,9 +149,13 @@ def train(
         seed=seed,
         training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     )
-    sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
-    with progress_bars() as report:
-        train_on(sequence, config, out, classical=classical, cache_dir=cache or default_cache_dir(), report=report)
+    check_fine_tuning(network, config.fine_tuning)
+    cache_dir = cache or default_cache_dir()
+    with claimed(out, "train", apart=[data]):
+        check_writable(cache_dir)
+        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
+        with progress_bars() as report:
+            train_on(sequence, config, out, classical=classical, cache_dir=cache_dir, report=report)
     print_where(out)
 
 
@@ -151,9 +169,27 @@ def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
     """
     if choice == "none":
         return None
-    if choice == "all" or choice.isdecimal():
+    if choice == "all" or (choice.isdecimal() and len(choice) <= _DIGITS):
         return FineTuning(None if choice == "all" else int(choice), epochs, seed=seed)
     raise VisionError(f"--fine-tune must be a number of blocks, 'all' or 'none', got {choice!r}")
+
+
+def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
+    """Refuse a network that is not there, or has fewer blocks than are to be trained, before any image is read.
+
+    Raises
+    ------
+    VisionError
+        Naming what there is.
+    """
+    block = find_network(network).block
+    if tuning is None or tuning.blocks is None:
+        return
+    n_blocks = len(Backbone(BackboneConfig(network, block)).blocks)
+    if tuning.blocks > n_blocks:
+        raise VisionError(
+            f"--fine-tune must be at most {n_blocks}, the blocks of {network} that are used, got {tuning.blocks}"
+        )
 
 
 def said_of(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
@@ -227,7 +263,7 @@ def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
             said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
         elif np.isposinf(rule.thresholds_).any():
             said.append(
-                f"[bold]The region is the whole space in some target {_WHERE[kind]}:[/] {rule.n_units} {units} "
+                f"The region is the whole space in some target {_WHERE[kind]}: {rule.n_units} {units} "
                 f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
                 f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
             )
@@ -241,13 +277,18 @@ def train_on(
     started = time.perf_counter()
     data = prepare_training_data(sequence, config, FeatureCache(cache_dir), report)
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
+    opponent = train_classical(data, opponents_training(config.training), report) if classical else None
+    # all at the end: until then, a model that was there before is whole
     save_model(model, out)
-    if classical:
-        save_classical(train_classical(data, opponents_training(config.training), report), out)
+    if opponent is None:
+        remove_classical(out)
+    else:
+        save_classical(opponent, out)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     metrics = {
         "command": "train",
+        "model": model_digest(out),
         "provenance": provenance(),
         "configuration": model.configuration,
         "seed": config.seed,
@@ -266,5 +307,5 @@ def train_on(
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
         console.print(line, soft_wrap=True)
     for line in said_of_whole_space(model, config):
-        console.print(line, soft_wrap=True)
+        say_strongly(line)
     return model

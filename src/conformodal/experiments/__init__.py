@@ -1,7 +1,14 @@
 """Baselines and comparisons."""
 
 from .ambiguity import AmbiguityCheck, check_ambiguity
-from .classical import ClassicalRegressor, load_classical, opponents_training, remove_classical, save_classical, train_classical
+from .classical import (
+    ClassicalRegressor,
+    load_classical,
+    opponents_training,
+    remove_classical,
+    save_classical,
+    train_classical,
+)
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, radius_table

@@ -19,7 +19,7 @@ from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .records import METRICS, iter_region_records, read_region_records, records_contain
 from .region_rules import Evidence, RegionRules, trusted
-from .results import read_metrics, read_trajectories, write_metrics, write_run
+from .results import read_metrics, read_trajectories, read_unfinished, write_metrics, write_run
 from .scene import Scene, learn_scene
 from .selection import calibrate_selection, recording_errors, recording_sizes
 from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
@@ -89,6 +89,7 @@ __all__ = [
     "read_region_parquet",
     "read_region_records",
     "read_trajectories",
+    "read_unfinished",
     "recording_errors",
     "recording_size",
     "recording_sizes",

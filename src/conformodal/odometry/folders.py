@@ -53,7 +53,7 @@ def check_owner(folder: Path, command: str) -> None:
     FolderError
         If it does; names both.
     """
-    mine = command.split()[0]
+    mine = command.split(maxsplit=1)[0]
     allowed = {mine, "run"} if mine == "bins" else {mine}
     for other in sorted(owners(folder) - allowed):
         what = _SAID.get(other, "numbers of something else")

@@ -114,9 +114,7 @@ def records_contain(
     Where no reference for the signs of quaternions is known, each frame has the sign that more of its intervals hold.
     """
     if sign_reference is None:
-        here, there = (
-            records_contain(records, truth, np.array(sign)) for sign in (_ANY_SIGN, [-v for v in _ANY_SIGN])
-        )
+        here, there = (records_contain(records, truth, np.array(sign)) for sign in (_ANY_SIGN, [-v for v in _ANY_SIGN]))
         return np.where(here.sum(axis=1, keepdims=True) >= there.sum(axis=1, keepdims=True), here, there)
     targets = pose_targets(truth, sign_reference)
     inside = np.zeros(targets.shape, dtype=np.bool_)

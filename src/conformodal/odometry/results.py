@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from conformodal._files import write_whole
-from conformodal.poses import Trajectory, read_tum
+from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
 
 from .answers import METHODS
 from .errors import ResultsError
@@ -58,6 +60,19 @@ def read_trajectories(folder: Path) -> dict[str, Trajectory]:
     found = {METHODS[0]: read_tum(folder / TRAJECTORY)}
     for path in sorted((folder / "methods").glob("*.tum")):
         found[path.stem] = read_tum(path)
+    return found
+
+
+def read_unfinished(folder: Path) -> dict[str, Trajectory]:
+    """The trajectories that a killed run left, as far as they are whole; without those that hold no pose yet."""
+    found = {}
+    named = {METHODS[0]: folder / TRAJECTORY} | {p.stem: p for p in sorted((folder / "methods").glob("*.tum"))}
+    for name, path in named.items():
+        with suppress(TrajectoryFileError), TemporaryDirectory() as scratch:
+            text = path.read_text(encoding="utf-8") if path.is_file() else ""
+            whole = Path(scratch) / path.name
+            whole.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")  # the last line may be half a pose
+            found[name] = read_tum(whole)
     return found
 
 

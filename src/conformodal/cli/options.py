@@ -1,0 +1,127 @@
+"""What options may say: checked for all commands in one place, before anything is read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from conformodal.conformal import ConformodalError
+
+
+class OptionError(ConformodalError):
+    """An option that cannot be used, or contradicts another."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from `low` to `high`; the ends count unless they are open."""
+
+    low: float
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether a finite number lies in it."""
+        above = value > self.low if self.low_open else value >= self.low
+        below = value < self.high if self.high_open else value <= self.high
+        return math.isfinite(value) and above and below
+
+    def __str__(self) -> str:
+        low = f"{'more than' if self.low_open else 'at least'} {self.low:,g}"
+        if math.isinf(self.high):
+            return f"a finite number, {low}"
+        return f"{low} and {'less than' if self.high_open else 'at most'} {_plain(self.high)}"
+
+
+def _plain(value: float) -> str:
+    return str(int(value)) if value == int(value) else f"{value:g}"
+
+
+_SHARE = Range(0, 1, low_open=True, high_open=True)
+_MANY = 1_000_000
+# By the name of the parameter, whatever the command.
+RANGES = {
+    "alpha": _SHARE,
+    "bins": Range(1, 10_000),
+    "sigma": Range(0, 10_000),
+    "epochs": Range(1, _MANY),
+    "fine_tune_epochs": Range(1, _MANY),
+    "dropout": Range(0, 0.95),
+    "test": _SHARE,
+    "calibration_share": _SHARE,
+    "used": Range(0, 1, low_open=True),
+    "novelty_level": Range(0, 1, high_open=True),
+    "seed": Range(0, 2**31 - 1),
+    "seeds": Range(1, 10_000),
+    "workers": Range(1, 1024),
+    "limit": Range(1),
+    "fix_every": Range(1),
+    "metres_per_radian": Range(0),
+}
+# Options that say something only where another has a certain value.
+_NEED: dict[str, tuple[str, Any, str]] = {
+    "fine_tune_epochs": ("fine_tune", lambda value: value != "none", "--fine-tune"),
+    "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
+    "workers": ("engine", lambda value: str(value) == "local", "--engine local"),
+}
+
+
+def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
+    """Refuse numbers out of range, and options that contradict each other.
+
+    Parameters
+    ----------
+    given
+        A command's parameters by name.
+    defaults
+        What they are where nothing was said.
+
+    Raises
+    ------
+    OptionError
+        Naming the option, what was found and what was expected.
+    """
+    for name, allowed in RANGES.items():
+        value = given.get(name)
+        if value is not None and not allowed.holds(value):
+            raise OptionError(f"{_flag(name)} must be {allowed}, got {value}")
+    _check_shares(given)
+    for name, (other, fits, said) in _NEED.items():
+        if name in given and other in given and given[name] != defaults.get(name) and not fits(given[other]):
+            raise OptionError(f"{_flag(name)} says something with {said} only, and {_flag(other)} is {given[other]}")
+    for name in ("cache", "save"):
+        place = given.get(name)
+        if isinstance(place, Path):
+            _check_place(name, place)
+
+
+def _check_shares(given: Mapping[str, Any]) -> None:
+    if "calibration_share" not in given or "test" not in given:
+        return
+    test, calibration, used = given["test"], given["calibration_share"], given.get("used")
+    if test + calibration >= 1:
+        raise OptionError(
+            f"--test and --calibration-share must leave something to train on, got {test} and {calibration}"
+        )
+    if used is not None and not calibration < used <= 1 - test + 1e-9:
+        raise OptionError(
+            f"--used must be more than --calibration-share ({calibration}) and at most what --test ({test}) leaves, "
+            f"got {used}"
+        )
+
+
+def _check_place(name: str, place: Path) -> None:
+    try:
+        wrong = place.is_dir() if name == "save" else place.exists() and not place.is_dir()
+    except (OSError, ValueError) as exc:
+        raise OptionError(f"{_flag(name)}: {str(place)!r} cannot be used: {exc}") from exc
+    if wrong:
+        raise OptionError(f"{_flag(name)} must be a {'file' if name == 'save' else 'folder'}, {place} is none")
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
