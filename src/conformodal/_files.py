@@ -110,7 +110,7 @@ def writing_in(folder: Path) -> Iterator[None]:
             yield
     finally:
         for place in made:
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 place.rmdir()
 
 

@@ -116,7 +116,8 @@ def read_results(out: Path) -> Results:
     OdometryError
         If files differ in length though the run came to its end.
     """
-    metrics = read_metrics(out) if (out / METRICS).is_file() else {}
+    killed = (out / REGIONS).is_file() and not (out / METRICS).exists()
+    metrics = {} if killed else read_metrics(out)
     unfinished = not metrics or bool(metrics.get("unfinished"))
     records = read_region_records(out / REGIONS, torn=unfinished)
     if not unfinished:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conformodal.conformal import ConformodalError
+from conformodal.conformal.checks import as_alpha
 
 
 class OptionError(ConformodalError):
@@ -45,7 +46,6 @@ _SHARE = Range(0, 1, low_open=True, high_open=True)
 _MANY = 1_000_000
 # By the name of the parameter, whatever the command.
 RANGES = {
-    "alpha": _SHARE,
     "bins": Range(1, 10_000),
     "sigma": Range(0, 10_000),
     "epochs": Range(1, _MANY),
@@ -88,7 +88,12 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
     for name, allowed in RANGES.items():
         value = given.get(name)
         if value is not None and not allowed.holds(value):
-            raise OptionError(f"{_flag(name)} must be {allowed}, got {value}")
+            raise OptionError(f"{_flag(name)}: {name} must be {allowed}, got {value}")
+    if given.get("alpha") is not None:
+        try:
+            as_alpha(given["alpha"])
+        except ConformodalError as exc:  # knows what may have been meant
+            raise OptionError(f"--alpha: {exc}") from exc
     _check_shares(given)
     for name, (other, fits, said) in _NEED.items():
         if name in given and other in given and given[name] != defaults.get(name) and not fits(given[other]):

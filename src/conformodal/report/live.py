@@ -63,7 +63,7 @@ class LiveView:
             raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
         self._path: list[npt.NDArray[np.float64]] = []
         self._log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self._log("about", rerun.TextDocument(f"{name}, alpha = {alpha}"), static=True)
+        self._log("about", rerun.TextDocument(f"{_utf8(name)}, alpha = {alpha}"), static=True)
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
         """Show a frame and what was made of it; `truth` is a trajectory of one, or None."""
@@ -75,7 +75,7 @@ class LiveView:
             before, now = estimate.tracks
             strips = np.stack((before, now), axis=1)
             self._log("camera/image/tracks", rr.LineStrips2D(strips, colors=_REGION))
-        self._log("status", rr.TextLog(estimate.problem or "reliable"))
+        self._log("status", rr.TextLog(_utf8(estimate.problem) or "reliable"))
         if estimate.region is None or estimate.pose is None or estimate.candidates is None:
             return
         here = estimate.pose.positions_xyz[0]
@@ -124,3 +124,7 @@ class LiveView:
         """Everything is written afterwards."""
         self._stream.flush()
         self._stream.disconnect()
+
+
+def _utf8(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -1,0 +1,219 @@
+"""Options out of range, contradictions, and what the system refuses: one line and an exit code, before any work."""
+
+import errno
+import os
+import signal
+import time
+import typing
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from conformodal.cli import failures
+from conformodal.cli.console import kind_errors
+from conformodal.cli.main import app
+from conformodal.cli.options import RANGES
+from conformodal.conformal import ConformodalError
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def line_of(result, code=2):
+    assert result.exit_code == code, (result.output, result.exception)
+    assert "Traceback" not in result.output
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+NUMBERS = {
+    "alpha": ["0", "1", "-0.1", "1.5", "nan", "inf", "-inf"],
+    "sigma": ["inf", "-1", "nan", "1e300"],
+    "bins": ["0", "-3", "1000000000"],
+    "epochs": ["1000000000"],
+    "test": ["0", "1", "-0.2", "nan", "inf"],
+    "calibration-share": ["0", "1", "nan"],
+    "used": ["0", "2", "nan", "0.1", "0.9"],
+    "novelty-level": ["1", "-0.1", "nan", "inf"],
+    "seed": ["-1", "99999999999999999999"],
+    "fine-tune-epochs": ["1000000000"],
+    "metres-per-radian": ["inf"],
+    "seeds": ["1000000"],
+    "workers": ["1000000"],
+}
+COMMANDS = {
+    "train": ["train", "data", "--out", "out"],
+    "run": ["run", "model", "source", "--out", "out"],
+    "calibrate": ["calibrate", "model", "data"],
+    "reproduce table1": ["reproduce", "table1", "data", "--out", "out"],
+    "reproduce figures": ["reproduce", "figures", "data", "--out", "out"],
+    "demo": ["demo", "--out", "out"],
+}
+
+
+def verbs():
+    found = dict(typer.main.get_command(app).commands)
+    return found | {f"reproduce {k}": v for k, v in found.pop("reproduce").commands.items()}
+
+
+def rows():
+    for command, start in COMMANDS.items():
+        names = {option for p in verbs()[command].params for option in p.opts}
+        for name, values in NUMBERS.items():
+            if f"--{name}" in names:
+                yield from ((start, name, value) for value in values)
+
+
+@pytest.mark.parametrize(("start", "name", "value"), list(rows()), ids=lambda v: v if isinstance(v, str) else v[0])
+def test_numbers_out_of_range_are_refused_before_anything_is_read(tmp_path, monkeypatch, start, name, value):
+    monkeypatch.chdir(tmp_path)
+    began = time.perf_counter()
+    said = line_of(invoke(*start, f"--{name}", value))
+    assert time.perf_counter() - began < 2  # a loaded machine; usually some milliseconds
+    assert "OptionError" in said
+    assert f"--{name}" in said
+    assert "must be" in said or "must lie" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_number_has_a_range():
+    for command, verb in verbs().items():
+        hints = typing.get_type_hints(getattr(verb.callback, "__wrapped__", verb.callback))
+        for name, hint in hints.items():
+            if {int, float} & {hint, *typing.get_args(hint)}:
+                assert name in {*RANGES, "alpha"}, f"{command} {name}"
+
+
+WRONG = {
+    "fine-tune too many": (["train", "--fine-tune", "999"], "at most"),
+    "fine-tune none of them": (["train", "--fine-tune", "0"], "at least one block"),
+    "fine-tune less than nothing": (["train", "--fine-tune=-1"], "--fine-tune must be"),
+    "fine-tune words": (["train", "--fine-tune", "some"], "--fine-tune must be"),
+    "fine-tune a long number": (["train", "--fine-tune", "9" * 5000], "--fine-tune must be"),
+    "epochs of no fine-tuning": (["train", "--fine-tune-epochs", "3"], "says something with --fine-tune only"),
+    "a network": (["train", "--network", "resnet"], "backbone must be one of"),
+    "a device": (["train", "--device", "tpu"], "device must be"),
+    "a score": (["train", "--score", "best"], "score"),
+    "a joint": (["train", "--joint", "all"], "joint"),
+    "shares": (["train", "--test", "0.5", "--calibration-share", "0.5"], "leave something to train on"),
+    "used": (["train", "--used", "0.16"], "--used must be more than"),
+    "a cache that is a file": (["train", "--cache", "file"], "--cache must be a folder"),
+    "an out that is a file": (["train", "--out", "file"], "is a file"),
+    "an out below a file": (["train", "--out", "file/x"], "is a file"),
+    "no data": (["train"], "data"),
+    "a method": (["calibrate", "--method", "best"], "--method must be one of"),
+    "no model": (["calibrate"], "no saved model"),
+    "run: a file": (["run", "--out", "file"], "is a file"),
+    "run: no model": (["run"], "no saved model"),
+    "run: a recording that is a folder": (["run", "--save", "."], "--save must be a file"),
+    "reproduce: two networks": (
+        ["reproduce table1", "--networks", "efficientnet_lite0,efficientnet_lite0"],
+        "a small, a middle and a large",
+    ),
+    "reproduce: a network": (["reproduce table1", "--networks", "a,b,c"], "backbone must be"),
+    "reproduce: blocks": (["reproduce figures", "--fine-tune", "999"], "at most"),
+    "reproduce: an address": (["reproduce table1", "--address", "x"], "with --engine ray only"),
+    "reproduce: workers": (["reproduce table1", "--workers", "2", "--engine", "ray"], "with --engine local only"),
+    "reproduce: a file": (["reproduce table1", "--out", "file"], "is a file"),
+    "demo: a file": (["demo", "--out", "file"], "is a file"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_cannot_be_is_refused_before_the_work(tmp_path, monkeypatch, what):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("mine")
+    (command, *options), said = WRONG[what]
+    start = COMMANDS[command]
+    if "--out" in options and "--out" in start:
+        start = start[: start.index("--out")]
+    assert said in line_of(
+        invoke(*start, "--cache", "cache", *options) if command == "train" else invoke(*start, *options)
+    )
+    assert {p.name for p in tmp_path.iterdir()} <= {"file", "cache"}
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def ended(error, **kwargs):
+    """The result of a command that fails so."""
+    small = typer.Typer()
+
+    @small.command()
+    @kind_errors
+    def command() -> None:
+        raise error
+
+    return CliRunner().invoke(small, [], **kwargs)
+
+
+ENDS = {
+    "our error": (ConformodalError("x: y"), 2, "error: ConformodalError: x: y"),
+    "full disk": (OSError(errno.ENOSPC, "No space left on device", "/a/b"), 4, "refused: /a/b: No space"),
+    "quota": (OSError(errno.EDQUOT, "Disk quota exceeded"), 4, "Disk quota exceeded"),
+    "file too large": (OSError(errno.EFBIG, "File too large", "x"), 4, "x: File too large"),
+    "permission": (PermissionError(errno.EACCES, "Permission denied", "/a"), 4, "/a: Permission denied"),
+    "read-only": (OSError(errno.EROFS, "Read-only file system", b"/a"), 4, "/a: Read-only"),
+    "too many files": (OSError(errno.EMFILE, "Too many open files"), 4, "Too many open files"),
+    "a folder": (IsADirectoryError(errno.EISDIR, "Is a directory", "a"), 4, "a: Is a directory"),
+    "gone": (FileNotFoundError(errno.ENOENT, "No such file or directory", "a"), 4, "a: No such file"),
+    "a device": (OSError(errno.EIO, "Input/output error"), 4, "Input/output error"),
+    "a bare one": (OSError("strange"), 4, "strange"),
+    "memory": (MemoryError(), 4, "not enough memory"),
+    "torch's memory": (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 4, "not enough memory"),
+    "cuda's memory": (RuntimeError("CUDA out of memory. Tried"), 4, "not enough memory"),
+    "our own fault": (KeyError("x"), 70, "KeyError: 'x' (a fault of this program, cli/console.py"),
+    "recursion": (RecursionError("too deep"), 70, "RecursionError"),
+    "several lines": (ValueError("a\nb\x1b[31m"), 70, "a\\nb\\x1b[31m"),
+    "Ctrl-C": (KeyboardInterrupt(), 130, "interrupted"),
+}
+
+
+@pytest.mark.parametrize("what", ENDS)
+def test_every_end_is_one_line_and_a_code(what, monkeypatch):
+    monkeypatch.delenv(failures.SHOW_ALL, raising=False)
+    error, code, said = ENDS[what]
+    assert said in line_of(ended(error), code)
+
+
+def test_who_wants_to_see_all_sees_all(monkeypatch):
+    monkeypatch.setenv(failures.SHOW_ALL, "1")
+    assert isinstance(ended(KeyError("x")).exception, KeyError)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_signals_are_treated_alike_and_handlers_come_back(name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+
+    def send(times, *, gently):
+        with failures.stopping(gently=gently) as came:
+            came_of.append(came)
+            for _ in range(times):
+                os.kill(os.getpid(), number)
+
+    came_of = []
+    with pytest.raises(KeyboardInterrupt):
+        send(1, gently=False)
+    send(1, gently=True)
+    with pytest.raises(KeyboardInterrupt):
+        send(2, gently=True)
+    assert [failures.stop_code(came) for came in came_of] == [128 + number] * 3
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_that_is_ignored_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with failures.stopping() as came:
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert came == []
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_options_are_checked_of_every_command():
+    for command in app.registered_commands:
+        assert hasattr(command.callback, "__wrapped__")  # by kind_errors

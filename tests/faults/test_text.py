@@ -1,0 +1,150 @@
+"""Names are text and nothing else: on the terminal, in JSON, in tables and on pages."""
+
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conformodal._files import write_whole
+from conformodal.cli.console import PlainConsole, plain, print_errors
+from conformodal.cli.main import app
+from conformodal.odometry import ResultsWriter, read_region_parquet, read_region_records, write_region_parquet
+from conformodal.poses import Trajectory
+from conformodal.report import ReportContent, Section, error_chart, make_viewer, write_comparison, write_page
+from conformodal.report.viewer import json_in_script
+
+NAMES = {
+    "markup": "x[final]",
+    "closing markup": "x[/y]",
+    "closing all": "x[/]",
+    "style": "[bold red]x[/bold red]",
+    "link": "[link=http://a]x[/link]",
+    "emoji": "camera:x:",
+    "known emoji": ":smile:.png",
+    "open bracket": "[",
+    "backslash": "a\\[b]\\",
+    "script": "<!--<script>.png",
+    "end of script": "</script><script>alert(1)</script>",
+    "upper case": "</SCRIPT >",
+    "html": "<img src=x onerror=alert(1)>",
+    "quotes": "a\"b'c`d",
+    "ampersand": "a&lt;b&amp;",
+    "template": "{{ 7*7 }}{% raw %}",
+    "separators": "a\u2028b\u2029c",
+    "newline": "a\nb",
+    "carriage return": "a\rb",
+    "tab": "a\tb",
+    "escape": "\x1b[31mred\x1b[0m",
+    "title of the terminal": "\x1b]0;owned\x07",
+    "c1": "a\x9b31mb",
+    "bell": "a\x07b",
+    "backspace": "a\x08b",
+    "bytes": "caf\udce9.png",
+    "many bytes": "\udcff\udcfe",
+    "right to left": "a\u202egnp.exe",
+    "zero width": "a\u200bb",
+    "beyond the plane": "\U0001f600.png",
+    "mathematics": "$x_{1$ $",
+    "percent": "%s%n{0}",
+    "long": "x" * 5000,
+    "empty": "",
+}
+
+
+@pytest.fixture(params=NAMES)
+def name(request):
+    return NAMES[request.param]
+
+
+def shown(*things, **options):
+    file = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    PlainConsole(file=file, force_terminal=True, color_system="truecolor", width=9000).print(*things, **options)
+    file.flush()
+    return file.buffer.getvalue().decode()
+
+
+def test_the_terminal_shows_names_as_they_are(name):
+    said = shown(f"{name}: 7scenes layout", soft_wrap=True)
+    assert said == f"{plain(name)}: 7scenes layout\n"
+    assert all(c.isprintable() for c in said.rstrip("\n"))
+    if name.isprintable():
+        assert name in said
+
+
+def test_tables_show_names_as_they_are(name, monkeypatch):
+    file = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    monkeypatch.setattr("conformodal.cli.console.console", PlainConsole(file=file, width=9000))
+    print_errors({name: dict.fromkeys(("rmse_m", "rmse_deg", "median_m", "median_deg"), 1.0)}, f"against {name}")
+    file.flush()
+    said = file.buffer.getvalue().decode()
+    assert f"errors, against {plain(name)}".rstrip() in said
+    assert plain(name) in said
+    assert "\x1b" not in said
+
+
+def test_an_error_is_one_line_whatever_it_names(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argument = name.replace("/", "_") or "x"
+    result = CliRunner().invoke(app, ["train", "--out", "out", "--cache", "c", "--", argument])
+    assert result.exit_code in (2, 4), result.output
+    assert len(result.stderr.splitlines()) == 1
+    assert "Traceback" not in result.output
+    assert "\x1b" not in result.output
+
+
+def run_of(name, folder):
+    times = np.arange(3.0)
+    with ResultsWriter(folder) as writer:
+        writer.poses("smoothed", Trajectory(times, np.eye(3), np.tile([1.0, 0, 0, 0], (3, 1))))
+        for t in times:
+            writer.region(f"{name}{t:.0f}", t, None, [np.array([[-2.0, 2.0]])] * 7)
+
+
+def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
+    run_of(name, tmp_path)
+    records = read_region_records(tmp_path / "regions.jsonl")
+    assert [r["frame"] for r in records] == [f"{name}{i}" for i in range(3)]
+    viewer = make_viewer(tmp_path, {f"{name}{i}": b"jpeg" for i in range(3)})
+    metrics = {"provenance": {"name": name}, "configuration": {"data": name}, "n_answered": 3, "split_note": name}
+    write_page(tmp_path / "report.html", ReportContent(name, [name], metrics, viewer=viewer))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    inside = re.search(r'<script type="application/json" id="viewer-data">(.*?)</script>', page, re.DOTALL).group(1)
+    assert [f["n"] for f in json.loads(inside)["frames"]] == [f"{name}{i}" for i in range(3)]
+    assert not set("<>&") & set(inside)
+    assert page.count("<script") == 2  # ours
+    assert page.count("</script") == 2
+    for foreign in ("<img src=x", "<script>alert"):
+        assert foreign not in page
+
+
+def test_frames_of_any_name_go_into_parquet(name, tmp_path):
+    pytest.importorskip("pyarrow")
+    run_of(name, tmp_path)
+    write_region_parquet(tmp_path)
+    found = [r["frame"] for r in read_region_parquet(tmp_path / "regions.parquet")]
+    assert found == [f"{name}{i}".encode("utf-8", "backslashreplace").decode() for i in range(3)]
+
+
+def test_json_in_a_page_is_ascii_and_comes_back(name):
+    text = json_in_script({name: [name]})
+    assert text.isascii()
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == {name: [name]}
+
+
+@pytest.mark.parametrize("which", ["markup", "script", "bytes", "mathematics", "html", "newline"])
+def test_comparisons_take_any_name(which, tmp_path):
+    name = NAMES[which]
+    svg = error_chart([name], {name: [[1.0, 2.0]]}, "m")
+    write_comparison(tmp_path / "c.html", name, [name], [Section(name, name, svg, [])], {"data": name})
+    page = (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert "<img" not in page
+
+
+def test_text_of_any_kind_can_be_written(name, tmp_path):
+    write_whole(tmp_path / "x.md", name)
+    assert (tmp_path / "x.md").read_bytes().decode() == name.encode("utf-8", "backslashreplace").decode()
