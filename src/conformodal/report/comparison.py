@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from conformodal.experiments.table1 import Table
 
-from .figures import COLOURS, as_svg, label
+from .figures import COLOURS, as_label, as_svg
 from .templating import render_page
 
 # The colours of Okabe and Ito, with a shape each: a reader needs one of the two only.
@@ -67,9 +67,9 @@ def error_chart(conditions: Sequence[str], errors: Mapping[str, Sequence[Sequenc
     for (name, found), offset, (colour, mark) in zip(errors.items(), offsets, cycle(_MARKS)):
         mean = np.array([np.mean(v) for v in found])
         reach = np.abs(np.array([[np.min(v), np.max(v)] for v in found]).T - mean)
-        axis.errorbar(mean, place + offset, xerr=reach, fmt=mark, ms=5, color=colour, lw=0.8, label=label(name))
+        axis.errorbar(mean, place + offset, xerr=reach, fmt=mark, ms=5, color=colour, lw=0.8, label=as_label(name))
     axis.set_xscale("log")
-    axis.set_yticks(place, [label(name) for name in conditions])
+    axis.set_yticks(place, [as_label(name) for name in conditions])
     axis.set_xlabel(f"position RMSE ({unit})")
     axis.grid(axis="x", which="both", lw=0.3)
     for line in place[:-1]:

@@ -163,7 +163,7 @@ def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, points
     figure.legend(entries, labels, loc="outside upper center", ncols=len(labels), frameon=False)
 
 
-def label(text: str) -> str:
+def as_label(text: str) -> str:
     """A name as matplotlib shows it: no mathematics, and undecodable bytes with backslashes."""
     return text.encode("utf-8", "backslashreplace").decode().replace("$", r"\$")
 

@@ -17,7 +17,7 @@ from scipy.stats import spearmanr
 from conformodal._files import replacing, write_whole
 from conformodal.conformal import coverage_band
 
-from .figures import COLOURS, as_svg, label
+from .figures import COLOURS, as_label, as_svg
 from .stored import StoredRun
 
 _PNG_DPI = 150
@@ -39,7 +39,7 @@ def band_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     figure = Figure(figsize=(1 + 3.6 * len(runs), 6.5), layout="constrained")
     axes = figure.subplots(3, len(runs), sharey="row", sharex=True, squeeze=False)
     for column, (title, run) in enumerate(runs):
-        axes[0, column].set_title(label(title), fontsize=11)
+        axes[0, column].set_title(as_label(title), fontsize=11)
         times = run.times_s
         half = min(0.5, float(np.median(np.diff(times)))) / 2 if len(times) > 1 else 0.5
         for j, target in enumerate("xyz"):
@@ -79,7 +79,7 @@ def cuboid_figure(runs: Sequence[tuple[str, StoredRun]], frame: int) -> Figure:
             axis.plot(*path.positions_xyz[frame, :, None], style, ms=9, mew=2, color=colour)
         axis.set(xlim=ranges[0], ylim=ranges[1], zlim=ranges[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axis.set_box_aspect(None, zoom=0.88)  # else labels are cut off
-        axis.set_title(f"{label(title)}: {len(cuboids)} {'cuboid' if len(cuboids) == 1 else 'cuboids'}", fontsize=11)
+        axis.set_title(f"{as_label(title)}: {len(cuboids)} {'cuboid' if len(cuboids) == 1 else 'cuboids'}", fontsize=11)
     return figure
 
 
@@ -139,7 +139,7 @@ def size_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
         sizes.append(size[known])
         errors.append(error[known])
         axis.loglog(size[known], np.maximum(error[known], 1e-4), ".", ms=4, color=COLOURS["smoothed"])
-        axis.set_title(f"{label(title)}: rank correlation {_rank(size[known], error[known]):.2f}", fontsize=10)
+        axis.set_title(f"{as_label(title)}: rank correlation {_rank(size[known], error[known]):.2f}", fontsize=10)
         axis.set_xlabel("size of the region (m)")
         for scale in (axis.xaxis, axis.yaxis):  # few plain numbers: ranges of less than a decade have none otherwise
             scale.set_major_locator(LogLocator(subs=(1, 2, 5)))

@@ -1,0 +1,140 @@
+"""Commands killed at random moments: earlier results whole, and the rerun as if nothing had happened.
+
+python benchmarks/kill.py [MOMENTS]
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from common import write_table
+
+from conformodal.datasets.corridor import write_corridor
+
+MAIN = "from conformodal.cli.main import app; app()"
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+NETWORKS = ",".join(["efficientnet_lite0"] * 3)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command, what it starts from, and what of its results must be the same each time."""
+
+    name: str
+    arguments: list[object]
+    out: Path
+    result: Callable[[Path], object]
+    before: Path | None = None  # earlier results, copied to `out` first
+
+
+def command(arguments: list[object]) -> subprocess.Popen[bytes]:
+    line = [sys.executable, "-c", MAIN, *map(str, arguments)]
+    return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def contents(folder: Path, suffixes: tuple[str, ...] = ("",)) -> dict[str, bytes]:
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name.endswith(suffixes))
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+def radius(folder: Path) -> object:
+    return json.loads((folder / "model.json").read_text())["radius"]
+
+
+def errors(folder: Path) -> object:
+    kept = ("row", "split", "seed", "method", "rmse_m", "rmse_deg")
+    return [{k: r.get(k) for k in kept} for r in json.loads((folder / "table1.json").read_text())]
+
+
+def prepare(root: Path) -> list[Case]:
+    world, other, cache, model, ran = (root / name for name in ("world", "other", "cache", "model", "ran"))
+    write_corridor(world, n_modules=1, n_laps=1, seed=3)
+    write_corridor(other, n_modules=1, n_laps=1, seed=4)
+    train = ["train", world, "--cache", cache, "--epochs", 60, "--no-landmarks", "--out"]
+    run = ["run", model, world, "--part", "test", "--out"]
+    for arguments in ([*train, model], [*run, ran]):
+        if command(arguments).wait():
+            raise SystemExit(f"failed: {arguments}")
+    out = root / "out"
+    reproduce = ["reproduce", "table1", world, "--split", "interleaved", "--seeds", 1, "--epochs", 2]
+    results = ("regions.jsonl", ".tum")
+    return [
+        Case("train", [*train, out], out, lambda f: contents(f, (".safetensors",)), model),
+        Case("run", [*run, out], out, lambda f: contents(f, results), ran),
+        Case("calibrate", ["calibrate", out, other, "--cache", cache], out, radius, model),
+        Case("data convert", ["data", "convert", world, "--to", "tum", "--out", out], out, contents),
+        Case("reproduce", [*reproduce, "--networks", NETWORKS, "--cache", cache, "--out", out], out, errors),
+    ]
+
+
+def fresh(case: Case) -> dict[str, bytes]:
+    shutil.rmtree(case.out, ignore_errors=True)
+    if case.before is None:
+        return {}
+    shutil.copytree(case.before, case.out)
+    return contents(case.out)
+
+
+def trial(case: Case, moment: float, number: signal.Signals, expected: object) -> tuple[bool, bool, bool]:
+    """Whether no traceback was seen, earlier results were whole, and the rerun gave the expected."""
+    before = fresh(case)
+    process = command(case.arguments)
+    time.sleep(moment)
+    process.send_signal(number)
+    said = process.communicate()[1]
+    left = contents(case.out) if case.out.exists() else {}
+    whole = process.returncode == 0 or all(left.get(name) == content for name, content in before.items())
+    if number != signal.SIGKILL and case.name == "run" and not whole:  # stopped kindly: it has kept what it answered
+        whole = json.loads(left["metrics.json"])["stopped"] == "interrupted"
+    again = command(case.arguments)
+    complaint = again.communicate()[1].decode(errors="replace")
+    if again.returncode and "is not empty" in complaint:  # data convert writes into new folders only
+        shutil.rmtree(case.out)
+        again = command(case.arguments)
+        again.communicate()
+    same = again.returncode == 0 and case.result(case.out) == expected
+    return b"Traceback" not in said, whole, same
+
+
+def main() -> None:
+    n = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    rng = random.Random(0)
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        cases = prepare(Path(scratch))
+        for case in cases:
+            fresh(case)
+            started = time.perf_counter()
+            if command(case.arguments).wait():
+                raise SystemExit(f"failed: {case.name}")
+            seconds = time.perf_counter() - started
+            expected = case.result(case.out)
+            found = [
+                trial(case, rng.uniform(0, seconds), SIGNALS[k % len(SIGNALS)], expected)
+                for k in range(n // len(cases))
+            ]
+            quiet, whole, same = (sum(column) for column in zip(*found, strict=True))
+            rows.append([case.name, str(len(found)), f"{seconds:.0f}", str(quiet), str(whole), str(same)])
+            print(rows[-1], flush=True)
+    notes = (
+        "Moments are drawn evenly over the time of an uninterrupted command, signals are SIGKILL, SIGTERM and SIGINT in "
+        "turn. Earlier results: a model for train and calibrate, a run for run. Rerun: the same command once more; "
+        "weights, regions, trajectories, radius and files must be the same to the bit, errors of reproduce to the "
+        "last digit."
+    )
+    header = ["command", "moments", "seconds in all", "no traceback", "earlier results whole", "rerun the same"]
+    write_table("kill", "Commands killed at random moments", "python benchmarks/kill.py", header, rows, notes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Commands that are killed at some moment: earlier results stay whole, and the same command then comes to its end."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from conformodal.odometry import load_model, read_region_records, read_trajectories
+
+MAIN = "from conformodal.cli.main import app; app()"
+SIGNALS = {"kill -9": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT": signal.SIGINT}
+
+
+def start(*arguments) -> subprocess.Popen:
+    command = [sys.executable, "-c", MAIN, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
+
+
+def wait_for(process, ready) -> None:
+    end = time.monotonic() + 120
+    while time.monotonic() < end and process.poll() is None and not ready():
+        time.sleep(0.02)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", SIGNALS)
+def test_a_run_that_is_stopped_keeps_what_it_answered_and_what_was_before(small_world, tmp_path, how):
+    run = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out", "--pace", "camera"]
+    moment = random.Random(how).randint(3, 12)
+    regions = tmp_path / "out" / "regions.jsonl"
+    process = start(*run)
+    wait_for(process, lambda: regions.is_file() and regions.read_bytes().count(b"\n") >= moment)
+    process.send_signal(SIGNALS[how])
+    output, errors = process.communicate(timeout=120)
+    assert "Traceback" not in errors
+    records = read_region_records(regions, torn=True)
+    assert len(records) >= moment
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    if how == "kill -9":
+        assert process.returncode == -signal.SIGKILL
+        assert metrics["unfinished"]
+    else:
+        assert process.returncode == 128 + SIGNALS[how], (output, errors)
+        assert metrics["stopped"] == "interrupted"
+        assert all(len(t) == len(records) for t in read_trajectories(tmp_path / "out").values())
+        assert not (tmp_path / "out" / ".lock").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["kill -9", "SIGTERM"])
+def test_a_training_that_is_stopped_leaves_the_model_before(small_world, tmp_path, how):
+    # copies are cheap: the model of the small world stands for the one before
+    model = tmp_path / "m"
+    model.mkdir()
+    for path in small_world.model.iterdir():
+        (model / path.name).write_bytes(path.read_bytes())
+    before = contents(model)
+    options = ["--cache", small_world.cache, "--epochs", "4000", "--no-landmarks"]
+    process = start("train", small_world.folder, "--out", model, *options)
+    wait_for(process, lambda: (model / ".lock").exists())
+    time.sleep(random.Random(how).random())
+    process.send_signal(SIGNALS[how])
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode in (-signal.SIGKILL, 128 + signal.SIGTERM)
+    assert "Traceback" not in errors
+    assert {k: v for k, v in contents(model).items() if k != ".lock"} == before
+    load_model(model)
