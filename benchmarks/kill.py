@@ -127,8 +127,8 @@ def main() -> None:
             rows.append([case.name, str(len(found)), f"{seconds:.0f}", str(quiet), str(whole), str(same)])
             print(rows[-1], flush=True)
     notes = (
-        "Moments are drawn evenly over the time of an uninterrupted command, signals are SIGKILL, SIGTERM and SIGINT in "
-        "turn. Earlier results: a model for train and calibrate, a run for run. Rerun: the same command once more; "
+        "Moments are drawn evenly over the time of an uninterrupted command, signals are SIGKILL, SIGTERM and SIGINT "
+        "in turn. Earlier results: a model for train and calibrate, a run for run. Rerun: the same command once more; "
         "weights, regions, trajectories, radius and files must be the same to the bit, errors of reproduce to the "
         "last digit."
     )

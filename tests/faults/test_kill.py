@@ -67,7 +67,7 @@ def test_a_training_that_is_stopped_leaves_the_model_before(small_world, tmp_pat
     before = contents(model)
     options = ["--cache", small_world.cache, "--epochs", "4000", "--no-landmarks"]
     process = start("train", small_world.folder, "--out", model, *options)
-    wait_for(process, lambda: (model / ".lock").exists())
+    wait_for(process, (model / ".lock").exists)
     time.sleep(random.Random(how).random())
     process.send_signal(SIGNALS[how])
     _, errors = process.communicate(timeout=120)
