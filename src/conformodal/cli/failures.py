@@ -42,7 +42,8 @@ def stopping(*, gently: bool = False) -> Iterator[list[int]]:
         return
     before = {number: signal.getsignal(number) for number in _STOPPING}
     for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # nohup
+        # nohup has SIGHUP ignored; a script has SIGINT ignored in what it starts with &, and may send it all the same
+        if handler is not signal.SIG_IGN or number == signal.SIGINT:
             signal.signal(number, take)
     try:
         yield came

@@ -17,7 +17,7 @@ from conformodal.experiments import (
     is_exchangeable,
     radius_table,
 )
-from conformodal.odometry import Evidence, OdometryError, PoseModel, RegionTally, identify, provenance
+from conformodal.odometry import METHODS, Evidence, OdometryError, PoseModel, RegionTally, identify, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors, say_strongly
@@ -199,7 +199,7 @@ def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
     frames = "frame" if n_answered == 1 else "frames"
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
     said = [f"{n} of {n_answered} {frames} {shows} no place that is known: {their} region is the whole space"]
-    rest = metrics.get("errors_known_places", {}).get("smoothed")
+    rest = metrics.get("errors_known_places", {}).get(METHODS[0])
     if rest is not None:
         said.append(f"Without {it} the answer's RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
     return said

@@ -25,9 +25,9 @@ from conformodal.odometry import (
     PoseModel,
     ResultsWriter,
     StreamRunner,
-    VisualOdometry,
     load_model,
     model_digest,
+    odometry_of,
     provenance,
     read_trajectories,
     write_metrics,
@@ -139,10 +139,10 @@ def stream_through(
     truth = None if sequence is None else sequence.truth
     pictures, whole_space, limited, stopped = Thumbnails(), False, False, ""
     lossy = stream.live or pace is Pace.CAMERA
-    odometry = VisualOdometry(model, fix_every=fix_every or (FIX_EVERY_LIVE if lossy else 1))
+    odometry = odometry_of(model, fix_every or (FIX_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
-    with stopping(gently=True) as stop, ResultsWriter(out) as writer:
+    with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
         write_metrics(writer.place, _unfinished(model, part, digest))
         others = None if classical is None else classical.answers
         runner = StreamRunner(odometry, writer, others, truth=truth)

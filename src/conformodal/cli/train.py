@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from math import ceil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -20,6 +20,7 @@ from conformodal.odometry import (
     Calibration,
     Evidence,
     Landmarks,
+    Method,
     ModelConfig,
     PoseModel,
     model_digest,
@@ -61,6 +62,9 @@ def train(
     data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
+    method: Annotated[
+        Method, typer.Option(help="conformodal, or paper: the paper's own system, without anything of ours.")
+    ] = _DEFAULT.method,
     split: Annotated[
         SplitKind,
         typer.Option(
@@ -130,25 +134,30 @@ def train(
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
-    config = ModelConfig(
-        split=split,
-        n_bins=bins,
-        sigma_bins=sigma,
-        alpha=alpha,
-        score=score,
-        joint=joint,
-        test=test,
-        calibration=calibration_share,
-        calibrate_on=calibration,
-        novelty_level=novelty_level,
-        used=used,
-        network=network,
-        landmarks=landmarks,
-        fine_tuning=tuning_of(fine_tune, fine_tune_epochs, seed),
-        device=device,
-        seed=seed,
-        training=replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
-    )
+    settings: dict[str, Any] = {
+        "split": split,
+        "n_bins": bins,
+        "sigma_bins": sigma,
+        "alpha": alpha,
+        "score": score,
+        "joint": joint,
+        "test": test,
+        "calibration": calibration_share,
+        "calibrate_on": calibration,
+        "novelty_level": novelty_level,
+        "used": used,
+        "network": network,
+        "landmarks": landmarks,
+        "fine_tuning": tuning_of(fine_tune, fine_tune_epochs, seed),
+        "device": device,
+        "seed": seed,
+        "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
+    }
+    if method is Method.PAPER:  # options that were left alone are the paper's then
+        asked = {name: value for name, value in settings.items() if value != getattr(_DEFAULT, name)}
+        config = ModelConfig.paper(**asked)
+    else:
+        config = ModelConfig(**settings)
     check_fine_tuning(network, config.fine_tuning)
     cache_dir = cache or default_cache_dir()
     with claimed(out, "train", apart=[data]):
@@ -234,7 +243,9 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
             f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
             f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
         )
-    if model.known is None:
+    if config.method is Method.PAPER:
+        said.append("images are not tested for unknown places: the paper has no such test")
+    elif model.known is None:
         said.append(
             "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
             "and there is only one"

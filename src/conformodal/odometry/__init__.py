@@ -13,7 +13,7 @@ from .known import KnownPlaces
 from .landmarks import Fixes, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
-from .paper import PaperOdometry
+from .paper import PaperOdometry, odometry_of
 from .parquet import read_region_parquet, write_region_parquet
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
@@ -81,6 +81,7 @@ __all__ = [
     "measure_depths",
     "measure_motions",
     "model_digest",
+    "odometry_of",
     "pose_errors",
     "pose_targets",
     "prepare_training_data",

@@ -14,6 +14,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Final answer first; the others are kept for comparison.
 METHODS = ("smoothed", "viterbi", "online", "greedy", "softmax_mean")
+PAPERS_ANSWER = "greedy"
 
 # Answers of methods from elsewhere to the same frames: features (n, F), and what reasoning knows.
 OtherMethods = Callable[[npt.NDArray[np.float32], Observations, MotionPrior], dict[str, Trajectory]]

@@ -57,6 +57,7 @@ class VisualOdometry:
     """
 
     answer = METHODS[0]
+    whole_paths = True  # better answers than those of a stream follow, from whole paths
 
     def __init__(self, model: PoseModel, lag: int = LAG, fix_every: int = 1) -> None:
         if fix_every < 1:

@@ -32,10 +32,11 @@ from conformodal.vision import (
     soft_cross_entropy,
 )
 
-from .answers import as_trajectory
+from .answers import PAPERS_ANSWER, as_trajectory
 from .config import Method, ModelConfig
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
+from .estimator import VisualOdometry
 from .frame import as_frames, as_image, as_time
 from .identity import identify
 from .landmarks import Fixes
@@ -105,8 +106,9 @@ class PaperOdometry:
         If the model is another.
     """
 
-    answer = "greedy"
+    answer = PAPERS_ANSWER
     lag, fix_every = 0, 1
+    whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
         if model.method is not Method.PAPER:
@@ -227,6 +229,19 @@ class PaperOdometry:
             kinds=np.full(usable.size, Evidence.SOFTMAX, dtype=np.int64),
             answer=self.answer,
         )
+
+
+def odometry_of(model: PoseModel, fix_every: int = 1) -> VisualOdometry | PaperOdometry:
+    """What runs a model, by its method.
+
+    Parameters
+    ----------
+    model
+        Trained and calibrated.
+    fix_every
+        See :class:`VisualOdometry`; the paper's system has no landmarks to look for.
+    """
+    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, fix_every=fix_every)
 
 
 def record_of(config: ModelConfig, sequence: Sequence, calibrate_on: str) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from typing import Any
 from conformodal._files import write_whole
 from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
 
-from .answers import METHODS
+from .answers import METHODS, PAPERS_ANSWER
+from .config import Method
 from .errors import ResultsError
 from .estimates import OdometryRun
 from .folders import check_owner
@@ -39,7 +40,7 @@ def write_run(
     command
         Whose results they are, see :class:`~conformodal.odometry.ResultsWriter`.
     """
-    with ResultsWriter(folder, command) as writer:
+    with ResultsWriter(folder, command, run.answer) as writer:
         for name, trajectory in run.trajectories.items():
             writer.poses(name, trajectory)
         if truth is not None:
@@ -57,7 +58,7 @@ def read_trajectories(folder: Path) -> dict[str, Trajectory]:
     TrajectoryFileError
         If ``trajectory.tum`` is missing, or one is damaged.
     """
-    found = {METHODS[0]: read_tum(folder / TRAJECTORY)}
+    found = {_answer_of(folder): read_tum(folder / TRAJECTORY)}
     for path in sorted((folder / "methods").glob("*.tum")):
         found[path.stem] = read_tum(path)
     return found
@@ -66,7 +67,7 @@ def read_trajectories(folder: Path) -> dict[str, Trajectory]:
 def read_unfinished(folder: Path) -> dict[str, Trajectory]:
     """The trajectories that a killed run left, as far as they are whole; without those that hold no pose yet."""
     found = {}
-    named = {METHODS[0]: folder / TRAJECTORY} | {p.stem: p for p in sorted((folder / "methods").glob("*.tum"))}
+    named = {_answer_of(folder): folder / TRAJECTORY} | {p.stem: p for p in sorted((folder / "methods").glob("*.tum"))}
     for name, path in named.items():
         with suppress(TrajectoryFileError), TemporaryDirectory() as scratch:
             text = path.read_text(encoding="utf-8") if path.is_file() else ""
@@ -74,6 +75,14 @@ def read_unfinished(folder: Path) -> dict[str, Trajectory]:
             whole.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")  # the last line may be half a pose
             found[name] = read_tum(whole)
     return found
+
+
+def _answer_of(folder: Path) -> str:
+    """The method whose poses are the answer, as the metrics beside them tell."""
+    with suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
+        if json.loads((folder / METRICS).read_text(encoding="utf-8"))["configuration"]["method"] == Method.PAPER:
+            return PAPERS_ANSWER
+    return METHODS[0]
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:

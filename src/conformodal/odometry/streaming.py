@@ -19,6 +19,7 @@ from conformodal.reasoning import Candidates, IntervalMeans, Observations, inter
 from .answers import OtherMethods, answers
 from .estimates import Estimate
 from .estimator import VisualOdometry
+from .paper import PaperOdometry
 from .region_rules import Evidence
 from .tally import RegionTally
 from .writer import ResultsWriter
@@ -79,7 +80,7 @@ class StreamRunner:
 
     def __init__(
         self,
-        odometry: VisualOdometry,
+        odometry: VisualOdometry | PaperOdometry,
         writer: ResultsWriter,
         others: OtherMethods | None = None,
         *,
@@ -179,14 +180,19 @@ class StreamRunner:
             self.answered.append(frame.index)
         revised = estimate.revised
         assert revised is not None
-        if len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
-            self.writer.poses("online", revised[:1])
-        self._lagging = revised
-        assert estimate.proba is not None
         assert estimate.search is not None
+        mean = softmax_mean(estimate.search.proba, model.bins)[0]
+        if not self.odometry.whole_paths:  # each answer is the last word
+            self.writer.poses(self.odometry.answer, revised)
+            self.writer.poses("softmax_mean", Trajectory(revised.timestamps_s, mean[None, :3], mean[None, 3:]))
+            if self.others is None:
+                return
+        elif len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
+            self.writer.poses("online", revised[:1])
+        self._lagging = revised if self.odometry.whole_paths else None
+        assert estimate.proba is not None
         assert estimate.corners is not None
         paper = interval_means(estimate.proba, model.calibration.predict(estimate.proba))[0]
-        mean = softmax_mean(estimate.search.proba, model.bins)[0]
         kept = None if self.others is None else features
         self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept, estimate.corners))
         if len(self._pending) >= self.window:
@@ -218,7 +224,9 @@ class StreamRunner:
         times = np.array([p.timestamp_s for p in pending])
         submaps = build_submaps([p.corners for p in pending], camera)
         seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
-        found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
+        found = {}
+        if self.odometry.whole_paths:
+            found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
         if self.others is not None:
             features = np.array([p.features for p in pending], dtype=np.float32)
             found |= self.others(features, seen, prior)

@@ -33,6 +33,8 @@ class ResultsWriter:
         Created if missing, and locked until the end; results of an earlier run in it are replaced.
     command
         Whose results they are.
+    answer
+        The method whose poses are the answer.
 
     Attributes
     ----------
@@ -45,8 +47,9 @@ class ResultsWriter:
         If the folder cannot be written, holds something else than results of this command, or is in use.
     """
 
-    def __init__(self, folder: Path, command: str = "run") -> None:
+    def __init__(self, folder: Path, command: str = "run", answer: str = METHODS[0]) -> None:
         self.folder = self.place = folder
+        self.answer = answer
         self._open: dict[str, TextIO] = {}
         self._n_regions = 0
         self._claim = ExitStack()
@@ -89,7 +92,7 @@ class ResultsWriter:
 
     def poses(self, method: str, trajectory: Trajectory) -> None:
         """Write the next poses of a method."""
-        self._lines(TRAJECTORY if method == METHODS[0] else f"methods/{method}.tum", tum_lines(trajectory))
+        self._lines(TRAJECTORY if method == self.answer else f"methods/{method}.tum", tum_lines(trajectory))
 
     def truth(self, trajectory: Trajectory) -> None:
         """Write the next true poses."""

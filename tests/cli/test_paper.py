@@ -1,0 +1,57 @@
+"""The paper's system from the command line: train, run, evaluate."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.odometry import read_trajectories
+from conformodal.poses import read_tum
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def trained(small_world, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("paper")
+    options = ["--method", "paper", "--classical", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache]
+    result = invoke("train", small_world.folder, "--out", folder / "model", *options)
+    assert result.exit_code == 0, result.output
+    assert "the paper has no such test" in result.output
+    return folder
+
+
+def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
+    out = trained / "out"
+    result = invoke("run", trained / "model", small_world.folder, "--part", "test", "--out", out)
+    assert result.exit_code == 0, result.output
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert list(metrics["errors"]) == ["greedy", "classical", "classical_smoothed", "softmax_mean"]
+    assert metrics["configuration"]["method"] == "paper"
+    assert metrics["coverage"]["joint"] == "none"
+    assert metrics["n_fixed"] == metrics["n_unknown"] == 0
+    assert sorted(p.stem for p in (out / "methods").glob("*.tum")) == [
+        "classical",
+        "classical_smoothed",
+        "softmax_mean",
+    ]
+    answer = read_tum(out / "trajectory.tum")
+    assert len(answer) == metrics["n_answered"]
+    np.testing.assert_array_equal(read_trajectories(out)["greedy"].positions_xyz, answer.positions_xyz)
+    assert "<script" in (out / "report.html").read_text()
+    checked = invoke("evaluate", out, "--truth", out / "truth.tum")
+    assert checked.exit_code == 0, checked.output
+    assert "greedy" in checked.output
+    assert "smoothed" not in checked.output.replace("classical_smoothed", "")
+
+
+@pytest.mark.parametrize("option", [("--score", "density"), ("--joint", "bonferroni"), ("--calibration", "stretches")])
+def test_what_the_paper_does_not_have_is_refused_before_the_work(small_world, tmp_path, option):
+    result = invoke("train", small_world.folder, "--out", tmp_path / "m", "--method", "paper", *option)
+    assert result.exit_code == 2
+    assert "the paper's system has no settings" in " ".join(result.output.split())
+    assert not (tmp_path / "m").exists()
