@@ -186,7 +186,7 @@ def test_who_wants_to_see_all_sees_all(monkeypatch):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_signals_are_treated_alike_and_handlers_come_back(name):
     number = getattr(signal, name)
-    before = signal.getsignal(number)
+    outside = signal.signal(number, signal.default_int_handler)  # under nohup it would stay ignored
 
     def send(times, *, gently):
         with failures.stopping(gently=gently) as came:
@@ -195,13 +195,16 @@ def test_signals_are_treated_alike_and_handlers_come_back(name):
                 os.kill(os.getpid(), number)
 
     came_of = []
-    with pytest.raises(KeyboardInterrupt):
-        send(1, gently=False)
-    send(1, gently=True)
-    with pytest.raises(KeyboardInterrupt):
-        send(2, gently=True)
-    assert [failures.stop_code(came) for came in came_of] == [128 + number] * 3
-    assert signal.getsignal(number) is before
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            send(1, gently=False)
+        send(1, gently=True)
+        with pytest.raises(KeyboardInterrupt):
+            send(2, gently=True)
+        assert [failures.stop_code(came) for came in came_of] == [128 + number] * 3
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, outside)
 
 
 def test_a_signal_that_is_ignored_stays_ignored():
