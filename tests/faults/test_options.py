@@ -93,7 +93,7 @@ WRONG = {
     "fine-tune less than nothing": (["train", "--fine-tune=-1"], "--fine-tune must be"),
     "fine-tune words": (["train", "--fine-tune", "some"], "--fine-tune must be"),
     "fine-tune a long number": (["train", "--fine-tune", "9" * 5000], "--fine-tune must be"),
-    "epochs of no fine-tuning": (["train", "--fine-tune-epochs", "3"], "says something with --fine-tune only"),
+    "epochs of no fine-tuning": (["train", "--fine-tune-epochs", "3"], "needs --fine-tune, got --fine-tune none"),
     "a network": (["train", "--network", "resnet"], "backbone must be one of"),
     "a device": (["train", "--device", "tpu"], "device must be"),
     "a score": (["train", "--score", "best"], "score"),

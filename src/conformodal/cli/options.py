@@ -97,7 +97,7 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
     _check_shares(given)
     for name, (other, fits, said) in _NEED.items():
         if name in given and other in given and given[name] != defaults.get(name) and not fits(given[other]):
-            raise OptionError(f"{_flag(name)} says something with {said} only, and {_flag(other)} is {given[other]}")
+            raise OptionError(f"{_flag(name)} needs {said}, got {_flag(other)} {given[other]}")
     for name in ("cache", "save"):
         place = given.get(name)
         if isinstance(place, Path):

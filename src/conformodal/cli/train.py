@@ -63,7 +63,10 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     method: Annotated[
-        Method, typer.Option(help="conformodal, or paper: the paper's own system, without anything of ours.")
+        Method,
+        typer.Option(
+            help="conformodal, or paper: the paper's system; options at our defaults then take the paper's values."
+        ),
     ] = _DEFAULT.method,
     split: Annotated[
         SplitKind,

@@ -50,7 +50,8 @@ def as_alpha(alpha: Alpha, name: str = "alpha") -> Fraction:
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
         raise ConformalError(f"{name} must be a number strictly between 0 and 1, got {brief(alpha)}") from None
     if not 0 < value < 1:
-        hint = f"; did you mean {1 - float(value) / 100:g}?" if 1 < value < 100 else ""
+        percent = float(value) / 100  # of misses, or, where it is more than half, of what is held
+        hint = f"; did you mean {min(percent, 1 - percent):g}?" if 1 < value < 100 else ""
         found = brief(str(alpha)).strip("'")
         raise ConformalError(f"{name} must lie strictly between 0 and 1 (a miscoverage rate), got {found}{hint}")
     return value

@@ -57,7 +57,9 @@ def camera_of(
     said: list[str] = []
     if stated is not None and tuple(stated) != size:
         if min(stated) < 1:
-            raise DatasetError(f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, expected a size")
+            raise DatasetError(
+                f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, expected sides of at least 1"
+            )
         sx, sy = size[0] / stated[0], size[1] / stated[1]
         if abs(sx / sy - 1) > _SAME_SHAPE:
             raise DatasetError(
@@ -72,7 +74,8 @@ def camera_of(
         raise DatasetError(f"{source}: {exc}") from exc
     _refuse(source, camera)
     if remarks is not None:
-        remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in (*said, *_doubts(camera))]
+        remarks += [Remark("intrinsics were scaled", f"{source}: {text}") for text in said]
+        remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
     return camera
 
 
@@ -179,10 +182,13 @@ def _doubts(camera: PinholeCamera) -> list[str]:
     elif max(abs(camera.cx / width - 0.5), abs(camera.cy / height - 0.5)) > _OFF_CENTRE:
         found.append(
             f"principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of images of {width}x{height} "
-            f"pixels; intrinsics of images of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f} have it there"
+            f"pixels; are the intrinsics those of images of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f}?"
         )
     if not 1 / _UNLIKE < camera.fx / camera.fy < _UNLIKE:
-        found.append(f"focal lengths fx = {camera.fx:g} and fy = {camera.fy:g} differ as with no square pixels")
+        found.append(
+            f"focal lengths fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than a quarter; cameras have "
+            "nearly square pixels"
+        )
     for name, view in zip(("fx", "fy"), _views(camera), strict=True):
         if not _UNLIKELY_DEG[0] < view < _UNLIKELY_DEG[1]:
             found.append(f"{name} makes a field of view of {view:.3g} degrees with images of {width}x{height} pixels")

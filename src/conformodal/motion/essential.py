@@ -1,4 +1,4 @@
-"""Relative motion as the paper has it (section 3): corners, flow, an essential matrix, and nothing that doubts it."""
+"""Relative motion as in section 3 of the paper: corners, flow and an essential matrix, without degeneracy checks."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _FIVE = 5  # corners that an essential matrix needs
 class EssentialFrontEnd:
     """Rotation and direction from frame to frame, by OpenCV's essential matrix.
 
-    :class:`~conformodal.motion.MotionFrontEnd` takes care of pure rotation, small steps, planes and repeated pictures;
-    here a direction is given whenever a matrix is found. The methods are the same.
+    :class:`~conformodal.motion.MotionFrontEnd` detects pure rotation, small steps, planes and repeated pictures. This
+    class does not: it gives a direction whenever it finds a matrix. Both have the same interface.
 
     Parameters
     ----------

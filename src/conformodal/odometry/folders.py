@@ -56,7 +56,7 @@ def check_owner(folder: Path, command: str) -> None:
     mine = command.split(maxsplit=1)[0]
     allowed = {mine, "run"} if mine == "bins" else {mine}
     for other in sorted(owners(folder) - allowed):
-        what = _SAID.get(other, "numbers of something else")
+        what = _SAID.get(other, "a metrics.json of unknown origin")
         raise FolderError(f"{folder}: holds {what}, which {mine} would overwrite; take another folder, or empty it")
 
 

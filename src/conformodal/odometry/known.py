@@ -44,7 +44,7 @@ class KnownPlaces:
         return self.test.p_values(self.test.scores(coarse_features(features)))
 
     def level(self, asked: float | None) -> float:
-        """The level that is asked for; one below the least p-value takes no image for unknown.
+        """The level that is asked for. A level below the least possible p-value flags no image as unknown.
 
         None asks for 0.015 where single frames were left out, and for 0.1 where stretches or recordings were, but at
         least for the least p-value that so few pieces can give.

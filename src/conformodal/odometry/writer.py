@@ -25,7 +25,7 @@ class ResultsWriter:
     """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum``.
 
     Where the folder holds results already, new ones are written under ``unfinished`` in it, and take their place all
-    together at the end. Where the work breaks off by an error, those before stay, and so does what was written.
+    together at the end. If an error ends the work, earlier results stay, and the new ones stay where they were written.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class ResultsWriter:
         self._lines(TRUTH, tum_lines(trajectory))
 
     def close(self) -> None:
-        """Everything is on disk afterwards, in the place of earlier results."""
+        """Close all files, and let them replace earlier results."""
         with self._claim:
             while self._open:
                 self._open.popitem()[1].close()
@@ -108,7 +108,7 @@ class ResultsWriter:
                 replace_results(self.folder)
 
     def _break_off(self) -> None:
-        """What was answered stays, and nothing where nothing was."""
+        """Keep the answers so far; if there are none, remove what was begun."""
         with self._claim:
             while self._open:
                 with suppress(OSError):  # the disk may be full: what broke off the work is told
@@ -120,7 +120,7 @@ class ResultsWriter:
 
     def _lines(self, name: str, lines: Sequence[str]) -> None:
         if name not in self._open:
-            # a line at a time reaches the disk, so that others can follow a run
+            # line buffered, so that others can follow a run
             self._open[name] = (self.place / name).open("w", encoding="utf-8", buffering=1)
             if name.endswith(".tum"):
                 self._open[name].write("# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)\n")

@@ -62,7 +62,8 @@ class Greedy:
     Orientation: the q that minimises ``|q - q_next|`` with ``q_next = quaternion(R_prev R_rel)``; q and -q count as
     one. The square of that distance is a sum over components, so each is minimised by itself. Position: the p that
     minimises ``| t_rel - (p - p_prev) / |p - p_prev| |`` with t_rel turned into the world by the orientation chosen
-    before. In the first frame, and where the motion is unknown, the most probable combination is taken.
+    before. In the first frame, and where the rotation is unknown, the most probable combination is taken; where the
+    direction alone is unknown, the most probable position.
     """
 
     def __init__(self) -> None:

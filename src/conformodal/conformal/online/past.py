@@ -17,8 +17,8 @@ class PastScores:
     Parameters
     ----------
     window
-        How many to keep; None keeps all, so that memory and the time of a step grow with the stream: 16 bytes a score
-        and, beyond a million scores, about a millisecond a step.
+        How many to keep; None keeps all, so that memory and the time of a step grow with the stream: about 40 bytes a
+        score and, beyond a million scores, about a millisecond a step.
     """
 
     def __init__(self, window: int | None = None) -> None:

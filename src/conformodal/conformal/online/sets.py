@@ -57,8 +57,8 @@ class OnlineConformal:
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     method
         ``"aci"``, ``"dtaci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha.
-        ``"aci"`` and ``"dtaci"`` keep all past scores, so that memory grows with the stream (16 bytes a sample and
-        target); ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
+        ``"aci"`` and ``"dtaci"`` keep all past scores, so that memory grows with the stream (about 40 bytes a sample
+        and target); ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
     empty
         ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
         but still counts as a miss.
