@@ -115,8 +115,8 @@ WRONG = {
     ),
     "reproduce: a network": (["reproduce table1", "--networks", "a,b,c"], "backbone must be"),
     "reproduce: blocks": (["reproduce figures", "--fine-tune", "999"], "at most"),
-    "reproduce: an address": (["reproduce table1", "--address", "x"], "with --engine ray only"),
-    "reproduce: workers": (["reproduce table1", "--workers", "2", "--engine", "ray"], "with --engine local only"),
+    "reproduce: an address": (["reproduce table1", "--address", "x"], "needs --engine ray"),
+    "reproduce: workers": (["reproduce table1", "--workers", "2", "--engine", "ray"], "needs --engine local"),
     "reproduce: a file": (["reproduce table1", "--out", "file"], "is a file"),
     "demo: a file": (["demo", "--out", "file"], "is a file"),
 }
