@@ -247,6 +247,7 @@ def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - a background shell ignores it
     )
     assert process.stdout.readline().strip() == b"1"
     process.send_signal(how)
