@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, Layout, read_sequence
 from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
+from conformodal.datasets.files import staged
 from conformodal.datasets.streams import Frame, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import PinholeCamera, Trajectory, write_tum
@@ -288,3 +290,19 @@ def test_truth_of_a_video_outside_its_time_is_told(tmp_path):
     with pytest.raises(DatasetError, match="nothing to write"):
         write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, late)
     assert not (tmp_path / "out").exists()
+
+
+def test_two_that_write_one_folder_do_not_mix(tmp_path):
+    out = tmp_path / "new" / "out"
+    with staged(out) as part:
+        (part / "a").write_text("first")
+        with ThreadPoolExecutor() as pool:
+
+            def second():
+                with staged(out):
+                    pytest.fail("two at once")
+
+            with pytest.raises(DatasetError, match="is being written"):
+                pool.submit(second).result()
+    assert [p.read_text() for p in out.iterdir()] == ["first"]
+    assert [p.name for p in out.parent.iterdir()] == ["out"]

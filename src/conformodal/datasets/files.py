@@ -6,13 +6,14 @@ import functools
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
 
+from conformodal._files import FolderInUseError, locked
 from conformodal.poses import PoseError
 from conformodal.poses.text import number, text_lines
 
@@ -136,7 +137,7 @@ def staged(folder: Path) -> Iterator[Path]:
     Raises
     ------
     DatasetError
-        If there is something in that place already, or it cannot be written.
+        If there is something in that place already, it cannot be written, or someone else is writing it.
     """
     try:
         folder = folder.resolve()
@@ -144,17 +145,23 @@ def staged(folder: Path) -> Iterator[Path]:
             raise DatasetError(f"{folder}: is a file, expected a new or empty folder")
         if folder.exists() and any(folder.iterdir()):
             raise DatasetError(f"{folder}: is not empty")
+        folder.parent.mkdir(parents=True, exist_ok=True)
         part = folder.with_name(f".{folder.name}.part")
-        shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
-        part.mkdir(parents=True)
-        try:
-            yield part
-            if folder.exists():
-                folder.rmdir()
-            part.replace(folder)
-        except BaseException:
-            shutil.rmtree(part, ignore_errors=True)
-            raise
+        with ExitStack() as held:
+            try:
+                held.enter_context(locked(folder.with_name(f".{folder.name}.lock")))
+            except FolderInUseError as exc:
+                raise DatasetError(f"{folder}: is being written by another process or thread") from exc
+            shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+            part.mkdir()
+            try:
+                yield part
+                if folder.exists():
+                    folder.rmdir()
+                part.replace(folder)
+            except BaseException:
+                shutil.rmtree(part, ignore_errors=True)
+                raise
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be written: {exc}") from exc
 
