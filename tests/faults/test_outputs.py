@@ -431,3 +431,134 @@ def test_a_source_without_a_readable_frame_leaves_earlier_results(small_world, t
     result = invoke("run", small_world.model, tmp_path / "bad", "--out", tmp_path / "out", "--format", "images")
     assert result.exit_code == 2, result.output
     assert everything(tmp_path / "out") == before
+
+
+# files of the names that a command writes, where it has not written any
+STRAYS = {
+    "run": ["report.html", "truth.tum"],
+    "train": ["weights.safetensors", "classical.json", "classical.safetensors"],
+    "reproduce": ["table1.md", "table1.html", "table1.parquet"],
+    "demo": ["model/model.json", "report.html", "corridor/seq-01/frame-000000.color.png"],
+}
+
+
+@pytest.mark.parametrize(("command", "name"), [(c, name) for c, names in STRAYS.items() for name in names])
+def test_files_of_others_are_not_overwritten(small_world, tmp_path, command, name):
+    fill(tmp_path, {name: "mine", "notes.txt": "mine too"})
+    before = everything(tmp_path)
+    source, end = small_world.folder, ("--out", tmp_path)
+    start = {
+        "run": ("run", small_world.model, source),
+        "train": ("train", source),
+        "reproduce": ("reproduce", "table1", source),
+        "demo": ("demo",),
+    }[command]
+    result = invoke(*start, *end)
+    assert result.exit_code == 2, result.output
+    assert f"was not written by {command}" in result.stderr
+    assert everything(tmp_path) == before
+
+
+def test_a_rerun_takes_away_its_own_files_alone(tmp_path):
+    write_results(tmp_path)
+    mine = {"evaluation/notes.txt": "mine", "methods/notes.txt": "mine"}
+    old = {"evaluation/metrics.json": '{"command": "evaluate"}', "methods/old.tum": "", "regions.parquet": ""}
+    fill(tmp_path, mine | old)
+    write_results(tmp_path, shift=1.0, truth=False)
+    found = everything(tmp_path)
+    assert {name: found[name].decode() for name in mine} == mine
+    assert not found.keys() & old.keys()
+
+
+NAMES = {
+    "cut": "[",
+    "empty": "",
+    "a number": "3",
+    "an object": '{"regions.jsonl": 1}',
+    "names of others": '["../notes.txt"]',
+    "no names": "[[1]]",
+    "nested": "[" * 99999,
+    "no text": b"\xff\xfe",
+}
+
+
+@pytest.mark.parametrize("what", NAMES)
+@pytest.mark.parametrize("command", ["run", "evaluate"])
+def test_damaged_names_of_a_replacement_move_and_remove_nothing(tmp_path, what, command):
+    write_results(tmp_path / "out")
+    write_tum(tmp_path / "truth.tum", path_of(6))
+    fill(tmp_path / "out", {f"{FINISHED}/names.json": NAMES[what], f"{FINISHED}/regions.jsonl": "new"})
+    before = everything(tmp_path)
+    if command == "evaluate":
+        result = invoke("evaluate", tmp_path / "out", "--truth", tmp_path / "truth.tum")
+        assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1), result.output
+        assert "names.json: is damaged" in result.stderr
+    else:
+        with pytest.raises(FolderError, match="is damaged"):
+            write_results(tmp_path / "out")
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("other", ["finished", "finished/notes.txt"])
+def test_a_name_that_is_taken_is_told_before_the_work(tmp_path, other):
+    write_results(tmp_path)
+    fill(tmp_path, {other: "mine"})
+    before = everything(tmp_path)
+    with pytest.raises(FolderError, match="needs that name"), claimed(tmp_path, "run"):
+        pass
+    assert everything(tmp_path) == before
+
+
+CHECK_OUT = {
+    "below a file": "file/x",
+    "a broken link": "link",
+    "too long": "x" * 300,
+    "below a device": "/dev/null/x",
+}
+
+
+@pytest.mark.parametrize("what", CHECK_OUT)
+def test_data_check_looks_at_its_folder_first(small_world, tmp_path, monkeypatch, what):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr("conformodal.cli.data.open_sequence", None)  # not reached
+    result = invoke("data", "check", small_world.folder, "--out", tmp_path / CHECK_OUT[what])
+    assert result.exit_code == 2, result.output
+    assert "FolderError" in result.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_data_check_goes_on_where_one_was_killed(small_world, tmp_path):
+    fill(tmp_path / "out", {".lock": "1", ".metrics.json.1-2.conformodal-part": "{"})
+    few = tmp_path / "few"
+    for path in [small_world.folder / "camera-intrinsics.txt", *(small_world.folder / "seq-01").glob("*-00000*")]:
+        (few / "seq-01").mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, few / path.relative_to(small_world.folder))
+    assert invoke("data", "check", few, "--out", tmp_path / "out").exit_code == 0
+    assert list(everything(tmp_path / "out")) == ["metrics.json"]
+
+
+@pytest.mark.parametrize("moment", ["before the flight", "in the flight", "after it"])
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_demo_that_was_killed_starts_again(tmp_path, monkeypatch, moment, seed):
+    flights = []
+
+    def fly(folder, *, seed, **_):
+        if moment == "before the flight" and not flights:
+            flights.append(None)
+            raise KeyboardInterrupt
+        (folder / "seq-01").mkdir(parents=True)
+        (folder / "seq-01" / "seed").write_text(str(seed))
+        flights.append(seed)
+        if moment == "in the flight" and len(flights) == 1:
+            shutil.move(folder / "seq-01", folder / ".seq-01.part")
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("conformodal.cli.demo.write_corridor", fly)
+    monkeypatch.setattr("conformodal.cli.demo.train_on", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr("conformodal.cli.demo.read_sevenscenes", lambda folder: folder)
+    for given in (0, seed, seed):
+        assert invoke("demo", "--out", tmp_path, "--seed", given).exit_code == 130
+    assert (tmp_path / "corridor" / "seq-01" / "seed").read_text() == str(seed)
+    assert len(flights) == 1 + (moment != "after it" or seed == 4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from conformodal._files import LOCK, writing_in
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
@@ -43,6 +44,11 @@ def check(
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
     """Say what a folder holds, and all that is wrong with it (exit code 1 if there is anything)."""
+    with nullcontext() if out is None else writing_in(out):
+        _check(folder, layout, out, follow_outside)
+
+
+def _check(folder: Path, layout: Layout, out: Path | None, follow_outside: bool) -> None:
     if out is not None:
         _check_out(out)
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
@@ -123,9 +129,7 @@ def _truth(stream: FrameStream) -> Trajectory | None:
 
 def _check_out(out: Path) -> None:
     """Refuse a folder that holds anything but what this command wrote there before."""
-    if out.exists() and not out.is_dir():
-        raise DatasetError(f"{out}: is a file, expected a folder for metrics.json")
-    names = {path.name for path in out.iterdir()} if out.exists() else set()
+    names = {path.name for path in out.iterdir()} - {LOCK}
     if not names:
         return
     command = None

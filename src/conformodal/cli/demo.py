@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from conformodal._files import FolderError, write_whole
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity, load_classical
@@ -24,7 +28,7 @@ from conformodal.odometry import (
     write_metrics,
     write_run,
 )
-from conformodal.odometry.folders import claimed
+from conformodal.odometry.folders import check_no_stray, claimed
 from conformodal.poses import Trajectory
 from conformodal.report import (
     PageFigure,
@@ -58,14 +62,8 @@ def demo(
     started = time.perf_counter()
     config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
     with claimed(out, "demo"), progress_bars() as report:
-        write_corridor(
-            out / "corridor",
-            n_modules=N_MODULES,
-            n_laps=N_LAPS,
-            seed=seed,
-            progress=lambda done, total: report("corridor", done, total),
-        )
-        sequence = read_sevenscenes(out / "corridor")
+        check_no_stray(out, "demo")
+        sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", classical=True, cache_dir=out / "cache", report=report)
         outcome = _answer(model, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
@@ -91,6 +89,30 @@ def demo(
     console.print(f"classical / conformal rmse_m: {ratio:.1f}   ({outcome.metrics['seconds']:.0f} s in all)")
     console.print(f"open {(out / 'report.html').resolve()}", soft_wrap=True)
     print_where(out)
+
+
+def _corridor(place: Path, seed: int, report: Report) -> Sequence:
+    """The flight of a seed; one that an earlier demo wrote is not written again."""
+    mark, flight, old = place / "demo.json", place / "seq-01", place / ".old"
+    wanted, found = {"seed": seed, "n_modules": N_MODULES, "n_laps": N_LAPS}, None
+    if place.exists() and not mark.is_file() and (not place.is_dir() or any(place.iterdir())):
+        raise FolderError(f"{place}: was not written by demo, which would overwrite it; take another folder")
+    with suppress(OSError, ValueError):
+        found = json.loads(mark.read_text(encoding="utf-8"))
+    shutil.rmtree(old, ignore_errors=True)
+    if found != wanted and flight.exists():
+        flight.rename(old)  # gone by that name at once: never half a flight under the mark of a whole one
+    write_whole(mark, json.dumps(wanted) + "\n")
+    shutil.rmtree(old, ignore_errors=True)
+    if not flight.is_dir():
+        write_corridor(
+            place,
+            n_modules=N_MODULES,
+            n_laps=N_LAPS,
+            seed=seed,
+            progress=lambda done, total: report("corridor", done, total),
+        )
+    return read_sevenscenes(place)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ from conformodal.experiments.table1 import (
     write_parquet,
 )
 from conformodal.odometry import ResultsError, data_digest, provenance, read_metrics, write_metrics
-from conformodal.odometry.folders import claimed
+from conformodal.odometry.folders import check_no_stray, claimed
 from conformodal.report import Section, error_chart, write_comparison
 from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, default_cache_dir
 
@@ -95,6 +95,7 @@ def table1(
     where, cache_dir = _engine(engine, workers, address), cache or default_cache_dir()
     rows = _rows(networks, fine_tune)
     with claimed(out, "reproduce", apart=[data]):
+        check_no_stray(out, "reproduce")
         check_writable(cache_dir)
         sequence = open_sequence(data, layout, require_poses=True)
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
@@ -154,6 +155,7 @@ def figures(
     where, cache_dir = _engine(engine, workers, address), cache or default_cache_dir()
     rows = _rows(networks, fine_tune)
     with claimed(out, "reproduce", apart=[data]):
+        check_no_stray(out, "reproduce")
         check_writable(cache_dir)
         sequence = open_sequence(data, layout, require_poses=True)
         _, results = _work(sequence, out, rows, [split], 1, epochs, fine_tune, cache_dir, where)

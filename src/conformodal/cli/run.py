@@ -83,7 +83,7 @@ def run(
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
     with claimed(out, "run", apart=[model, Path(source)]):
-        check_no_stray(out)
+        check_no_stray(out, "run")
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)

@@ -30,7 +30,7 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
-from conformodal.odometry.folders import claimed
+from conformodal.odometry.folders import check_no_stray, claimed
 from conformodal.poses import PinholeCamera
 from conformodal.vision import (
     NETWORKS,
@@ -164,6 +164,7 @@ def train(
     check_fine_tuning(network, config.fine_tuning)
     cache_dir = cache or default_cache_dir()
     with claimed(out, "train", apart=[data]):
+        check_no_stray(out, "train")
         check_writable(cache_dir)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:

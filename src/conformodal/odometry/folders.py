@@ -6,7 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,15 @@ _TELLING = {
     "demo": ("corridor",),
     "run": (REGIONS, TRAJECTORY, TRUTH),
 }
+# What a command writes before all else, and what only later: the latter alone is somebody else's.
+_WRITES = {
+    "train": (("model.json",), ("weights.safetensors", "classical.json", "classical.safetensors")),
+    "run": ((REGIONS, METRICS), (TRAJECTORY, TRUTH, "report.html")),
+    "demo": (("corridor",), ("model", "report.html")),
+    "reproduce": (("tasks", "table1.json", METRICS), ("table1.md", "table1.html", "table1.parquet")),
+}
+# The files of ours in folders that others may keep files in.
+_OURS = {"methods": "*.tum", "evaluation": METRICS}
 _SAID = {
     "train": "a model",
     "run": "results of run",
@@ -60,17 +69,20 @@ def check_owner(folder: Path, command: str) -> None:
         raise FolderError(f"{folder}: holds {what}, which {mine} would overwrite; take another folder, or empty it")
 
 
-def check_no_stray(folder: Path) -> None:
-    """Refuse a folder with a trajectory that no run wrote: it would be lost.
+def check_no_stray(folder: Path, command: str) -> None:
+    """Refuse a folder with files of the names that a command writes, where it has not written any: they would be lost.
 
     Raises
     ------
     FolderError
         If there is one.
     """
-    stray = [name for name in (TRAJECTORY, TRUTH) if (folder / name).exists()]
-    if stray and not any((folder / name).exists() for name in (REGIONS, METRICS)):
-        raise FolderError(f"{folder / stray[0]}: was not written by run, which would overwrite it; take another folder")
+    first, later = _WRITES[command]
+    stray = [name for name in later if (folder / name).exists()]
+    if stray and not any((folder / name).exists() for name in first):
+        raise FolderError(
+            f"{folder / stray[0]}: was not written by {command}, which would overwrite it; take another folder"
+        )
 
 
 @contextmanager
@@ -119,17 +131,46 @@ def replace_results(folder: Path) -> None:
 def settle(folder: Path) -> None:
     """Bring a replacement of results to its end that a process had begun."""
     new = folder / FINISHED
-    if not (new / _NAMES).is_file():
+    kept = _names_in(new)
+    if kept is None:
         return
-    kept = json.loads((new / _NAMES).read_text(encoding="utf-8"))
     for name in RESULTS:
         if name not in kept:
             _remove(folder / name)
+        elif (new / name).is_dir():
+            _remove(folder / name)
+            (folder / name).mkdir(exist_ok=True)
+            for path in (new / name).iterdir():
+                path.replace(folder / name / path.name)
+            (new / name).rmdir()
         elif (new / name).exists():
-            if (new / name).is_dir():
-                _remove(folder / name)
             (new / name).replace(folder / name)
     shutil.rmtree(new)
+
+
+def _names_in(new: Path) -> list[str] | None:
+    """The names of the results that a process had begun to move; None where none had.
+
+    Raises
+    ------
+    FolderError
+        If something else is in their place, or the names are damaged: nothing is moved or removed then.
+    """
+    path = new / _NAMES
+    if not path.is_file():
+        if new.is_file() or (new.is_dir() and any(new.iterdir())):
+            raise FolderError(f"{new}: was not written by run, which needs that name; take another folder")
+        return None
+    try:
+        names = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        names = None
+    if not isinstance(names, list) or not all(name in RESULTS for name in names):
+        raise FolderError(
+            f"{path}: is damaged, so it is not known which results take the place of those in {new.parent}; move "
+            f"what {new} holds to another folder, or remove it"
+        )
+    return names
 
 
 def discard(folder: Path, names: Iterable[str] = RESULTS) -> None:
@@ -160,7 +201,10 @@ def check_belongs(folder: Path, metrics: dict[str, Any]) -> None:
 
 def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
+        for own in path.glob(_OURS.get(path.name, "*")):
+            own.unlink()
+        with suppress(OSError):  # someone else keeps something there
+            path.rmdir()
     else:
         path.unlink(missing_ok=True)
 
