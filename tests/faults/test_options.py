@@ -40,7 +40,7 @@ NUMBERS = {
     "novelty-level": ["1", "-0.1", "nan", "inf"],
     "seed": ["-1", "99999999999999999999"],
     "fine-tune-epochs": ["1000000000"],
-    "metres-per-radian": ["inf"],
+    "metres-per-radian": ["inf", "0"],
     "seeds": ["1000000"],
     "workers": ["1000000"],
 }
@@ -109,6 +109,19 @@ WRONG = {
     "run: a file": (["run", "--out", "file"], "is a file"),
     "run: no model": (["run"], "no saved model"),
     "run: a recording that is a folder": (["run", "--save", "."], "--save must be a file"),
+    "run: a recording over a picture": (["run", "--save", "file"], "--save must name a file .rrd"),
+    "fine-tune digits of another script": (["train", "--fine-tune", "\u0663"], "--fine-tune must be"),
+    **{
+        f"the paper has no {options[0]}": (["train", "--method", "paper", *options], "the paper's system has no")
+        for options in [  # our own values, given all the same
+            ("--score", "hpd_mid"),
+            ("--joint", "max"),
+            ("--sigma", "0.7"),
+            ("--landmarks",),
+            ("--calibration", "stretches"),
+            ("--novelty-level", "0.015"),
+        ]
+    },
     "reproduce: two networks": (
         ["reproduce table1", "--networks", "efficientnet_lite0,efficientnet_lite0"],
         "a small, a middle and a large",
@@ -220,3 +233,34 @@ def test_a_signal_that_is_ignored_stays_ignored():
 def test_options_are_checked_of_every_command():
     for command in app.registered_commands:
         assert hasattr(command.callback, "__wrapped__")  # by kind_errors
+
+
+SAY_NOTHING = {
+    "a topic of a folder": (("run", "MODEL", "DATA", "--topic", "/image"), "--topic says something with a ROS"),
+    "convert: a topic": (("data", "convert", "DATA", "--topic", "/image"), "--topic says something with a ROS"),
+    "convert: a camera": (("data", "convert", "DATA", "--camera", "DATA"), "--camera is for sources that say no"),
+    "paper: a level of novelty": (("run", "PAPER", "DATA", "--novelty-level", "0.1"), "no test for unknown places"),
+    "paper: landmarks at times": (("run", "PAPER", "DATA", "--fix-every", "3"), "no landmarks to look for"),
+}
+
+
+@pytest.fixture(scope="module")
+def paper(small_world, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("paper") / "model"
+    options = ["--method", "paper", "--epochs", 1, "--cache", small_world.cache]
+    assert invoke("train", small_world.folder, "--out", folder, *options).exit_code == 0
+    return folder
+
+
+@pytest.mark.parametrize("what", SAY_NOTHING)
+def test_options_that_would_change_nothing_are_refused(small_world, paper, tmp_path, what):
+    arguments, said = SAY_NOTHING[what]
+    places = {"MODEL": small_world.model, "PAPER": paper, "DATA": small_world.folder}
+    assert said in line_of(invoke(*(places.get(a, a) for a in arguments), "--out", tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_papers_answer_gets_no_radius(small_world, paper):
+    before = (paper / "model.json").read_bytes()
+    assert "gets no radius" in line_of(invoke("calibrate", paper, small_world.folder))
+    assert (paper / "model.json").read_bytes() == before

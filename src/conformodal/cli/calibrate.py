@@ -12,6 +12,8 @@ from conformodal._files import check_writable
 from conformodal.datasets import Layout
 from conformodal.odometry import (
     METHODS,
+    Method,
+    OdometryError,
     Promise,
     Sizing,
     calibrate_selection,
@@ -51,6 +53,8 @@ def calibrate(
     if method not in METHODS:
         raise OptionError(f"--method must be one of {', '.join(METHODS)}, got {method!r}")
     loaded = load_model(model)
+    if loaded.method is Method.PAPER:
+        raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
     cache_dir = cache or default_cache_dir()
     with claimed(model, "train", apart=[data]):
         check_writable(cache_dir)

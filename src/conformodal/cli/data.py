@@ -21,6 +21,7 @@ from conformodal.odometry import provenance, write_metrics
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
 
 from .console import console, kind_errors, print_where, progress_bars
+from .options import OptionError
 from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
@@ -97,6 +98,8 @@ def convert(
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     truth = read_tum(poses) if poses is not None else _truth(stream)
+    if stream.camera is not None and camera is not None:
+        raise OptionError(f"--camera is for sources that say no camera, and {stream.name} says {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
     with progress_bars() as report:
         total = stream.n_frames or 0

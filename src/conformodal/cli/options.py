@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from conformodal.conformal import ConformodalError
 from conformodal.conformal.checks import as_alpha
 
@@ -60,7 +62,7 @@ RANGES = {
     "workers": Range(1, 1024),
     "limit": Range(1),
     "fix_every": Range(1),
-    "metres_per_radian": Range(0),
+    "metres_per_radian": Range(0, low_open=True),
 }
 # Options that say something only where another has a certain value.
 _NEED: dict[str, tuple[str, Any, str]] = {
@@ -68,6 +70,12 @@ _NEED: dict[str, tuple[str, Any, str]] = {
     "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
     "workers": ("engine", lambda value: str(value) == "local", "--engine local"),
 }
+
+
+def was_given(context: typer.Context, name: str) -> bool:
+    """Whether a user has given an option, be it the value that it has anyway."""
+    source = context.get_parameter_source(name)
+    return source is not None and not source.name.startswith("DEFAULT")
 
 
 def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
@@ -126,6 +134,8 @@ def _check_place(name: str, place: Path) -> None:
         raise OptionError(f"{_flag(name)}: {str(place)!r} cannot be used: {exc}") from exc
     if wrong:
         raise OptionError(f"{_flag(name)} must be a {'file' if name == 'save' else 'folder'}, {place} is none")
+    if name == "save" and place.suffix.lower() != ".rrd":  # it would be written over, whatever it is
+        raise OptionError(f"{_flag(name)} must name a file .rrd, got {str(place)!r}")
 
 
 def _flag(name: str) -> str:

@@ -38,6 +38,7 @@ from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer,
 
 from .console import StatusLine, kind_errors, print_where, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
+from .options import OptionError
 from .outcome import Known, Part, part_frames, run_metrics, say, summary
 from .sources import FOLLOW_OUTSIDE, open_source
 
@@ -87,6 +88,7 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
+        _check_for(loaded, novelty_level, fix_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
         as_trained = part is not Part.ALL
@@ -196,6 +198,14 @@ def stream_through(
         page = ReportContent(f"conformodal: {stream.name}", summary(stream.name, metrics), metrics, viewer=viewer)
         write_page(writer.place / "report.html", page)
     return metrics, whole_space
+
+
+def _check_for(model: PoseModel, novelty_level: float | None, fix_every: int | None) -> None:
+    """Refuse options that say nothing with this model."""
+    if novelty_level and model.known is None:
+        raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
+    if fix_every not in (None, 1) and model.landmarks is None and model.region_landmarks is None:
+        raise OptionError(f"--fix-every: the model has no landmarks to look for, got {fix_every}")
 
 
 def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:

@@ -8,10 +8,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
-from conformodal.datasets.streams import FrameStream, SequenceStream, open_stream
+from conformodal.datasets.streams import BagStream, FrameStream, SequenceStream, open_stream
 from conformodal.poses import PinholeCamera
 
 from .console import console
+from .options import OptionError
 
 _MOST_REMARKS = 5
 FOLLOW_OUTSIDE = "Follow names of images that lead out of the data set's folder: absolute, by '..', or through links."
@@ -81,6 +82,8 @@ def open_source(
             with suppress(DatasetError):  # no frame has a pose
                 again = read_sequence(Path(source), layout, require_poses=True, follow_outside=follow_outside)
                 stream = SequenceStream(again)
+    if topic is not None and not isinstance(stream, BagStream):
+        raise OptionError(f"--topic says something with a ROS recording only, and {source} is none, got {topic!r}")
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"

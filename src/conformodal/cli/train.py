@@ -45,6 +45,7 @@ from conformodal.vision import (
 )
 
 from .console import Report, console, kind_errors, print_where, progress_bars, say_strongly
+from .options import was_given
 from .sources import FOLLOW_OUTSIDE, open_sequence
 
 _DEFAULT = ModelConfig()
@@ -57,8 +58,13 @@ _WHERE = {
 }
 
 
+# Settings whose options have other names.
+_OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
+
+
 @kind_errors
 def train(
+    context: typer.Context,
     data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
@@ -157,8 +163,10 @@ def train(
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
     if method is Method.PAPER:  # options that were left alone are the paper's then
-        asked = {name: value for name, value in settings.items() if value != getattr(_DEFAULT, name)}
-        config = ModelConfig.paper(**asked)
+        said = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}
+        said |= {name for name, value in settings.items() if value != getattr(_DEFAULT, name)}
+        said -= {"calibrate_on"} if calibration is Calibration.AUTO else set()
+        config = ModelConfig.paper(**{name: settings[name] for name in said})
     else:
         config = ModelConfig(**settings)
     check_fine_tuning(network, config.fine_tuning)
@@ -182,7 +190,7 @@ def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
     """
     if choice == "none":
         return None
-    if choice == "all" or (choice.isdecimal() and len(choice) <= _DIGITS):
+    if choice == "all" or (choice.isascii() and choice.isdecimal() and len(choice) <= _DIGITS):
         return FineTuning(None if choice == "all" else int(choice), epochs, seed=seed)
     raise VisionError(f"--fine-tune must be a number of blocks, 'all' or 'none', got {choice!r}")
 

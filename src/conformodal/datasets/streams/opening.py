@@ -13,7 +13,7 @@ from .frames import FrameStream
 from .stored import SequenceStream
 from .video import CameraStream, VideoStream
 
-_CAMERA = re.compile(r"camera:(\d+)$")
+_CAMERA = re.compile(r"camera:([0-9]{1,9})$")
 
 
 def open_stream(
