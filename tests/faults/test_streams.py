@@ -10,6 +10,9 @@ from PIL import Image
 from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.streams import Frame
 from conformodal.odometry import Evidence, OdometryError, ResultsWriter, StreamRunner, VisualOdometry, load_model
+from conformodal.poses import MotionStatus, RelativeMotion, Trajectory
+from conformodal.reasoning.orientations import smooth_orientations
+from conformodal.reasoning.prior import fit_motion_prior
 
 H, W = 120, 160
 
@@ -216,3 +219,14 @@ def test_a_frame_without_a_time_is_left_out_of_the_results(model, images, tmp_pa
     assert list(runner.problems) == ["bad"]
     assert "finite" in runner.problems["bad"]
     assert (runner.n_answered, runner.n_problems) == (4, 1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_motion_of_unknown_spread_weighs_nothing_and_warns_of_nothing():
+    quats = np.array([[1.0, 0, 0, 0], [0.9, 0.1, 0, 0], [0.8, 0.2, 0.1, 0]])
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    prior = fit_motion_prior(Trajectory(np.arange(3.0), np.eye(3), quats), np.zeros(3, dtype=np.int64))
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    motions = [None, *[RelativeMotion(MotionStatus.OK, turn, np.array([0.0, 0, 1]))] * 2]
+    found = smooth_orientations(quats, np.full(3, 0.1), motions, np.arange(3.0), prior)
+    np.testing.assert_allclose(np.abs(np.sum(found * quats, axis=1)), 1.0, atol=1e-9)

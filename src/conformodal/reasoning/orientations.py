@@ -49,6 +49,7 @@ def smooth_orientations(
     own = Rotation.from_quat(quats_wxyz, scalar_first=True)
     start, end, relative, sigma = _links(motions, prior.turn_rate_rad_s * np.diff(timestamps_s), submaps)
     link, n_links = Rotation.from_matrix(relative), len(start)
+    known = np.where(np.isfinite(sigma), sigma, 0.0)  # the others weigh nothing
     rows = np.arange(n_links + 1)
     ends = sparse.bsr_array((np.tile(np.eye(3), (n_links, 1, 1)), end, rows), shape=(3 * n_links, 3 * n))
     now = own
@@ -62,7 +63,7 @@ def smooth_orientations(
         starts = sparse.bsr_array((between.inv().as_matrix(), start, rows), shape=ends.shape)
         by_step = (ends - starts).tocsr()
         weighted = by_step.T @ sparse.diags_array(np.repeat(w_link, 3))
-        gradient = (r_own * (w_own * spreads_rad)[:, None]).ravel() + weighted @ (r_link * sigma[:, None]).ravel()
+        gradient = (r_own * (w_own * spreads_rad)[:, None]).ravel() + weighted @ (r_link * known[:, None]).ravel()
         system = weighted @ by_step + sparse.diags_array(np.repeat(w_own, 3))
         step = -spsolve(system.tocsc(), gradient).reshape(n, 3)
         now = now * Rotation.from_rotvec(step)
