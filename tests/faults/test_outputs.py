@@ -298,9 +298,28 @@ def test_what_a_killed_run_left_is_evaluated(tmp_path, left):
     assert (found["n_answered"], found["unfinished"], found["coverage"]["joint_coverage"]) == (n, True, 1.0)
 
 
+def said_in_metrics(**changes):
+    def change(folder):
+        path = folder / "metrics.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+    return change
+
+
 REFUSED = {
     "metrics are broken": (lambda f: (f / "metrics.json").write_text("{"), "cannot be read as metrics"),
     "metrics are nested without end": (lambda f: (f / "metrics.json").write_text("[" * 99999), "cannot be read"),
+    "results are a list": (said_in_metrics(results=[1]), "results is [1], expected an object"),
+    "settings are a list": (said_in_metrics(configuration=[1]), "configuration is [1]"),
+    "signs are a word": (said_in_metrics(sign_reference_quat_wxyz="x"), "expected four numbers"),
+    "signs are three": (said_in_metrics(sign_reference_quat_wxyz=[1, 0, 0]), "expected four numbers"),
+    "signs are null": (said_in_metrics(sign_reference_quat_wxyz=[None, 0, 0, 1]), "expected four numbers"),
+    "signs are zero": (said_in_metrics(sign_reference_quat_wxyz=[0, 0, 0, 0]), "expected four numbers"),
+    "the seed is NaN": (said_in_metrics(seed=float("nan")), "cannot be read as metrics: holds NaN"),
+    "a method has other times": (
+        lambda f: write_tum(f / "methods" / "online.tum", replace(path_of(6), timestamps_s=9 + np.arange(6.0))),
+        "poses of online have other times",
+    ),
     "regions are missing": (drop("regions.jsonl"), "regions.jsonl: cannot be read"),
     "regions are others": (cut("regions.jsonl", 400), "regions.jsonl"),
     "the answer is another": (cut("trajectory.tum", 90), "is not the file"),

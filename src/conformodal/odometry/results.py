@@ -106,13 +106,25 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     Raises
     ------
     ResultsError
-        If it is missing or no JSON object.
+        If it is missing, no JSON object, or what evaluation rests on is of another kind.
     """
     path = folder / METRICS
     try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
+        metrics = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
     except (OSError, ValueError, RecursionError) as exc:
         raise ResultsError(f"{path}: cannot be read as metrics: {exc}") from exc
     if not isinstance(metrics, dict):
         raise ResultsError(f"{path}: holds {type(metrics).__name__}, expected an object")
+    for name in ("results", "configuration"):
+        if not isinstance(metrics.get(name) or {}, dict):
+            raise ResultsError(f"{path}: {name} is {str(metrics[name])[:80]}, expected an object")
+    sign = metrics.get("sign_reference_quat_wxyz")
+    if sign is not None and not (
+        isinstance(sign, list) and len(sign) == 4 and any(sign) and all(type(v) in (int, float) for v in sign)
+    ):
+        raise ResultsError(f"{path}: sign_reference_quat_wxyz is {str(sign)[:80]}, expected four numbers")
     return metrics
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"holds {name}, which is no number of JSON")
