@@ -128,9 +128,7 @@ def read_results(out: Path) -> Results:
             raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
         other = [name for name, t in trajectories.items() if not np.array_equal(t.timestamps_s, answer.timestamps_s)]
         if other:
-            raise OdometryError(
-                f"{out}: the poses of {other[0]} have other times than the answer: of another run?"
-            )
+            raise OdometryError(f"{out}: the poses of {other[0]} have other times than the answer: of another run?")
         return Results(metrics, records, trajectories, answer, unfinished)
     if not records:
         raise OdometryError(f"{out}: the run was killed before it had answered a frame; run it again")
