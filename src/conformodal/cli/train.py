@@ -71,7 +71,7 @@ def train(
     method: Annotated[
         Method,
         typer.Option(
-            help="conformodal, or paper: the paper's system; options at our defaults then take the paper's values."
+            help="conformodal, or paper: the paper's system; options that are left alone then have the paper's values."
         ),
     ] = _DEFAULT.method,
     split: Annotated[
