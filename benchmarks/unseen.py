@@ -5,8 +5,8 @@ python benchmarks/unseen.py [--seeds 10 11 12 13 14] [--runs FOLDER] [--only red
 The numbers of a seed and a world are kept in the folder of runs and not measured again. The same script measures an
 older source, with its own defaults, on redkitchen:
 
-git worktree add old 3346ed2 && PYTHONPATH=old/src python benchmarks/unseen.py --only redkitchen --runs old-out \
-    --table unseen_before
+git worktree add old 3346ed2 && PYTHONPATH=old/src python benchmarks/unseen.py --seeds 10 --only redkitchen \
+    --runs old-out --table unseen_before
 """
 
 from __future__ import annotations
@@ -277,9 +277,10 @@ def main() -> None:
         "Absolute pose: of the landmarks' poses that are trusted, a share of all frames. Milliseconds a frame include "
         "the network, tracking and landmarks, once for whole sequences, beside another busy program."
     )
-    write_page(
-        asked.table, "Where the camera has never been", "python benchmarks/unseen.py", [*table(results), "", note]
-    )
+    command = "python benchmarks/unseen.py"
+    if asked.table != "unseen":
+        command += f" --seeds {' '.join(map(str, asked.seeds))} --only {' '.join(asked.only)} --table {asked.table}"
+    write_page(asked.table, "Where the camera has never been", command, [*table(results), "", note])
 
 
 if __name__ == "__main__":
