@@ -37,7 +37,7 @@ CONDITIONS = {
 }
 METHODS = {
     "greedy": "the paper's system",
-    "softmax_mean": "its softmaxes' means, no reasoning",
+    "softmax_mean": "means of its softmaxes, no reasoning",
     "plain": "plain regressor: same features, epochs and optimiser",
     "tuned": "the same, tuned",
 }
@@ -128,7 +128,7 @@ def main() -> None:
     write_table(
         "paper",
         "The paper's system and plain regressors",
-        "python benchmarks/paper.py",
+        f"python benchmarks/paper.py --seeds {' '.join(map(str, asked.seeds))}",
         [
             "redkitchen",
             "method",

@@ -33,6 +33,8 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     assert list(metrics["errors"]) == ["greedy", "classical", "classical_smoothed", "softmax_mean"]
     assert metrics["configuration"]["method"] == "paper"
     assert metrics["coverage"]["joint"] == "none"
+    assert metrics["coverage"]["joint_band_99"] is None
+    assert "For the whole pose there is no exact law" in metrics["coverage"]["assumption"]
     assert metrics["n_fixed"] == metrics["n_unknown"] == 0
     assert sorted(p.stem for p in (out / "methods").glob("*.tum")) == [
         "classical",

@@ -16,6 +16,11 @@ ASSUMPTION_HELD = (
     "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "
     "evidence follows a Beta-binomial law, and the central 99 % of their sum is the band."
 )
+ASSUMPTION_EACH = (
+    "Frames were split at random, so calibration and test frames are exchangeable: in each kind of evidence the "
+    "covered count of a target follows a Beta-binomial law, and the central 99 % of their sum is the target's band. "
+    "For the whole pose there is no exact law."
+)
 ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
     "Landmarks were looked for in some frames only: there are two calibrations, and no exact band for the count."
@@ -87,7 +92,8 @@ def coverage_table(
     band = grouped_coverage_band(met, calibration.alpha) if one_law and calibration.joint == "max" else None
     assumption = ASSUMPTION_BROKEN
     if exchangeable and by_frame:
-        assumption = ASSUMPTION_HELD if one_law else ASSUMPTION_MIXED
+        law = ASSUMPTION_HELD if calibration.joint == "max" else ASSUMPTION_EACH
+        assumption = law if one_law else ASSUMPTION_MIXED
     elif seen:
         assumption = ASSUMPTION_SEEN
     elif not by_frame:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Self
 
@@ -142,3 +142,9 @@ _PAPER: dict[str, Any] = {
     "local": False,
     "landmarks": False,
 }
+
+
+def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
+    """Settings behind a model, for the record, with the name and the frames of its data set."""
+    names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
+    return {**asdict(config), **names, "data": data, "n_frames": n_frames}

@@ -21,16 +21,17 @@ from conformodal.reasoning import (
     predict_candidates,
     softmax_mean,
 )
-from conformodal.vision import FeatureCache, extract_features
+from conformodal.vision import FeatureCache
 
 from .answers import METHODS, answers, as_trajectory
 from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
-from .frame import as_frames, as_image, as_time
+from .frame import as_image, as_time
 from .landmarks import Fixes
 from .model import PoseModel
 from .motions import MotionRecord, Progress, measure_motions
+from .reading import chosen_frames, read_frames
 from .region_rules import Evidence, trusted, trusted_only
 from .store import load_model
 
@@ -198,20 +199,9 @@ class VisualOdometry:
         OdometryError
             If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
         """
-        self.model.check_camera(sequence.camera)
-        wanted = np.arange(len(sequence)) if frames is None else as_frames(frames, len(sequence))
         if motions is None:
-            motions = measure_motions(sequence, wanted, progress)
-        usable = np.array([i for i in wanted.tolist() if i in motions.motions], dtype=np.int64)
-        if usable.size == 0:
-            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {motions.unreadable}")
-        features = extract_features(
-            [sequence.image_paths[i] for i in usable],
-            self.model.backbone,
-            cache or FeatureCache(None),
-            None if progress is None else lambda done, total: progress("network", done, total),
-            sequence.noise,
-        )
+            motions = measure_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
+        usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
         proba = self.model.proba(features)
         search = self.model.search(features)
         fixes = [self.model.fixes(motions.described[i]) for i in usable.tolist()]

@@ -16,6 +16,11 @@ IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
 
+def stage_of(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    """Progress of one stage: called with what is done and what is to be done in all."""
+    return None if progress is None else lambda done, total: progress(stage, done, total)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionRecord:
     """Motion between the answered frames of a sequence.

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,22 +23,22 @@ from conformodal.reasoning import (
 )
 from conformodal.vision import (
     FeatureCache,
-    extract_features,
     fit_head,
     predict_proba,
     soft_cross_entropy,
 )
 
 from .answers import PAPERS_ANSWER, as_trajectory
-from .config import Method, ModelConfig
+from .config import Method, ModelConfig, record_of
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .frame import as_frames, as_image, as_time
+from .frame import as_image, as_time
 from .identity import identify
 from .landmarks import Fixes
 from .model import PoseModel, Search
-from .motions import MotionRecord, Progress, measure_motions
+from .motions import MotionRecord, Progress, measure_motions, stage_of
+from .reading import chosen_frames, read_frames
 from .region_rules import Evidence, RegionRules
 from .training_data import TrainingData
 
@@ -88,7 +85,7 @@ def train_paper(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
-        configuration=record_of(config, data.sequence, "frames"),
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "frames"),
     )
 
 
@@ -188,21 +185,11 @@ class PaperOdometry:
         OdometryError
             If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
         """
-        self.model.check_camera(sequence.camera)
-        wanted = np.arange(len(sequence)) if frames is None else as_frames(frames, len(sequence))
         if motions is None:
+            wanted = chosen_frames(self.model, sequence, frames)
             front_end = EssentialFrontEnd(sequence.camera)
             motions = measure_motions(sequence, wanted, progress, front_end=front_end, landmarks=False)
-        usable = np.array([i for i in wanted.tolist() if i in motions.motions], dtype=np.int64)
-        if usable.size == 0:
-            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {motions.unreadable}")
-        features = extract_features(
-            [sequence.image_paths[i] for i in usable],
-            self.model.backbone,
-            cache or FeatureCache(None),
-            stage_of(progress, "network"),
-            sequence.noise,
-        )
+        usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
         proba = self.model.proba(features)
         regions, times = self.model.regions(proba), sequence.timestamps_s[usable]
         intervals, found = interval_means(proba, regions), [motions.motions[i] for i in usable.tolist()]
@@ -242,14 +229,3 @@ def odometry_of(model: PoseModel, fix_every: int = 1) -> VisualOdometry | PaperO
         See :class:`VisualOdometry`; the paper's system has no landmarks to look for.
     """
     return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, fix_every=fix_every)
-
-
-def record_of(config: ModelConfig, sequence: Sequence, calibrate_on: str) -> dict[str, Any]:
-    """Settings behind a model, for the record."""
-    names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
-    return {**asdict(config), **names, "data": sequence.name, "n_frames": len(sequence)}
-
-
-def stage_of(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """Progress of one stage."""
-    return None if progress is None else lambda done, total: progress(stage, done, total)

@@ -34,14 +34,14 @@ from conformodal.vision import (
 )
 
 from .calibrating import FoldPrediction, bins_of, calibrate_regions
-from .config import Method, ModelConfig
+from .config import Method, ModelConfig, record_of
 from .folds import make_folds
 from .identity import identify
 from .known import KnownPlaces
 from .local import LocalFinder, make_finder
 from .model import PoseModel
-from .motions import Progress
-from .paper import record_of, stage_of, train_paper
+from .motions import Progress, stage_of
+from .paper import train_paper
 from .scene import Scene, learn_scene
 from .targets import pose_targets, target_scale
 from .training_data import TrainingData
@@ -170,7 +170,9 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
-        configuration=record_of(config, data.sequence, "frames" if folds.units is None else "stretches"),
+        configuration=record_of(
+            config, data.sequence.name, len(data.sequence), "frames" if folds.units is None else "stretches"
+        ),
     )
 
 
