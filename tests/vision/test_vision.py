@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -258,6 +260,14 @@ def test_head_splits_its_outputs_by_target():
     head = Head(Projection(np.zeros(4, np.float32), np.ones(4, np.float32)), [2, 3])
     blocks = head.split(head(torch.zeros(5, 4)))
     assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
+
+
+@pytest.mark.parametrize("epochs", [1, 5, 10, 11])
+def test_training_of_few_steps_comes_to_its_end(epochs):
+    x = np.random.default_rng(0).normal(size=(8, 3)).astype(np.float32)
+    config = replace(CONFIG, epochs=epochs, batch_size=8)
+    head = fit_head(x, np.tile([1.0, 0.0], (8, 1)), [2], soft_cross_entropy, config)
+    assert np.isfinite(predict_proba(head, x)[0]).all()
 
 
 def test_too_little_data_is_refused():
