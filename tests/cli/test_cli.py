@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import typer
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
 from conformodal.cli.main import app
-from conformodal.cli.train import said_of
+from conformodal.cli.model_notes import said_of_landmarks
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.odometry import Estimate, Evidence, load_model, read_region_parquet, read_region_records
-from conformodal.poses import read_tum
+from conformodal.poses import Trajectory, read_tum, write_tum
 
 
 def invoke(*arguments):
@@ -103,6 +104,20 @@ def test_evaluate_agrees_with_run(results, small_world):
     assert aligned["rpe_rmse_deg"] == pytest.approx(before["rpe_rmse_deg"], rel=1e-3)  # no alignment changes it
     assert 0 <= aligned["recall"]["0.05 m, 5 deg"] <= aligned["recall"]["0.5 m, 5 deg"] <= 1
     assert "aligned by sim3" in again.output
+
+
+def test_evaluate_against_a_truth_of_another_world_brings_it_into_the_regions_world(results):
+    before = json.loads((results / "metrics.json").read_text())["coverage"]["joint_coverage"]
+    truth = read_tum(results / "truth.tum")
+    turn = Rotation.from_rotvec([0.3, -0.2, 1.0])
+    quats = (turn * Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
+    moved = Trajectory(truth.timestamps_s, turn.apply(truth.positions_xyz) + np.array([5.0, -3.0, 2.0]), quats)
+    write_tum(results / "moved.tum", moved)
+    result = invoke("evaluate", results, "--truth", results / "moved.tum", "--align", "se3")
+    assert result.exit_code == 0, result.output
+    aligned = json.loads((results / "evaluation" / "metrics.json").read_text())
+    assert aligned["errors"]["smoothed"]["rmse_m"] < 0.5
+    assert aligned["coverage"]["joint_coverage"] >= before - 0.25  # moved by the answer's own errors
 
 
 def test_run_without_poses(small_world, tmp_path):
@@ -258,13 +273,13 @@ def test_calibrate_refuses_what_the_model_was_trained_on(small_world, tmp_path, 
 
 def test_training_says_what_landmarks_found(small_world):
     model = load_model(small_world.model)
-    assert said_of(None, model.camera).startswith("no landmarks")
+    assert said_of_landmarks(None, model.camera).startswith("no landmarks")
     own = model.landmarks
-    assert said_of(own, model.camera) == (
+    assert said_of_landmarks(own, model.camera) == (
         f"{len(own.map.points_xyz)} landmarks of {len(own.map.poses_se3)} frames"  # the corridor's camera is exact
     )
     longer = replace(model.camera, fx=1.2 * model.camera.fx)
-    assert f"{own.map.camera.fx:.0f} px where {longer.fx:.0f} px is given" in said_of(own, longer)
+    assert f"{own.map.camera.fx:.0f} px where {longer.fx:.0f} px is given" in said_of_landmarks(own, longer)
     told = json.loads((small_world.model / "metrics.json").read_text())["landmarks"]
     assert told == own.summary
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.datasets import SplitError, SplitKind, held_out_together, make_split
+from conformodal.datasets import Split, SplitError, SplitKind, frames_to_known, held_out_together, make_split
 
 
 @pytest.mark.parametrize("kind", ["interleaved", "blocks"])
@@ -178,3 +178,18 @@ def test_pieces_of_whole_recordings_and_of_given_lists():
     assert lone.tolist() == [2, 2, 2, 0, 0, 1, 1, 3, 3]
     with pytest.raises(SplitError, match="none"):
         held_out_together(recording, SplitKind.GIVEN)
+
+
+def test_frames_to_known_counts_frames_within_the_recording():
+    split = Split(SplitKind.BLOCKS, 0, train=np.array([0, 1, 8]), calibration=np.array([4]), test=np.array([2, 6, 9]))
+    recording = np.array([0] * 9 + [1])
+    np.testing.assert_array_equal(frames_to_known(split, recording), [1, 2, np.inf])
+
+
+def test_frames_to_known_agrees_with_all_pairs():
+    recording = np.repeat([0, 1, 2], [40, 25, 60])
+    split = make_split(recording, "blocks", seed=3)
+    known = np.concatenate((split.train, split.calibration))
+    away = np.abs(split.test[:, None] - known).astype(float)
+    away[recording[split.test][:, None] != recording[known]] = np.inf
+    np.testing.assert_array_equal(frames_to_known(split, recording), away.min(axis=1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from math import ceil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,14 +11,10 @@ import numpy as np
 import typer
 
 from conformodal._files import check_writable
-from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import opponents_training, remove_classical, save_classical, train_classical
 from conformodal.odometry import (
-    TARGET_NAMES,
     Calibration,
-    Evidence,
-    Landmarks,
     Method,
     ModelConfig,
     PoseModel,
@@ -31,7 +26,6 @@ from conformodal.odometry import (
     write_metrics,
 )
 from conformodal.odometry.folders import check_no_stray, claimed
-from conformodal.poses import PinholeCamera
 from conformodal.vision import (
     NETWORKS,
     Backbone,
@@ -45,17 +39,18 @@ from conformodal.vision import (
 )
 
 from .console import Report, console, kind_errors, print_where, progress_bars, say_strongly
+from .model_notes import (
+    distances,
+    said_of_calibration,
+    said_of_distances,
+    said_of_landmarks,
+    said_of_whole_space,
+)
 from .options import was_given
 from .sources import FOLLOW_OUTSIDE, open_sequence
 
 _DEFAULT = ModelConfig()
 _DIGITS = 9
-_FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
-_WHERE = {
-    Evidence.SOFTMAX: "where landmarks are not looked for",
-    Evidence.UNMATCHED: "where no landmarks are trusted",
-    Evidence.LANDMARKS: "where landmarks are trusted",
-}
 
 
 # Settings whose options have other names.
@@ -213,86 +208,6 @@ def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
         )
 
 
-def said_of(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
-    """What a user should know of the landmarks."""
-    if landmarks is None:
-        return "no landmarks: too few corners of the training frames could be placed; search and regions do without"
-    said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
-    found, given = landmarks.map.camera.fx, camera.fx
-    if abs(found / given - 1) > _FOCAL_OFF:
-        said += (
-            f"; the poses speak for a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
-            "former, all else the latter"
-        )
-    return said
-
-
-def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """What a user should know of the regions' calibration.
-
-    Parameters
-    ----------
-    model
-        Trained and calibrated.
-    config
-        What was asked for.
-    n_recordings
-        Recordings that training and calibration frames come from.
-    """
-    softmax, n_frames = model.calibration, model.n_calibration
-    by_frame, n = softmax.groups_ is None, softmax.n_units
-    unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
-    if by_frame:
-        said = [f"regions are calibrated on the {n} frames of the calibration part"]
-    else:
-        said = [
-            f"regions are calibrated on {n} {units}, {n_frames} frames of training and calibration part together; each "
-            f"is answered by sources that did not see its {unit}"
-        ]
-    if softmax.joint != config.joint:
-        said.append(
-            f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
-            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
-        )
-    if config.method is Method.PAPER:
-        said.append("images are not tested for unknown places: the paper has no such test")
-    elif model.known is None:
-        said.append(
-            "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
-            "and there is only one"
-        )
-    elif model.rules.level < model.known.test.least_p:
-        said.append(
-            f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
-            f"{model.known.test.n_groups} pieces of the data no p-value is below {model.known.test.least_p:.3g}"
-        )
-    else:
-        said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
-    return said
-
-
-def units_needed(alpha: Alpha) -> int:
-    """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
-    return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
-
-
-def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
-    """Kinds of evidence whose region is the whole space in some target, with the reason."""
-    by_frame = model.calibration.groups_ is None
-    said, units = [], "frames" if by_frame else "stretches or recordings"
-    for kind, rule in model.rules.of.items():
-        if not len(rule.scores_):
-            said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
-        elif np.isposinf(rule.thresholds_).any():
-            said.append(
-                f"The region is the whole space in some target {_WHERE[kind]}: {rule.n_units} {units} "
-                f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
-                f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
-            )
-    return said
-
-
 def train_on(
     sequence: Sequence, config: ModelConfig, out: Path, *, classical: bool, cache_dir: Path, report: Report
 ) -> PoseModel:
@@ -315,7 +230,7 @@ def train_on(
         "provenance": provenance(),
         "configuration": model.configuration,
         "seed": config.seed,
-        "split": {"kind": str(split.kind), **parts},
+        "split": {"kind": str(split.kind), **parts, **distances(split, sequence.recording)},
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "seconds": round(time.perf_counter() - started, 2),
     }
@@ -324,8 +239,9 @@ def train_on(
         f"{sequence.name}: {parts['train']} frames for training, {parts['calibration']} for calibration, "
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
+    console.print(said_of_distances(split, sequence.recording), soft_wrap=True)
     if config.landmarks:
-        console.print(said_of(model.landmarks, model.camera))
+        console.print(said_of_landmarks(model.landmarks, model.camera))
     used = np.concatenate((split.train, split.calibration))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
         console.print(line, soft_wrap=True)

@@ -14,7 +14,7 @@ from .noise import PixelNoise
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import read_sevenscenes
-from .splits import Split, SplitKind, held_out_together, make_split
+from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split
 from .thumbnails import THUMBNAIL, thumbnail
 from .tum import read_tum_rgbd
 
@@ -33,6 +33,7 @@ __all__ = [
     "SplitError",
     "SplitKind",
     "check_sequence",
+    "frames_to_known",
     "held_out_together",
     "make_split",
     "read_colmap",

@@ -141,6 +141,33 @@ def held_out_together(
     return piece
 
 
+def frames_to_known(split: Split, recording: IntArray) -> npt.NDArray[np.float64]:
+    """How many frames each test frame lies from the nearest training or calibration frame of its recording.
+
+    Parameters
+    ----------
+    split
+        Of n frames.
+    recording
+        (n,) the recording that each frame belongs to.
+
+    Returns
+    -------
+    (m,) distances in frames; infinite where a recording is held out whole
+    """
+    known = np.sort(np.concatenate((split.train, split.calibration)))
+    distances = np.full(len(split.test), np.inf)
+    for number in np.unique(recording[split.test]):
+        rows = np.flatnonzero(recording[split.test] == number)
+        own = known[recording[known] == number]
+        if own.size:
+            tested = split.test[rows]
+            after = np.searchsorted(own, tested)
+            left, right = own[np.maximum(after - 1, 0)], own[np.minimum(after, own.size - 1)]
+            distances[rows] = np.minimum(np.abs(tested - left), np.abs(tested - right))
+    return distances
+
+
 def _counts(n: int, kind: SplitKind, test: float, calibration: float, used: float | None) -> tuple[int, int, int]:
     """How many of n pieces test, how many calibrate, and how many calibrate or train."""
     given = kind is SplitKind.GIVEN

@@ -1,0 +1,130 @@
+"""What a user should know of a trained model: its landmarks, its split, and what its regions can promise."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.datasets import Split, frames_to_known
+from conformodal.odometry import TARGET_NAMES, Evidence, Landmarks, Method, ModelConfig, PoseModel
+from conformodal.poses import PinholeCamera
+
+NEAR_FRAMES = 5
+_FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
+_WHERE = {
+    Evidence.SOFTMAX: "where landmarks are not looked for",
+    Evidence.UNMATCHED: "where no landmarks are trusted",
+    Evidence.LANDMARKS: "where landmarks are trusted",
+}
+
+
+def said_of_landmarks(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
+    """What a user should know of the landmarks."""
+    if landmarks is None:
+        return "no landmarks: too few corners of the training frames could be placed; search and regions do without"
+    said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
+    found, given = landmarks.map.camera.fx, camera.fx
+    if abs(found / given - 1) > _FOCAL_OFF:
+        said += (
+            f"; the poses speak for a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
+            "former, all else the latter"
+        )
+    return said
+
+
+def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float | None]:
+    """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
+
+    Parameters
+    ----------
+    split
+        Of n frames.
+    recording
+        (n,) the recording that each frame belongs to.
+    """
+    found = frames_to_known(split, recording)
+    median = float(np.median(found))
+    return {
+        "median_frames_to_known": median if np.isfinite(median) else None,
+        "share_within_5_frames": float(np.mean(found <= NEAR_FRAMES)),
+    }
+
+
+def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
+    """How near the test frames are to frames that are known, see :func:`distances`."""
+    found = distances(split, recording)
+    if found["median_frames_to_known"] is None:
+        return "test frames are of recordings of which nothing is known"
+    return (
+        f"test frames lie a median of {found['median_frames_to_known']:g} frames from the nearest training or "
+        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {NEAR_FRAMES}"
+    )
+
+
+def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
+    """What a user should know of the regions' calibration.
+
+    Parameters
+    ----------
+    model
+        Trained and calibrated.
+    config
+        What was asked for.
+    n_recordings
+        Recordings that training and calibration frames come from.
+    """
+    softmax, n_frames = model.calibration, model.n_calibration
+    by_frame, n = softmax.groups_ is None, softmax.n_units
+    unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
+    if by_frame:
+        said = [f"regions are calibrated on the {n} frames of the calibration part"]
+    else:
+        said = [
+            f"regions are calibrated on {n} {units}, {n_frames} frames of training and calibration part together; each "
+            f"is answered by sources that did not see its {unit}"
+        ]
+    if softmax.joint != config.joint:
+        said.append(
+            f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
+            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
+        )
+    if config.method is Method.PAPER:
+        said.append("images are not tested for unknown places: the paper has no such test")
+    elif model.known is None:
+        said.append(
+            "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
+            "and there is only one"
+        )
+    elif model.rules.level < model.known.test.least_p:
+        said.append(
+            f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
+            f"{model.known.test.n_groups} pieces of the data no p-value is below {model.known.test.least_p:.3g}"
+        )
+    else:
+        said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
+    return said
+
+
+def units_needed(alpha: Alpha) -> int:
+    """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
+    return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
+
+
+def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
+    """Kinds of evidence whose region is the whole space in some target, with the reason."""
+    by_frame = model.calibration.groups_ is None
+    said, units = [], "frames" if by_frame else "stretches or recordings"
+    for kind, rule in model.rules.of.items():
+        if not len(rule.scores_):
+            said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
+        elif np.isposinf(rule.thresholds_).any():
+            said.append(
+                f"The region is the whole space in some target {_WHERE[kind]}: {rule.n_units} {units} "
+                f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
+                f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
+            )
+    return said
