@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import platform
 from datetime import date
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+from scipy import stats
 
+from conformodal.datasets import Sequence
 from conformodal.odometry import provenance
+from conformodal.poses import Trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
@@ -21,6 +26,32 @@ def spread(values: list[float], digits: int = 4) -> str:
     if len(values) == 1:
         return f"{values[0]:.{digits}f}"
     return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
+
+
+def half_width(values: list[float]) -> float:
+    """Half of the 95 % interval of a mean, by Student's t; NaN of one value."""
+    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)) if len(values) > 1 else float("nan")
+
+
+def mean_interval(values: list[float], digits: int = 4) -> str:
+    """Mean of a few repeats and its 95 % interval; nothing of none."""
+    if not values:
+        return ""
+    half = half_width(values)
+    return f"{np.mean(values):.{digits}f}" + ("" if np.isnan(half) else f" ± {half:.{digits}f}")
+
+
+def colmap_truth(kitchen: Sequence) -> tuple[npt.NDArray[np.int64], Trajectory]:
+    """The frames of redkitchen that COLMAP has poses of (Brachmann et al., ICCV 2021), and these, in its own world."""
+    with (DATA / "recordings" / "truth" / "sfm" / "redkitchen_seq-01.csv").open(encoding="utf-8") as file:
+        rows = {
+            row["frame"]: [float(row[k]) for k in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")]
+            for row in csv.DictReader(file)
+        }
+    names = [path.name.split(".")[0] for path in kitchen.image_paths]
+    frames = np.array([i for i, name in enumerate(names) if name in rows])
+    poses = np.array([rows[names[i]] for i in frames])
+    return frames, Trajectory(kitchen.timestamps_s[frames], poses[:, :3], poses[:, 3:])
 
 
 def write_table(name: str, title: str, command: str, header: list[str], rows: list[list[str]], notes: str = "") -> None:

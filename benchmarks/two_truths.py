@@ -5,13 +5,11 @@ python benchmarks/two_truths.py
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
-from common import DATA, write_table
+from common import DATA, colmap_truth, write_table
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.poses import Trajectory, align, orientation_errors_deg, position_errors_m
+from conformodal.poses import align, orientation_errors_deg, position_errors_m
 
 ALIGNMENTS = ("none", "se3", "sim3")
 
@@ -19,15 +17,7 @@ ALIGNMENTS = ("none", "se3", "sim3")
 def main() -> None:
     sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
     fusion = sequence.require_truth()
-    with (DATA / "recordings" / "truth" / "sfm" / "redkitchen_seq-01.csv").open(encoding="utf-8") as file:
-        rows = {
-            row["frame"]: [float(row[k]) for k in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")]
-            for row in csv.DictReader(file)
-        }
-    names = [path.name.split(".")[0] for path in sequence.image_paths]
-    both = np.array([i for i, name in enumerate(names) if name in rows])
-    poses = np.array([rows[names[i]] for i in both])
-    colmap = Trajectory(sequence.timestamps_s[both], poses[:, :3], poses[:, 3:])
+    both, colmap = colmap_truth(sequence)
     table = []
     for how in ALIGNMENTS:
         moved = colmap if how == "none" else align(colmap, fusion[both], how)
