@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.odometry import read_trajectories
+from conformodal.odometry import read_region_records, read_trajectories
 from conformodal.poses import read_tum
 
 
@@ -41,6 +41,7 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
         "classical_smoothed",
         "softmax_mean",
     ]
+    assert {r["known_p"] for r in read_region_records(out / "regions.jsonl")} == {None}  # images are not tested
     answer = read_tum(out / "trajectory.tum")
     assert len(answer) == metrics["n_answered"]
     np.testing.assert_array_equal(read_trajectories(out)["greedy"].positions_xyz, answer.positions_xyz)

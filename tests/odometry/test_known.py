@@ -107,7 +107,7 @@ def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
     blind = replace(model, known=None)
     blind.set_novelty_level(0.3)
     assert blind.rules.level == 0
-    np.testing.assert_array_equal(blind.known_p(features), 1)
+    np.testing.assert_array_equal(blind.known_p(features), np.nan)
     assert (blind.kinds(blind.known_p(features)) != Evidence.UNKNOWN).all()
     assert KnownPlaces.fit(features, np.zeros(len(features), np.int64)) is None
 

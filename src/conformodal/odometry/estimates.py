@@ -49,8 +49,8 @@ class Estimate:
     fixes
         Where landmarks have this frame, place by place; empty where none were recognised or looked for.
     known_p
-        Conformal p-value of "this image shows a place that is known"; None without an image. The region is the whole
-        space where it is small.
+        Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
+        tested. The region is the whole space where it is small.
     evidence
         What the region rests on; None without an image.
     position_spread_m, orientation_spread_rad
@@ -107,7 +107,8 @@ class OdometryRun:
     unreadable
         Frames that could not be decoded, and why.
     known_p, kinds
-        (m,) p-values of showing a known place, and what each region rests on (:class:`Evidence`).
+        (m,) p-values of showing a known place, NaN where images are not tested, and what each region rests on
+        (:class:`Evidence`).
     """
 
     frames: IntArray

@@ -146,7 +146,7 @@ class VisualOdometry:
             self._front_end.tracks,
             self._front_end.corners,
             [] if fixes is None else fixes.search,
-            float(known_p[0]),
+            None if np.isnan(known_p[0]) else float(known_p[0]),
             kind,
             float(np.linalg.norm(path.position_spreads[-1])),
             float(path.orientation_spreads_rad[-1]),

@@ -149,8 +149,8 @@ class PoseModel:
         return Fixes(search, [] if self.region_landmarks is None else self.region_landmarks.fixes(image))
 
     def known_p(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        """(n,) p-values of "this image shows a place that is known", for features (n, F); 1 where nothing tells."""
-        return np.ones(len(features)) if self.known is None else self.known.p_values(features)
+        """(n,) p-values of "this image shows a place that is known", for features (n, F); NaN where nothing tells."""
+        return np.full(len(features), np.nan) if self.known is None else self.known.p_values(features)
 
     def kinds(self, known_p: npt.NDArray[np.float64], fixes: Sequence[Fixes] | None = None) -> npt.NDArray[np.int64]:
         """(n,) what each region rests on, see :class:`~conformodal.odometry.Evidence`."""

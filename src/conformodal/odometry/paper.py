@@ -153,7 +153,6 @@ class PaperOdometry:
             Search(proba, None, [[]]),
             self._front_end.tracks,
             self._front_end.corners,
-            known_p=1.0,
             evidence=Evidence.SOFTMAX,
             position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
             orientation_spread_rad=float(path.orientation_spreads_rad[0]),
@@ -212,7 +211,7 @@ class PaperOdometry:
                 "softmax_mean": Trajectory(times, mean[:, :3], mean[:, 3:]),
             },
             unreadable=motions.unreadable,
-            known_p=np.ones(usable.size),
+            known_p=np.full(usable.size, np.nan),
             kinds=np.full(usable.size, Evidence.SOFTMAX, dtype=np.int64),
             answer=self.answer,
         )

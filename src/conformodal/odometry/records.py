@@ -26,7 +26,7 @@ def region_record(
     timestamp_s: float,
     motion: RelativeMotion | None,
     intervals: Sequence[npt.NDArray[np.float64]],
-    known_p: float = 1.0,
+    known_p: float | None = None,
     kind: Evidence = Evidence.SOFTMAX,
 ) -> dict[str, Any]:
     """The record of a frame.
@@ -44,7 +44,7 @@ def region_record(
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
         "reliable": bool(motion is None or motion.reliable) and kind is not Evidence.UNKNOWN,
-        "known_p": float(f"{known_p:.4g}"),
+        "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
         "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),
         # [null, null] is the whole line; [] an empty set

@@ -71,12 +71,12 @@ class RegionRules:
     def kinds(
         self, known_p: npt.NDArray[np.float64], fixes: Sequence[Sequence[PoseFix]] | None
     ) -> npt.NDArray[np.int64]:
-        """(m,) kinds of evidence of new images, from their p-values and poses by landmarks."""
+        """(m,) kinds of evidence of new images, from their p-values (NaN: not tested) and poses by landmarks."""
         if fixes is None or self.pooled is None:
             kinds = np.full(len(known_p), Evidence.SOFTMAX, dtype=np.int64)
         else:
             kinds = np.where(trusted(fixes), Evidence.LANDMARKS, Evidence.UNMATCHED)
-        return np.where(known_p > self.level, kinds, Evidence.UNKNOWN)
+        return np.where(known_p <= self.level, Evidence.UNKNOWN, kinds)
 
     def thresholds(self, kinds: npt.NDArray[np.int64]) -> FloatArray:
         """(m, 7) thresholds of images with these kinds of evidence."""

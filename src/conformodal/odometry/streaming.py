@@ -169,7 +169,6 @@ class StreamRunner:
         self.n_fixed += bool(estimate.fixes)
         if motion is not None:
             self.motion[str(motion.status)] += 1
-        assert estimate.known_p is not None
         assert estimate.evidence is not None
         self.n_unknown += estimate.evidence is Evidence.UNKNOWN
         said = estimate.known_p, estimate.evidence

@@ -81,7 +81,7 @@ class ResultsWriter:
         timestamp_s: float,
         motion: RelativeMotion | None,
         intervals: Sequence[npt.NDArray[np.float64]],
-        known_p: float = 1.0,
+        known_p: float | None = None,
         kind: Evidence = Evidence.SOFTMAX,
     ) -> dict[str, Any]:
         """Write the region of the next frame; returns its record."""

@@ -164,7 +164,7 @@
     $("label").textContent = `${f.n}, ${(f.t - t0).toFixed(2)} s (${now + 1} of ${n} shown)`;
     const counts = f.whole ? "the whole space" : axisNames.map((name, a) => `${name} ${f.iv[a].length}`).join(", ");
     const rows = [["chosen position (m)", list(f.p)], ["intervals", counts], ["motion", f.ok || unknown(f) ? f.m : `not reliable: ${f.m}`]];
-    if (f.kp !== undefined) rows.push(["known place?", unknown(f) ? `p = ${p3(f.kp)}. I do not know: the region is the whole space` : `p = ${p3(f.kp)}`]);
+    if (f.kp != null) rows.push(["known place?", unknown(f) ? `p = ${p3(f.kp)}. I do not know: the region is the whole space` : `p = ${p3(f.kp)}`]);
     if (f.ev && !unknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
     if (f.truth) rows.splice(1, 0, ["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
     if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
