@@ -1,14 +1,18 @@
 """A stream of many frames: memory, open files and milliseconds a frame must not grow.
 
 python benchmarks/soak.py [--frames 200000]
+
+Ctrl-C ends it; the table then has the frames until there.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import signal
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +33,7 @@ from conformodal.odometry.streaming import WINDOW
 from conformodal.report import Thumbnails
 from conformodal.vision import FeatureCache, TrainingConfig
 
-FRAMES, READINGS = 200_000, 20
+FRAMES, EVERY = 200_000, 5_000
 WARM = 4 * WINDOW  # frames before the first reading: windows, thumbnails and the allocator have settled
 FIX_EVERY = 10
 
@@ -47,6 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=FRAMES)
     n_frames = parser.parse_args().frames
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background would not hear of it
     with tempfile.TemporaryDirectory() as scratch:
         sequence = read_sevenscenes(write_corridor(Path(scratch) / "known", n_modules=3, n_laps=1, seed=3))
         config = ModelConfig(alpha=0.2, training=TrainingConfig(epochs=25))
@@ -54,19 +59,21 @@ def main() -> None:
         images = [sequence.image(i) for i in range(len(sequence))]
         there_and_back = [*range(len(images)), *range(len(images) - 2, 0, -1)]  # no jump where the loop closes
         rows, pictures = [], Thumbnails()
-        every = max((n_frames - WARM) // READINGS, 1)
         with ResultsWriter(Path(scratch) / "results") as writer:
             runner = StreamRunner(VisualOdometry(model, fix_every=FIX_EVERY), writer)
             started = time.perf_counter()
-            for k in range(n_frames):
-                image = images[there_and_back[k % len(there_and_back)]]
-                runner.push(Frame(f"frame{k}", k / 30, image))
-                pictures.add(f"frame{k}", image)
-                if k >= WARM and (k - WARM) % every == 0:
-                    now = time.perf_counter()
-                    rows.append((k, resident_mb(), open_files(), 1e3 * (now - started) / (every if rows else k + 1)))
-                    print(rows[-1], flush=True)
-                    started = now
+            with suppress(KeyboardInterrupt):
+                for k in range(n_frames):
+                    image = images[there_and_back[k % len(there_and_back)]]
+                    runner.push(Frame(f"frame{k}", k / 30, image))
+                    pictures.add(f"frame{k}", image)
+                    if k >= WARM and (k - WARM) % EVERY == 0:
+                        now = time.perf_counter()
+                        rows.append(
+                            (k, resident_mb(), open_files(), 1e3 * (now - started) / (EVERY if rows else k + 1))
+                        )
+                        print(rows[-1], flush=True)
+                        started = now
             runner.finish()
         answered = runner.n_answered
     at, memory, files, ms = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
