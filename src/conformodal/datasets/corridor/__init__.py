@@ -1,9 +1,22 @@
-"""The corridor world: a dark hallway of identical doors and rooms, and the truth about what looks alike in it."""
+"""Worlds whose rooms look alike, and the truth about what looks alike in them."""
 
 from .ambiguity import same_views
-from .path import drone_path
+from .building import half_turn
+from .path import drone_path, visiting_path
 from .render import CAMERA, Renderer
+from .turned_rooms import TurnedRooms
 from .world import CorridorWorld
 from .writer import write_corridor, write_flight
 
-__all__ = ["CAMERA", "CorridorWorld", "Renderer", "drone_path", "same_views", "write_corridor", "write_flight"]
+__all__ = [
+    "CAMERA",
+    "CorridorWorld",
+    "Renderer",
+    "TurnedRooms",
+    "drone_path",
+    "half_turn",
+    "same_views",
+    "visiting_path",
+    "write_corridor",
+    "write_flight",
+]

@@ -1,4 +1,4 @@
-"""A smooth, drone-like path through the corridor: along the hall and back, into every room."""
+"""Smooth, drone-like paths: along the corridor and back, into every room; and from a lobby into either room."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.poses import Trajectory
 
+from .turned_rooms import ROOM_X
 from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
 
 FRAME_RATE_HZ = 10.0
@@ -38,8 +39,39 @@ def drone_path(world: CorridorWorld, n_laps: int = 2, seed: int = 0) -> Trajecto
     seed
         Of the gusts.
     """
+    return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed))
+
+
+def visiting_path(n_visits: int = 12, seed: int = 0) -> Trajectory:
+    """Poses ``T_world_cam`` of a flight through :class:`TurnedRooms`, seeded, at 10 frames a second.
+
+    Each visit starts in the middle of the lobby, looks at the poster's wall or at the one opposite, turns to one of the
+    rooms, flies in, looks around, backs out and turns away. Wall and room are random, so that whatever is seen on one
+    side is seen on the other as often, turned by 180 degrees.
+
+    Parameters
+    ----------
+    n_visits
+        Into either room.
+    seed
+        Of the choices and the gusts.
+    """
     rng = np.random.default_rng(seed)
-    waypoints = [point for _ in range(n_laps) for point in _lap(world)]
+    waypoints: list[Waypoint] = []
+    for _ in range(n_visits):
+        side = rng.choice((0.0, 180.0))
+        sign = 1.0 if side == 0.0 else -1.0
+        ahead = [(0.0, 0.0, 0.0), (ROOM_X + 0.4, 0.0, 0.0), (ROOM_X + 1.2, 0.4, 55.0), (ROOM_X + 1.2, -0.4, -55.0)]
+        visit = [*ahead, *ahead[1::-1]]
+        waypoints.append((0.0, 0.0, rng.choice((90.0, -90.0))))
+        waypoints += [(sign * x, sign * y, yaw + side) for x, y, yaw in visit]
+    waypoints.append((0.0, 0.0, 90.0))
+    yaw = np.degrees(np.unwrap(np.radians([point[2] for point in waypoints])))
+    return fly([(x, y, turned) for (x, y, _), turned in zip(waypoints, yaw.tolist(), strict=True)], rng)
+
+
+def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
+    """A smooth flight from waypoint to waypoint, shaken by gusts."""
     coarse = np.array(waypoints)
     coarse[:, 2] = np.radians(coarse[:, 2])
     step = np.diff(coarse, axis=0)

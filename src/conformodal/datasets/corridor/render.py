@@ -8,8 +8,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from conformodal.poses import PinholeCamera
 
+from .building import Building
 from .textures import N_LEVELS, TEXELS_PER_M, make_textures
-from .world import CorridorWorld
 
 CAMERA = PinholeCamera(fx=100.0, fy=100.0, cx=79.5, cy=59.5, width=160, height=120)
 # The drone carries the only lamp: beyond some 8 m nothing is seen, so far ends do not give a place away.
@@ -23,12 +23,12 @@ class Renderer:
     Parameters
     ----------
     world
-        The corridor.
+        What to render.
     camera
         Intrinsics.
     """
 
-    def __init__(self, world: CorridorWorld, camera: PinholeCamera = CAMERA) -> None:
+    def __init__(self, world: Building, camera: PinholeCamera = CAMERA) -> None:
         self.world, self.camera = world, camera
         self._intersector = RayMeshIntersector(world.mesh)
         columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))

@@ -15,6 +15,8 @@ import trimesh
 
 from conformodal.datasets.errors import DatasetError
 
+from .building import Building, Panel, box, mesh_of
+
 MODULE_LENGTH = 4.0
 HALL_WIDTH = 2.2
 HEIGHT = 2.6
@@ -23,22 +25,9 @@ ROOM_LEFT, ROOM_RIGHT = 0.25, 3.75  # x within the module
 DOOR_LEFT, DOOR_RIGHT, DOOR_HEIGHT = 1.4, 2.6, 2.1
 DOOR_CENTRE = (DOOR_LEFT + DOOR_RIGHT) / 2
 
-Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A textured rectangle: a corner, two edges (right-angled), a material, and where on it the corner lies."""
-
-    corner: Vector
-    u: Vector
-    v: Vector
-    material: str
-    uv: tuple[float, float] = (0.0, 0.0)
-
 
 @dataclass
-class CorridorWorld:
+class CorridorWorld(Building):
     """A hallway of `n_modules` identical modules and the landmarks that tell some apart.
 
     Parameters
@@ -66,22 +55,20 @@ class CorridorWorld:
         self.panels = [p for k in range(self.n_modules) for p in _module(k * MODULE_LENGTH, self.rearranged)]
         landmarks = _landmarks(self.n_modules)
         self.panels += _ends(self.length) + (landmarks[1:] if self.rearranged else landmarks)
-        self.mesh = _mesh(self.panels)
+        self.mesh = mesh_of(self.panels)
 
     @property
     def length(self) -> float:
         """Length of the hall in metres."""
         return self.n_modules * MODULE_LENGTH
 
-    def plan(self) -> list[npt.NDArray[np.float64]]:
-        """Walls as seen from above: (2, 2) segments of x, y."""
-        segments = []
-        for panel in self.panels:
-            corner, u, v = np.array(panel.corner), np.array(panel.u), np.array(panel.v)
-            upright = abs(v[2]) > 0 and panel.corner[2] < 1.0
-            if upright and u[2] == 0:
-                segments.append(np.array([corner[:2], (corner + u)[:2]]))
-        return segments
+    def repetitions(self, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The pose moved by whole modules, (n_modules - 1, 4, 4)."""
+        place = int(T_world_cam[0, 3] // MODULE_LENGTH)
+        moves = [k for k in range(-place, self.n_modules - place) if k]
+        moved = np.tile(T_world_cam, (len(moves), 1, 1))
+        moved[:, 0, 3] += MODULE_LENGTH * np.array(moves)
+        return moved
 
 
 def _module(x: float, rearranged: bool) -> list[Panel]:
@@ -102,10 +89,11 @@ def _module(x: float, rearranged: bool) -> list[Panel]:
         Panel((left, w, DOOR_HEIGHT), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
         Panel((left, w, 0), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
     ]
-    return panels + _room(x, rearranged)
+    return panels + room(x, rearranged)
 
 
-def _room(x: float, rearranged: bool) -> list[Panel]:
+def room(x: float, rearranged: bool = False) -> list[Panel]:
+    """The furnished room of the module that starts at x."""
     x0, x1, y0, y1, h = x + ROOM_LEFT, x + ROOM_RIGHT, ROOM_NEAR, ROOM_FAR, HEIGHT
     left, right = x + DOOR_LEFT, x + DOOR_RIGHT
     wide, deep = x1 - x0, y1 - y0
@@ -121,8 +109,8 @@ def _room(x: float, rearranged: bool) -> list[Panel]:
         Panel((x0, y0, 0), (left - x0, 0, 0), (0, 0, h), "room_near"),
         Panel((right, y0, 0), (x1 - right, 0, 0), (0, 0, h), "room_near", (right - x0, 0)),
         Panel((left, y0, DOOR_HEIGHT), (right - left, 0, 0), (0, 0, h - DOOR_HEIGHT), "room_near", (left - x0, 2.1)),
-        *_box(desk, (1.3, 0.7, 0.75), "desk"),
-        *_box(shelf, (0.4, 1.1, 1.7), "shelf"),
+        *box(desk, (1.3, 0.7, 0.75), "desk"),
+        *box(shelf, (0.4, 1.1, 1.7), "shelf"),
     ]
 
 
@@ -140,25 +128,5 @@ def _landmarks(n_modules: int) -> list[Panel]:
     return [
         Panel((second + 1.7, ROOM_FAR - 0.02, 0.9), (1.3, 0, 0), (0, 0, 1.2), "poster"),
         Panel((middle + 3.1, 0.02, 0.9), (0.8, 0, 0), (0, 0, 1.0), "painting"),
-        *_box((last + 0.2, HALL_WIDTH - 0.45, 0), (0.5, 0.4, 1.1), "cabinet"),
+        *box((last + 0.2, HALL_WIDTH - 0.45, 0), (0.5, 0.4, 1.1), "cabinet"),
     ]
-
-
-def _box(corner: Vector, size: Vector, material: str) -> list[Panel]:
-    (x, y, z), (a, b, c) = corner, size
-    return [
-        Panel((x, y, z), (a, 0, 0), (0, 0, c), material),
-        Panel((x, y + b, z), (a, 0, 0), (0, 0, c), material),
-        Panel((x, y, z), (0, b, 0), (0, 0, c), material),
-        Panel((x + a, y, z), (0, b, 0), (0, 0, c), material),
-        Panel((x, y, z + c), (a, 0, 0), (0, b, 0), material),
-    ]
-
-
-def _mesh(panels: list[Panel]) -> trimesh.Trimesh:
-    corner = np.array([p.corner for p in panels])
-    u, v = np.array([p.u for p in panels]), np.array([p.v for p in panels])
-    vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
-    quad = np.array([[0, 1, 2], [0, 2, 3]])
-    faces = (quad[None] + 4 * np.arange(len(panels))[:, None, None]).reshape(-1, 3)
-    return trimesh.Trimesh(vertices, faces, process=False)

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from conformodal.datasets.corridor import Renderer, TurnedRooms, half_turn, same_views, visiting_path
+from conformodal.datasets.corridor.path import rotation_world_cam
+from conformodal.datasets.corridor.turned_rooms import ROOM_X
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return Renderer(TurnedRooms(seed=0))
+
+
+def pose(x, y, yaw_deg, z=1.3):
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_world_cam(np.radians(yaw_deg))[0]
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def test_a_half_turn_changes_place_and_heading_and_is_its_own_inverse():
+    turned = half_turn(pose(3.0, 0.5, 20))
+    np.testing.assert_allclose(turned, pose(-3.0, -0.5, 200), atol=1e-12)
+    np.testing.assert_allclose(half_turn(turned), pose(3.0, 0.5, 20), atol=1e-12)
+
+
+def test_views_of_a_flight_are_the_same_after_a_half_turn_but_for_the_poster(renderer):
+    path = visiting_path(2, seed=3)
+    outside = np.abs(path.positions_xyz[:, 0]) > ROOM_X
+    assert outside.sum() > 40
+    for i in range(0, len(path), 7):
+        own = renderer.render(path.poses_se3[i]).astype(int)
+        other = renderer.render(half_turn(path.poses_se3[i]))
+        different = (np.abs(own - other) > 1).mean()  # rounding, at a few edges
+        alike = same_views(renderer, path.poses_se3[i])
+        assert (different < 1e-3) == (len(alike) == 1)
+        if outside[i]:
+            np.testing.assert_allclose(alike[0], half_turn(path.poses_se3[i]))
+
+
+def test_the_poster_is_seen_from_the_lobby_and_from_no_place_in_a_room(renderer):
+    assert len(same_views(renderer, pose(0, 0, 90))) == 0
+    assert len(same_views(renderer, pose(0, 0, -90))) == 0  # where the poster is not
+    assert len(same_views(renderer, pose(0, 0, 0))) == 1  # towards a room
+    rng = np.random.default_rng(0)
+    for x, y, towards in rng.uniform((ROOM_X, -1.7, 120), (5.9, 1.7, 240), (40, 3)):
+        assert len(same_views(renderer, pose(x, y, towards))) == 1
+
+
+def test_flights_are_seeded_visit_both_sides_and_stay_clear_of_walls(renderer):
+    path = visiting_path(6, seed=1)
+    np.testing.assert_array_equal(path.positions_xyz, visiting_path(6, seed=1).positions_xyz)
+    assert path.positions_xyz[:, 0].max() > ROOM_X
+    assert path.positions_xyz[:, 0].min() < -ROOM_X
+    steps = np.diff(path.positions_xyz, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    origins, headings = path.positions_xyz[:-1], steps / length[:, None]
+    hits, rays, _ = renderer.world.mesh.ray.intersects_location(origins, headings, multiple_hits=False)
+    distance = np.linalg.norm(hits - origins[rays], axis=1)
+    assert (distance > length[rays] + 0.1).all()
+    assert length.max() < 0.5
