@@ -42,7 +42,7 @@ def frames_to_recover(
 def certain(position: np.ndarray, quat: np.ndarray, like: Candidates) -> Candidates:
     """A belief in one pose alone."""
     spreads, turn = like.position_spreads[:1], like.orientation_spreads_rad[:1]
-    return Candidates(position[None], spreads, np.zeros(1), quat[None], turn, np.zeros(1))
+    return Candidates(position[None], spreads, quat[None], turn, np.zeros(1))
 
 
 def trials(kind: str, run: OdometryRun, truth: Trajectory, model_prior: object) -> list[int | None]:

@@ -29,7 +29,7 @@ def test_every_mode_is_a_candidate_at_its_mean():
     found = mode_candidates(proba, pose_bins())[0]
     expected = np.interp([4.3, 15.6], np.arange(K + 1), pose_bins().edges_[0])
     np.testing.assert_allclose(found.positions_xyz[:, 0], expected, rtol=0.02)
-    np.testing.assert_allclose(np.exp(found.position_log_mass), [0.7, 0.3], atol=0.01)
+    np.testing.assert_allclose(np.exp(np.diff(found.log_mass)), 0.3 / 0.7, rtol=0.01)
     np.testing.assert_allclose(found.positions_xyz[:, 1:], [[5, 2.5]] * 2, atol=0.02)
     assert abs(found.orientations_quat_wxyz[0, 0]) > 0.99
 
@@ -39,7 +39,7 @@ def test_candidates_are_bounded_and_keep_the_most_probable():
     proba = [many, many, many, *identity_quat()]
     found = mode_candidates(proba, pose_bins(), max_candidates=10)[0]
     assert len(found.positions_xyz) == 10
-    assert (np.diff(found.position_log_mass) <= 1e-12).all()
+    assert (np.diff(found.log_mass) <= 1e-12).all()
     few = mode_candidates(proba, pose_bins(), min_mass=0.9)[0]
     assert len(few.positions_xyz) == 1  # never none
 

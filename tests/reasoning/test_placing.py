@@ -110,9 +110,7 @@ def test_submaps_turn_orientations_that_err_for_long():
 def test_submaps_of_other_frames_are_refused():
     t, positions, rotations = path(15)
     (submap,) = exact_submaps(positions, rotations)
-    one = Candidates(
-        np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.array([[1.0, 0, 0, 0]]), np.ones(1), np.zeros(1)
-    )
+    one = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1), np.zeros(1))
     Observations([one] * 15, [None] * 15, t, [submap])
     with pytest.raises(ReasoningError, match="not one of 14 frames"):
         Observations([one] * 14, [None] * 14, t[:14], [submap])

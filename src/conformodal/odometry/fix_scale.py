@@ -17,6 +17,7 @@ _LEAST_FIXES = 20
 # Median and 95th percentile of the length of a standard normal vector in three dimensions: whichever asks for more.
 _MEDIAN_OF_NORM3, _TAIL_OF_NORM3 = 1.5382, 2.7955
 _WRONG = 5.0  # a fix off by more spreads than that is altogether wrong
+_SAME_WAY_RAD = 1.0  # a fix turned by more is another pose, however near: its error is no error of measurement
 _LEAST_APART = 0.005  # nearer than that, in depths and radians, all frames are equally near
 
 
@@ -91,7 +92,7 @@ def fit_fix_scale(errors: FixErrors, same_place_m: float) -> FixScale | None:
     same_place_m
         A fix further off is at another place: its error is the distance between the two.
     """
-    here = errors.off_m < same_place_m
+    here = (errors.off_m < same_place_m) & (errors.off_rad < _SAME_WAY_RAD)
     if here.sum() < _LEAST_FIXES:
         return None
     apart = np.maximum(errors.apart, _LEAST_APART)

@@ -55,8 +55,9 @@ class LocalFinder:
                     values[k, :3], normalise_quat(values[k, 3:]), strange, strange, self.regression.settings.neighbours
                 )
                 fix = self.scale.apply(raw, 1 / strange)
-                odds = fix.trust / (1 - fix.trust) * beyond**-_DISTRUST
-                trust = odds / (1 + odds) * float(weights[k])
+                # weights are shares of one answer: that all places are wrong is no likelier where there are several
+                odds = fix.trust / (1 - fix.trust) * beyond**-_DISTRUST * float(weights[k])
+                trust = odds / (1 + odds)
                 here.append(replace(fix, trust=trust, sigma_m=fix.sigma_m * beyond, sigma_rad=fix.sigma_rad * beyond))
             found.append(here)
         return found
@@ -73,13 +74,16 @@ def make_finder(regression: LocalRegression, left_out: LeftOut) -> LocalFinder |
     answers, truth = left_out.answers, regression.targets[left_out.rows]
     typical = max(float(np.median(answers.strangeness)), 1e-9)
     strange = _strangeness(answers, typical)
-    off = np.linalg.norm(answers.values[:, :, :3] - truth[:, None, :3], axis=2)
-    nearest = np.where(answers.weights >= _LEAST_WEIGHT, off, np.inf).argmin(axis=1)
-    every = np.arange(len(off))
-    turned = angle_between_quats(normalise_quat(answers.values[every, nearest, 3:]), normalise_quat(truth[:, 3:]))
+    same_place = _SAME_PLACE * float(regression.target_scale[0])
+    there = answers.weights >= _LEAST_WEIGHT
+    values = np.where(there[:, :, None], answers.values, truth[:, None])
+    off = np.linalg.norm(values[:, :, :3] - truth[:, None, :3], axis=2)
+    turned = angle_between_quats(values[:, :, 3:], truth[:, None, 3:])
+    apart = np.where(there, off / same_place + turned, np.inf)
+    nearest = np.arange(len(off)), apart.argmin(axis=1)
     unknown, alike = np.zeros(len(off)), np.ones(len(off))
-    errors = FixErrors(off[every, nearest], strange, turned, strange, unknown, 1 / strange[:, None], alike)
-    scale = fit_fix_scale(errors, _SAME_PLACE * float(regression.target_scale[0]))
+    errors = FixErrors(off[nearest], strange, turned[nearest], strange, unknown, 1 / strange[:, None], alike)
+    scale = fit_fix_scale(errors, same_place)
     limit = max(float(np.quantile(answers.strangeness, _USUAL)), typical)
     return None if scale is None else LocalFinder(regression, typical, limit, scale)
 

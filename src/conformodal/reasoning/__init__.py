@@ -22,7 +22,7 @@ from .pooling import fix_cells, on_cells, pool_fixes
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_positions
 from .spreads import fit_growth, fit_spread_scale
-from .viterbi import Decoder, orientation_cost, position_cost, viterbi
+from .viterbi import Decoder, orientation_cost, position_cost, transition_cost, viterbi
 
 __all__ = [
     "LAG",
@@ -57,5 +57,6 @@ __all__ = [
     "smooth_orientations",
     "smooth_positions",
     "softmax_mean",
+    "transition_cost",
     "viterbi",
 ]

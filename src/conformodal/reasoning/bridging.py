@@ -42,14 +42,12 @@ def predict_candidates(
         along = rotation.inv() if back else rotation
         quats = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
         turned = motion.rotation_sigma_rad
-    m, k = len(neighbour.positions_xyz), len(quats)
     return replace(
         neighbour,
         position_spreads=neighbour.position_spreads + prior.reach_m(step_s) / np.sqrt(3),
-        position_log_mass=np.full(m, -np.log(m)),
         orientations_quat_wxyz=quats,
         orientation_spreads_rad=np.minimum(neighbour.orientation_spreads_rad + turned, np.pi),
-        orientation_log_mass=np.full(k, -np.log(k)),
+        log_mass=np.full(len(quats), -np.log(len(quats))),
     )
 
 

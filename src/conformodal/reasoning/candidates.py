@@ -1,4 +1,4 @@
-"""From probabilities to candidate poses, position and orientation apart.
+"""From probabilities to candidate poses, position and orientation together.
 
 :func:`mode_candidates`, the default, cuts a target's range into basins, one a peak of the softmax, at the valleys
 between; a basin stands for its mean. :func:`interval_candidates` takes cuboids of the region as the paper does, each
@@ -47,18 +47,17 @@ class Candidates:
     ----------
     positions_xyz, position_spreads
         (m, 3) metres: means, and standard deviations within the cuboid.
-    position_log_mass
-        (m,) log probability of the cuboid's softmax mass.
-    orientations_quat_wxyz, orientation_spreads_rad, orientation_log_mass
-        (k, 4) unit quaternions, (k,) and (k,).
+    orientations_quat_wxyz, orientation_spreads_rad
+        (m, 4) unit quaternions, and (m,).
+    log_mass
+        (m,) log probability of the pose.
     """
 
     positions_xyz: FloatArray
     position_spreads: FloatArray
-    position_log_mass: FloatArray
     orientations_quat_wxyz: FloatArray
     orientation_spreads_rad: FloatArray
-    orientation_log_mass: FloatArray
+    log_mass: FloatArray
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def mode_candidates(
     min_mass
         Combinations less probable than this are dropped (never the most probable one).
     max_candidates
-        Kept per frame, for positions and for orientations.
+        Kept per frame.
     """
     found = []
     for i in range(len(proba[0])):
@@ -221,25 +220,19 @@ def _product(targets: list[Pieces], limit: int) -> Pieces:
 
 
 def _combine(pieces: list[Pieces], scale: SpreadScale, min_log_mass: float, limit: int) -> Candidates:
-    positions = _product([pieces[j] for j in POSITION], limit)
     quats = _product([pieces[j] for j in ORIENTATION], limit)
     norm = np.linalg.norm(quats.mean, axis=1)
-    quat_mass = quats.log_mass - 0.5 * ((norm - 1) / _NORM_SPREAD) ** 2
-    order = np.argsort(-quat_mass, kind="stable")
-    order = order[(norm[order] > 1e-6) & (quat_mass[order] >= min(min_log_mass, quat_mass[order[0]]))]
-    if len(order):
-        unit = normalise_quat(quats.mean[order])
+    sound = norm > 1e-6
+    if sound.any():
+        unit = normalise_quat(quats.mean[sound])
         # a quaternion moves half as far as the rotation turns
-        spread = 2 * np.sqrt(np.mean(quats.spread[order] ** 2, axis=1)) * scale.orientation
-        quat_mass = quat_mass[order]
+        turn = 2 * np.sqrt(np.mean(quats.spread[sound] ** 2, axis=1)) * scale.orientation
+        turn_mass = (quats.log_mass - 0.5 * ((norm - 1) / _NORM_SPREAD) ** 2)[sound]
     else:  # components that cancel say nothing
-        unit, spread, quat_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
-    keep = positions.log_mass >= min(min_log_mass, positions.log_mass[0])
-    return Candidates(
-        positions.mean[keep],
-        positions.spread[keep] * scale.position,
-        positions.log_mass[keep],
-        unit,
-        spread,
-        quat_mass,
-    )
+        unit, turn, turn_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
+    places = _product([pieces[j] for j in POSITION], limit)
+    mass = places.log_mass[:, None] + turn_mass
+    best = np.argsort(-mass, axis=None, kind="stable")[:limit]
+    best = best[mass.flat[best] >= min(min_log_mass, mass.flat[best[0]])]
+    at, facing = np.unravel_index(best, mass.shape)
+    return Candidates(places.mean[at], places.spread[at] * scale.position, unit[facing], turn[facing], mass[at, facing])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -42,31 +42,16 @@ def add_fixes(candidates: Candidates, fixes: Sequence[PoseFix], volume_m3: float
     if not fixes:
         return candidates
     none, log_right = odds(fixes)
-    old = candidates
-    position_mass = old.position_log_mass - logsumexp(old.position_log_mass) + np.log1p(-NOWHERE)
-    turn_mass = old.orientation_log_mass - logsumexp(old.orientation_log_mass) + np.log1p(-NOWHERE)
-    positions, spreads, masses = [old.positions_xyz], [old.position_spreads], [position_mass + none]
-    quats, turns, turn_masses = [old.orientations_quat_wxyz], [old.orientation_spreads_rad], [turn_mass + none]
+    own = candidates.log_mass - logsumexp(candidates.log_mass) + np.log1p(-NOWHERE)
+    parts = [replace(candidates, log_mass=own + none)]
     for fix, right in zip(fixes, log_right, strict=True):
-        both, spread, agree = _fused_positions(old, fix)
-        positions += [both, fix.position_xyz[None]]
-        spreads += [spread, np.full((1, 3), fix.sigma_m)]
-        masses += _masses(position_mass, agree, right, volume_m3)
-        turned, turn, agree = _fused_orientations(old, fix)
-        quats += [turned, fix.orientation_quat_wxyz[None]]
-        turns += [turn, np.array([fix.sigma_rad])]
-        turn_masses += _masses(turn_mass, agree, right, _ROTATIONS)
-    first, mass = _best(np.concatenate(masses))
-    second, turn_mass = _best(np.concatenate(turn_masses))
-    return replace(
-        old,
-        positions_xyz=np.concatenate(positions)[first],
-        position_spreads=np.concatenate(spreads)[first],
-        position_log_mass=mass,
-        orientations_quat_wxyz=np.concatenate(quats)[second],
-        orientation_spreads_rad=np.concatenate(turns)[second],
-        orientation_log_mass=turn_mass,
-    )
+        both, agree = _fused(candidates, fix)
+        # log masses are relative to those of the fix being wrong
+        anywhere = -np.log(volume_m3 * _ROTATIONS)
+        wrong = np.logaddexp(np.log(LOOK_ALIKE) + logsumexp(own + agree), np.log1p(-LOOK_ALIKE) + anywhere)
+        parts.append(replace(both, log_mass=own + agree + right - wrong))
+        parts.append(_alone(fix, np.log(NOWHERE) + anywhere + right - wrong))
+    return _best(parts)
 
 
 def odds(fixes: Sequence[PoseFix]) -> tuple[float, FloatArray]:
@@ -77,35 +62,42 @@ def odds(fixes: Sequence[PoseFix]) -> tuple[float, FloatArray]:
     return float(-np.log(total)), np.asarray(np.log(odds / total))
 
 
-def _masses(own: FloatArray, agree: FloatArray, right: float, volume: float) -> list[FloatArray]:
-    """Log masses of each candidate with a fix, and of the fix alone, relative to those of the fix being wrong."""
-    anywhere = -np.log(volume)
-    wrong = np.logaddexp(np.log(LOOK_ALIKE) + logsumexp(own + agree), np.log1p(-LOOK_ALIKE) + anywhere)
-    return [own + agree + right - wrong, np.array([np.log(NOWHERE) + anywhere + right - wrong])]
-
-
-def _fused_positions(old: Candidates, fix: PoseFix) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Products of two normal densities: mean, spread, and the logarithm of how far they overlap."""
+def _fused(old: Candidates, fix: PoseFix) -> tuple[Candidates, FloatArray]:
+    """Products of normal densities, and the logarithm of how far they overlap."""
     own, its = old.position_spreads**2, fix.sigma_m**2
     share = its / (own + its)
-    mean = share * old.positions_xyz + (1 - share) * fix.position_xyz
     off = (old.positions_xyz - fix.position_xyz) ** 2 / (own + its)
     agree = -0.5 * (off + np.log(2 * np.pi * (own + its))).sum(axis=1)
-    return mean, np.sqrt(own * its / (own + its)), agree
-
-
-def _fused_orientations(old: Candidates, fix: PoseFix) -> tuple[FloatArray, FloatArray, FloatArray]:
-    own, its = old.orientation_spreads_rad**2, fix.sigma_rad**2
+    own_turn, its_turn = old.orientation_spreads_rad**2, fix.sigma_rad**2
     fixed = Rotation.from_quat(fix.orientation_quat_wxyz, scalar_first=True)
     away = (fixed.inv() * Rotation.from_quat(old.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
-    mean = fixed * Rotation.from_rotvec((its / (own + its))[:, None] * away)
-    agree = -0.5 * ((away**2).sum(axis=1) / (own + its) + 3 * np.log(2 * np.pi * (own + its)))
-    return mean.as_quat(scalar_first=True), np.sqrt(own * its / (own + its)), agree
+    turned = fixed * Rotation.from_rotvec((its_turn / (own_turn + its_turn))[:, None] * away)
+    agree -= 0.5 * ((away**2).sum(axis=1) / (own_turn + its_turn) + 3 * np.log(2 * np.pi * (own_turn + its_turn)))
+    both = replace(
+        old,
+        positions_xyz=share * old.positions_xyz + (1 - share) * fix.position_xyz,
+        position_spreads=np.sqrt(own * share),
+        orientations_quat_wxyz=turned.as_quat(scalar_first=True),
+        orientation_spreads_rad=np.sqrt(own_turn * its_turn / (own_turn + its_turn)),
+    )
+    return both, agree
 
 
-def _best(log_mass: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """The most probable, most probable first, and their log probabilities."""
-    log_mass = log_mass - logsumexp(log_mass)
+def _alone(fix: PoseFix, log_mass: float) -> Candidates:
+    return Candidates(
+        fix.position_xyz[None],
+        np.full((1, 3), fix.sigma_m),
+        fix.orientation_quat_wxyz[None],
+        np.array([fix.sigma_rad]),
+        np.array([log_mass]),
+    )
+
+
+def _best(parts: Sequence[Candidates]) -> Candidates:
+    """The most probable of all, most probable first, with masses that sum to one before the others are dropped."""
+    joined = Candidates(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Candidates)))
+    log_mass = joined.log_mass - logsumexp(joined.log_mass)
     order = np.argsort(-log_mass, kind="stable")[:MAX_CANDIDATES]
     order = order[log_mass[order] >= min(np.log(MIN_MASS), log_mass[order[0]])]
-    return order, log_mass[order]
+    kept = Candidates(*(getattr(joined, f.name)[order] for f in fields(Candidates)))
+    return replace(kept, log_mass=log_mass[order])

@@ -84,18 +84,16 @@ class PosePath:
         cls,
         candidates: Sequence[Candidates],
         timestamps_s: npt.ArrayLike,
-        positions: Sequence[int] | IntArray,
-        orientations: Sequence[int] | IntArray,
+        chosen: Sequence[int] | IntArray,
     ) -> Self:
-        """The candidates with these indices, one a frame, for position and for orientation."""
-        moves = list(zip(candidates, positions, strict=True))
-        turns = list(zip(candidates, orientations, strict=True))
+        """The candidates with these indices, one a frame."""
+        pairs = list(zip(candidates, chosen, strict=True))
         return cls(
             np.asarray(timestamps_s, dtype=np.float64),
-            np.array([c.positions_xyz[k] for c, k in moves]),
-            np.array([c.position_spreads[k] for c, k in moves]),
-            np.array([c.orientations_quat_wxyz[k] for c, k in turns]),
-            np.array([c.orientation_spreads_rad[k] for c, k in turns]),
+            np.array([c.positions_xyz[k] for c, k in pairs]),
+            np.array([c.position_spreads[k] for c, k in pairs]),
+            np.array([c.orientations_quat_wxyz[k] for c, k in pairs]),
+            np.array([c.orientation_spreads_rad[k] for c, k in pairs]),
         )
 
     @classmethod

@@ -18,7 +18,7 @@ from .candidates import Candidates
 from .errors import ReasoningError
 from .observations import Observations, PosePath
 from .prior import MotionPrior
-from .viterbi import best_step, orientation_cost, position_cost, survivors, way_back
+from .viterbi import best_step, survivors, transition_cost, way_back
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -27,26 +27,12 @@ LAG = 10
 
 
 @dataclass
-class _Search:
-    """One frame in a search: scores of its candidates, and the best predecessor of each."""
-
-    score: FloatArray
-    back: IntArray
-
-    @classmethod
-    def start(cls, log_mass: FloatArray) -> _Search:
-        return cls(log_mass.astype(np.float64), np.zeros(len(log_mass), dtype=np.int64))
-
-
-@dataclass
 class _Frame:
     candidates: Candidates
-    motion: RelativeMotion | None
     timestamp_s: float
-    turn: _Search
-    move: _Search
+    score: FloatArray
+    back: IntArray  # the best predecessor of each candidate
     start: Candidates  # where the next frame's candidates are reached from
-    turn_used: int = 0  # the orientation that this frame's directions were turned by, when the next was scored
 
 
 class OnlineReasoner:
@@ -72,8 +58,7 @@ class OnlineReasoner:
             raise ReasoningError(f"lag must be at least 0 frames, got {lag}")
         self.prior = prior
         self.lag = lag
-        # the frame before the newest is always needed
-        self._frames: deque[_Frame] = deque(maxlen=max(lag, 1) + 1)
+        self._frames: deque[_Frame] = deque(maxlen=lag + 1)
 
     def reset(self) -> None:
         """Start a new recording."""
@@ -92,41 +77,20 @@ class OnlineReasoner:
         ReasoningError
             If the timestamp is not later than the one before.
         """
-        turn, move = _Search.start(candidates.orientation_log_mass), _Search.start(candidates.position_log_mass)
-        new = _Frame(candidates, motion, timestamp_s, turn, move, start=candidates)
+        score, start = candidates.log_mass.astype(np.float64), candidates
+        back = np.zeros(len(score), dtype=np.int64)
         if self._frames:
             before = self._frames[-1]
-            if not timestamp_s > before.timestamp_s:
+            step = timestamp_s - before.timestamp_s
+            if not step > 0:
                 raise ReasoningError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
-            cost = orientation_cost(before.candidates, candidates, motion, timestamp_s - before.timestamp_s, self.prior)
-            new.turn = _Search(*best_step(before.turn.score, -cost, candidates.orientation_log_mass))
-        self._frames.append(new)
-        turns = _path([f.turn for f in self._frames])
-        self._score_moves(turns)
-        moves = _path([f.move for f in self._frames])
-        last = slice(-(self.lag + 1), None)
-        frames = list(self._frames)[last]
-        return PosePath.choose(
-            [f.candidates for f in frames], [f.timestamp_s for f in frames], moves[last], turns[last]
-        )
-
-    def _score_moves(self, turns: IntArray) -> None:
-        """Score positions of the newest frame, and again from where the path of orientations has changed."""
+            cost = transition_cost(before.start, candidates, motion, step, self.prior)
+            score, back = best_step(before.score, -cost, candidates.log_mass)
+            start = survivors(before.start, candidates, back, cost, motion, step, self.prior)
+        self._frames.append(_Frame(candidates, timestamp_s, score, back, start))
         frames = list(self._frames)
-        changed = [i for i in range(len(frames) - 1) if frames[i].turn_used != turns[i]]
-        first = min([len(frames) - 1, *(i + 1 for i in changed)])
-        for i in range(max(first, 1), len(frames)):
-            before, here = frames[i - 1], frames[i]
-            before.turn_used = int(turns[i - 1])
-            q_prev = before.candidates.orientations_quat_wxyz[before.turn_used]
-            step = here.timestamp_s - before.timestamp_s
-            cost = position_cost(before.start, here.candidates, q_prev, here.motion, step, self.prior)
-            here.move = _Search(*best_step(before.move.score, -cost, here.candidates.position_log_mass))
-            here.start = survivors(before.start, here.candidates, here.move.back, cost, self.prior.reach_m(step))
-
-
-def _path(search: list[_Search]) -> IntArray:
-    return way_back([step.back for step in search], int(np.argmax(search[-1].score)))
+        chosen = way_back([f.back for f in frames], int(np.argmax(score)))
+        return PosePath.choose([f.candidates for f in frames], [f.timestamp_s for f in frames], chosen)
 
 
 def online(seen: Observations, prior: MotionPrior, lag: int = LAG) -> PosePath:

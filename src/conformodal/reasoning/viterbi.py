@@ -1,8 +1,8 @@
 """Global reasoning: the sequence of candidates that is most probable as a whole (Viterbi 1967).
 
-Orientation and position are searched one after the other: relative rotations are trusted always, and the chosen
-orientations turn relative directions into the world. No mistake is final, because every candidate of every frame
-stays in play until the end; a jump, as at a cut, costs a bounded price.
+Position and orientation are searched together: where two places look alike, the image says which heading goes with
+which place, so that a relative rotation that tells the headings apart tells the places apart. No mistake is final,
+because every candidate of every frame stays in play until the end; a jump, as at a cut, costs a bounded price.
 
 A vague candidate is near everything, so that a path could pass through it from one end of the scene to the other for
 next to nothing. Its best path therefore goes on from where it can have come to, not from the candidate's mean
@@ -28,10 +28,12 @@ from .prior import MotionPrior
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# The most that one step can cost, in nats: what it takes to believe in a jump.
-JUMP_COST = 25.0
-# What it takes to believe that a relative motion misleads: odds of one in twenty.
-MISLED_COST = 3.0
+# The most that one step can cost, in nats: what it takes to believe in a jump. Corners that were followed all the way
+# rule a jump out but for gross mistakes; errors of images that follow each other are alike, and their evidence, counted
+# again in every frame, would soon pay for less.
+JUMP_COST, FOLLOWED_JUMP_COST = 25.0, 100.0
+# What it takes to believe that a relative motion misleads. Directions do, one in twenty; rotations hardly ever.
+DIRECTION_MISLED_COST, ROTATION_MISLED_COST = 3.0, 16.0
 
 
 class Decoder:
@@ -95,28 +97,33 @@ def way_back(backs: Sequence[IntArray], last: int) -> IntArray:
 
 def viterbi(seen: Observations, prior: MotionPrior) -> PosePath:
     """Choose one candidate a frame over a whole recording; `prior` says what speeds and turning rates to expect."""
-    candidates, motions = seen.candidates, seen.motions
-    steps = np.diff(seen.timestamps_s)
-    turn = Decoder()
-    turn.push(candidates[0].orientation_log_mass)
-    for t in range(1, len(candidates)):
-        cost = orientation_cost(candidates[t - 1], candidates[t], motions[t], steps[t - 1], prior)
-        turn.push(candidates[t].orientation_log_mass, -cost)
-    turns = turn.path()
-    move, start = Decoder(), candidates[0]
-    move.push(candidates[0].position_log_mass)
-    for t in range(1, len(candidates)):
-        q_prev = candidates[t - 1].orientations_quat_wxyz[turns[t - 1]]
-        cost = position_cost(start, candidates[t], q_prev, motions[t], steps[t - 1], prior)
-        move.push(candidates[t].position_log_mass, -cost)
-        start = survivors(start, candidates[t], move.origin, cost, prior.reach_m(steps[t - 1]))
-    return PosePath.choose(candidates, seen.timestamps_s, move.path(), turns)
+    candidates, decoder = seen.candidates, Decoder()
+    start = candidates[0]
+    decoder.push(start.log_mass)
+    for t, step_s in enumerate(np.diff(seen.timestamps_s), start=1):
+        cost = transition_cost(start, candidates[t], seen.motions[t], step_s, prior)
+        decoder.push(candidates[t].log_mass, -cost)
+        start = survivors(start, candidates[t], decoder.origin, cost, seen.motions[t], step_s, prior)
+    return PosePath.choose(candidates, seen.timestamps_s, decoder.path())
+
+
+def transition_cost(
+    before: Candidates, after: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior
+) -> FloatArray:
+    """Cost in nats of every pair of poses, (m_before, m_after), bounded by :func:`jump_cost`."""
+    turn = orientation_cost(before, after, motion, step_s, prior)
+    return np.asarray(np.minimum(turn + position_cost(before, after, motion, step_s, prior), jump_cost(motion)))
+
+
+def jump_cost(motion: RelativeMotion | None) -> float:
+    """Cost in nats of a jump: :data:`FOLLOWED_JUMP_COST` where the rotation was measured, else :data:`JUMP_COST`."""
+    return JUMP_COST if motion is None or not motion.reliable else FOLLOWED_JUMP_COST
 
 
 def orientation_cost(
     before: Candidates, after: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior
 ) -> FloatArray:
-    """Cost in nats of every pair of orientations, (m_before, m_after), bounded by :data:`JUMP_COST`.
+    """Cost in nats of every pair of orientations, (m_before, m_after).
 
     The angle from where the relative rotation leads; or, at a price, from where turning as usual could have led.
     """
@@ -131,22 +138,18 @@ def orientation_cost(
     total = cost(start, prior.turn_rate_rad_s * step_s)
     if motion is not None and motion.R_prev_next is not None:
         led = cost(start * Rotation.from_matrix(motion.R_prev_next), motion.rotation_sigma_rad)
-        total = np.minimum(led, total + MISLED_COST)
-    return np.minimum(total, JUMP_COST)
+        total = np.minimum(led, total + ROTATION_MISLED_COST)
+    return total
 
 
 def position_cost(
-    before: Candidates,
-    after: Candidates,
-    q_prev_wxyz: FloatArray,
-    motion: RelativeMotion | None,
-    step_s: float,
-    prior: MotionPrior,
+    before: Candidates, after: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior
 ) -> FloatArray:
-    """Cost in nats of every pair of positions, (m_before, m_after), bounded by :data:`JUMP_COST`.
+    """Cost in nats of every pair of positions, (m_before, m_after).
 
-    The distance of the step from the stretch that the camera could have flown along the relative direction; or, at
-    a price, from the ball that it could have reached at all. In units of the candidates' spreads.
+    The distance of the step from the stretch that the camera could have flown along the relative direction, which the
+    orientation before turns into the world; or, at a price, from the ball that it could have reached at all. In units
+    of the candidates' spreads.
     """
     step = after.positions_xyz[None] - before.positions_xyz[:, None]
     reach = prior.reach_m(step_s)
@@ -155,19 +158,28 @@ def position_cost(
     beyond = step * np.maximum(0, 1 - reach / np.maximum(length, 1e-9))
     total = 0.5 * np.sum(beyond**2 / spread2, axis=2)
     if motion is not None and motion.direction_prev is not None:
-        direction = Rotation.from_quat(q_prev_wxyz, scalar_first=True).apply(motion.direction_prev)
-        along = np.clip(step @ direction, 0, reach)[..., None]
+        turned = Rotation.from_quat(before.orientations_quat_wxyz, scalar_first=True).apply(motion.direction_prev)
+        direction = turned[:, None]
+        along = np.clip(np.sum(step * direction, axis=2, keepdims=True), 0, reach)
         miss = step - along * direction
         sideways2 = spread2 + (motion.direction_sigma_rad * along) ** 2
-        total = np.minimum(0.5 * np.sum(miss**2 / sideways2, axis=2), total + MISLED_COST)
-    return np.asarray(np.minimum(total, JUMP_COST))
+        total = np.minimum(0.5 * np.sum(miss**2 / sideways2, axis=2), total + DIRECTION_MISLED_COST)
+    return np.asarray(total)
 
 
-def survivors(start: Candidates, after: Candidates, origin: IntArray, cost: FloatArray, reach_m: float) -> Candidates:
+def survivors(
+    start: Candidates,
+    after: Candidates,
+    origin: IntArray,
+    cost: FloatArray,
+    motion: RelativeMotion | None,
+    step_s: float,
+    prior: MotionPrior,
+) -> Candidates:
     """The candidates of a frame, each where its best path can have come to: what the next frame's are reached from.
 
-    A candidate that is vaguer than where the path was and how far the camera can have moved since has its position
-    from these; all others, and those that a path jumped to, have their own.
+    A candidate that is vaguer than where the path was and how far the camera can have moved or turned since has its
+    position or orientation from these; all others, and those that a path jumped to, have their own.
 
     Parameters
     ----------
@@ -178,18 +190,34 @@ def survivors(start: Candidates, after: Candidates, origin: IntArray, cost: Floa
     origin
         (m,) the best predecessor of each.
     cost
-        (m_before, m) from :func:`position_cost`, of `start` and `after`.
-    reach_m
-        How far the camera can have moved between the two.
+        (m_before, m) from :func:`transition_cost`, of `start` and `after`.
+    motion, step_s, prior
+        As there.
     """
+    linked = cost[origin, np.arange(len(origin))] < jump_cost(motion)
+    reach_m = prior.reach_m(step_s)
     came, spread = start.positions_xyz[origin], np.hypot(start.position_spreads[origin], reach_m)
     step = after.positions_xyz - came
     length = np.linalg.norm(step, axis=1, keepdims=True)
     led = came + step * np.minimum(1, reach_m / np.maximum(length, 1e-9))
-    vaguer = np.sum(after.position_spreads**2, axis=1) > np.sum(spread**2, axis=1)
-    vaguer &= cost[origin, np.arange(len(origin))] < JUMP_COST
+    vaguer = linked & (np.sum(after.position_spreads**2, axis=1) > np.sum(spread**2, axis=1))
+
+    facing = Rotation.from_quat(start.orientations_quat_wxyz[origin], scalar_first=True)
+    if motion is not None and motion.R_prev_next is not None:
+        turned, sigma = facing * Rotation.from_matrix(motion.R_prev_next), motion.rotation_sigma_rad
+    else:
+        sigma = prior.turn_rate_rad_s * step_s
+        turn = (facing.inv() * Rotation.from_quat(after.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
+        angle = np.linalg.norm(turn, axis=1, keepdims=True)
+        turned = facing * Rotation.from_rotvec(turn * np.minimum(1, sigma / np.maximum(angle, 1e-9)))
+    turn_spread = np.hypot(start.orientation_spreads_rad[origin], sigma)
+    dizzier = linked & (after.orientation_spreads_rad > turn_spread)
     return replace(
         after,
         positions_xyz=np.where(vaguer[:, None], led, after.positions_xyz),
         position_spreads=np.where(vaguer[:, None], spread, after.position_spreads),
+        orientations_quat_wxyz=np.where(
+            dizzier[:, None], turned.as_quat(scalar_first=True), after.orientations_quat_wxyz
+        ),
+        orientation_spreads_rad=np.where(dizzier, turn_spread, after.orientation_spreads_rad),
     )

@@ -85,7 +85,7 @@ class LiveView:
             self._log("plots/known_p", rr.Scalars(estimate.known_p))
         if estimate.position_spread_m is not None:
             self._log("plots/spread_m", rr.Scalars(estimate.position_spread_m))
-        masses = np.exp(estimate.candidates.position_log_mass)
+        masses = np.exp(estimate.candidates.log_mass)
         places = estimate.candidates.positions_xyz
         labels = [f"{mass:.2f}" for mass in masses]
         self._log("world/candidates", rr.Points3D(places, radii=0.02, colors=_CANDIDATE, labels=labels))
@@ -112,7 +112,7 @@ class LiveView:
         for box in boxes:
             assert found is not None
             held = ((found.positions_xyz >= box[:, 0]) & (found.positions_xyz <= box[:, 1])).all(axis=1)
-            labels.append(f"{np.exp(found.position_log_mass[held]).sum():.2f}")
+            labels.append(f"{np.exp(found.log_mass[held]).sum():.2f}")
         return self._rr.Boxes3D(
             centers=boxes.mean(axis=2), half_sizes=np.ptp(boxes, axis=2) / 2, colors=_REGION, labels=labels
         )

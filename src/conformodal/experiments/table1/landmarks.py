@@ -46,9 +46,8 @@ def _reasoned(seen: Observations, model: PoseModel) -> Trajectory:
 def _answers(classical: ClassicalRegressor, features: npt.NDArray[np.float32]) -> Sequence[Candidates]:
     """The classical answers as candidates, one a frame."""
     values = classical.predict(features)
-    one = np.zeros(1)
     spread, angle = classical.spread_m[None], np.array([classical.spread_rad])
-    return [Candidates(v[None, :3], spread, one, normalise_quat(v[None, 3:]), angle, one) for v in values]
+    return [Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1)) for v in values]
 
 
 def _fixes_alone(run: OdometryRun) -> Trajectory:
