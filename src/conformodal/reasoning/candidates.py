@@ -31,7 +31,7 @@ MIN_MASS = 1e-4
 # Two peaks are two modes where the probability between them falls below this share of the lower one.
 VALLEY_SHARE = 0.5
 # Softmaxes are rough: peaks fewer bins apart than this are one mode unless next to nothing lies between them. Split at
-# a half, single modes fell apart and lost their tails (benchmarks/reasoning.py).
+# a half, single modes fell apart and lost their tails (benchmarks/ladder.py).
 MODE_BINS, NEAR_VALLEY_SHARE = 6, 0.05
 # Four components chosen one by one need not be a unit quaternion; the further from one, the less they fit together.
 _NORM_SPREAD = 0.1

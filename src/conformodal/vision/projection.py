@@ -36,7 +36,7 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     """Principal components of standardised features, all on one scale: their mean variance is one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
-    features: benchmarks/ablation.py.
+    features: benchmarks/ladder.py.
 
     Parameters
     ----------
