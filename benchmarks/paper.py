@@ -14,19 +14,17 @@ from common import DATA, ROOT, write_table
 from scipy import stats
 
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.experiments import opponents_training, train_classical
+from conformodal.experiments import opponents_training, train_classical, train_plain
 from conformodal.odometry import (
     ModelConfig,
     PaperOdometry,
-    TrainingData,
     pose_targets,
     prepare_training_data,
     provenance,
     train_model,
 )
-from conformodal.poses import Trajectory, trajectory_errors
-from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir, fit_head, mean_squared_error
-from conformodal.vision import predict_values as values_of
+from conformodal.poses import trajectory_errors
+from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
 
 SEEDS = (10, 11, 12, 13, 14)
 CONDITIONS = {
@@ -43,16 +41,6 @@ METHODS = {
 }
 
 
-def plain(data: TrainingData, config: TrainingConfig, test: np.ndarray) -> np.ndarray:
-    """Targets (n, 7) of test frames by a regressor for which nothing was searched, trained on all known frames."""
-    known = np.sort(np.concatenate((data.split.train, data.split.calibration)))
-    mean, scale = data.targets[known].mean(axis=0), np.maximum(data.targets[known].std(axis=0), 1e-6)
-    standard = (data.targets[known] - mean) / scale
-    through = data.projection(known, config.components)
-    head = fit_head(data.features[known], standard, [1] * 7, mean_squared_error, config, projection=through)
-    return values_of(head, data.features[test]) * scale + mean
-
-
 def measured(condition: str, seed: int, cache: FeatureCache) -> dict[str, object]:
     sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
     config = ModelConfig.paper(seed=seed, training=TrainingConfig(seed=seed), **CONDITIONS[condition])
@@ -60,13 +48,11 @@ def measured(condition: str, seed: int, cache: FeatureCache) -> dict[str, object
     model = train_model(data, config)
     run = PaperOdometry(model).process(sequence, model.split.test, cache=cache)
     truth = sequence.require_truth()[run.frames]
-    found = dict(run.trajectories)
-    regressor = train_classical(data, opponents_training(config.training))
-    for name, values in (
-        ("plain", plain(data, config.training, run.frames)),
-        ("tuned", regressor.predict(data.features[run.frames])),
-    ):
-        found[name] = Trajectory(run.timestamps_s, values[:, :3], values[:, 3:])
+    features = data.features[run.frames]
+    found = run.trajectories | {
+        "plain": train_plain(data, config.training).trajectory(features, run.timestamps_s),
+        "tuned": train_classical(data, opponents_training(config.training)).trajectory(features, run.timestamps_s),
+    }
     errors = {}
     for name, path in found.items():
         off = trajectory_errors(path, truth)

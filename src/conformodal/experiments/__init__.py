@@ -12,6 +12,7 @@ from .classical import (
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, radius_table
+from .plain import PlainRegressor, train_plain
 
 __all__ = [
     "AmbiguityCheck",
@@ -19,6 +20,7 @@ __all__ = [
     "Engine",
     "ExperimentError",
     "LocalEngine",
+    "PlainRegressor",
     "RayEngine",
     "check_ambiguity",
     "coverage_table",
@@ -31,4 +33,5 @@ __all__ = [
     "run_tasks",
     "save_classical",
     "train_classical",
+    "train_plain",
 ]

@@ -45,6 +45,7 @@ from .losses import (
     pinball_loss,
     split_mixture,
 )
+from .plain import known_frames
 from .search import Search
 
 FloatArray = npt.NDArray[np.float64]
@@ -97,7 +98,7 @@ class Problem:
     @property
     def known(self) -> npt.NDArray[np.int64]:
         """Training and calibration frames."""
-        return np.sort(np.concatenate((self.data.split.train, self.data.split.calibration)))
+        return known_frames(self.data)
 
     def standard(self, rows: npt.NDArray[np.int64]) -> FloatArray:
         """Standardised targets (n, 7)."""

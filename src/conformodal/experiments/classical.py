@@ -1,4 +1,4 @@
-"""The opponent: a plain regressor that shares everything with the conformal network but its answer.
+"""The opponent: a plain regressor that shares everything with the conformal network but its answer, tuned.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
 no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are
@@ -31,12 +31,11 @@ from conformodal.vision import (
     Head,
     Projection,
     TrainingConfig,
-    fit_head,
-    mean_squared_error,
     predict_values,
 )
 
 from .errors import ExperimentError
+from .plain import PlainRegressor, fit_values, known_frames, scaling
 from .search import Search
 
 START_RATES = (1e-3, 3e-3)
@@ -47,15 +46,11 @@ _FILES = ("classical.json", "classical.safetensors")
 
 
 @dataclass(eq=False)
-class ClassicalRegressor:
-    """Seven numbers from one image.
+class ClassicalRegressor(PlainRegressor):
+    """A plain regressor with settings that were searched.
 
     Attributes
     ----------
-    head
-        Trained regressor, one output a target.
-    mean, scale
-        (7,) of the standardised targets.
     training
         What the search chose.
     spread_m, spread_rad
@@ -63,16 +58,9 @@ class ClassicalRegressor:
         what a smoother needs to know.
     """
 
-    head: Head
-    mean: npt.NDArray[np.float64]
-    scale: npt.NDArray[np.float64]
     training: TrainingConfig
     spread_m: npt.NDArray[np.float64]
     spread_rad: float
-
-    def predict(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
-        return predict_values(self.head, features) * self.scale + self.mean
 
     def answers(
         self, features: npt.NDArray[np.float32], seen: Observations, prior: MotionPrior
@@ -121,15 +109,11 @@ def train_classical(
         Whether to look at the thumbnail too; by default it sees what the conformal heads see.
     """
     train, check = data.split.train, data.split.calibration
-    everything = np.sort(np.concatenate((train, check)))
-    mean = data.targets[everything].mean(axis=0)
-    scale = np.maximum(data.targets[everything].std(axis=0), 1e-6)
+    mean, scale = scaling(data)
     standard = (data.targets - mean) / scale
 
     def fit(rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
-        outputs = [1] * standard.shape[1]
-        through = data.projection(rows, settings.components, thumbnail=thumbnail)
-        return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, settings, projection=through)
+        return fit_values(data, rows, standard, settings, thumbnail=thumbnail)
 
     def report(done: int, total: int) -> None:
         if progress is not None:
@@ -156,7 +140,7 @@ def train_classical(
     )
     report(len(search.errors), len(search.errors))
     chosen, head = search.once_more(
-        lambda settings: fit(everything, settings), lambda head: root_mean_square(miss(head)[:, :3])
+        lambda settings: fit(known_frames(data), settings), lambda head: root_mean_square(miss(head)[:, :3])
     )
     report(len(search.errors) + 1, len(search.errors))
     truth = data.targets[check]
