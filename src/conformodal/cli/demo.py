@@ -5,45 +5,26 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from conformodal._files import FolderError, write_whole
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
-from conformodal.experiments import AmbiguityCheck, check_ambiguity, load_classical
-from conformodal.odometry import (
-    Evidence,
-    ModelConfig,
-    OdometryRun,
-    PoseModel,
-    RegionTally,
-    VisualOdometry,
-    write_metrics,
-    write_run,
-)
+from conformodal.experiments import AmbiguityCheck, check_ambiguity
+from conformodal.odometry import Method, ModelConfig, write_metrics
 from conformodal.odometry.folders import check_no_stray, claimed
-from conformodal.poses import Trajectory
-from conformodal.report import (
-    PageFigure,
-    ReportContent,
-    Thumbnails,
-    error_figure,
-    make_viewer,
-    plan_figure,
-    trajectory_figure,
-    write_page,
-)
-from conformodal.vision import FeatureCache, TrainingConfig, extract_features
+from conformodal.report import write_page
+from conformodal.vision import TrainingConfig
 
 from .console import Report, console, kind_errors, print_where, progress_bars
-from .outcome import Known, Part, part_frames, run_metrics, say
+from .demo_outcome import Told, answer_test_part
+from .demo_pages import page_of, ratios_said
+from .outcome import say
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
@@ -51,21 +32,26 @@ N_MODULES, N_LAPS = 5, 2
 # features, not their principal components: rooms differ in small things.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
 ALPHA = 0.02
+PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
 @kind_errors
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Of world, flight, split and training.")] = 0,
+    method: Annotated[
+        Method,
+        typer.Option(help="conformodal; or paper: the paper's system in the same world, beside two plain regressors."),
+    ] = Method.CONFORMODAL,
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
-    config = ModelConfig(alpha=ALPHA, seed=seed, training=replace(TRAINING, seed=seed))
+    config = _config(method, seed)
     with claimed(out, "demo"), progress_bars() as report:
         check_no_stray(out, "demo")
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", classical=True, cache_dir=out / "cache", report=report)
-        outcome = _answer(model, out, sequence, report)
+        outcome = answer_test_part(model, config, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
         alike = check_ambiguity(
             outcome.run,
@@ -78,17 +64,26 @@ def demo(
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
-        write_page(out / "report.html", _page(outcome, sequence, model, world, alike, out))
+        told = Told(outcome, sequence, model, world, alike, N_LAPS, out)
+        write_page(out / "report.html", page_of(told))
     say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
         f"hold {record['share_held']:.3f} of them (whole pose)"
     )
-    ratio = outcome.metrics["errors"]["classical"]["rmse_m"] / outcome.metrics["errors"]["smoothed"]["rmse_m"]
-    console.print(f"classical / conformal rmse_m: {ratio:.1f}   ({outcome.metrics['seconds']:.0f} s in all)")
+    for line in ratios_said(method, outcome.metrics):
+        console.print(line, soft_wrap=True)
     console.print(f"open {(out / 'report.html').resolve()}", soft_wrap=True)
     print_where(out)
+
+
+def _config(method: Method, seed: int) -> ModelConfig:
+    """Of both methods with the same training."""
+    training = replace(TRAINING, seed=seed)
+    if method is Method.PAPER:
+        return ModelConfig.paper(alpha=PAPERS_ALPHA, seed=seed, training=training)
+    return ModelConfig(alpha=ALPHA, seed=seed, training=training)
 
 
 def _corridor(place: Path, seed: int, report: Report) -> Sequence:
@@ -115,43 +110,6 @@ def _corridor(place: Path, seed: int, report: Report) -> Sequence:
     return read_sevenscenes(place)
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    run: OdometryRun
-    truth: Trajectory
-    metrics: dict[str, Any]
-
-
-def _answer(model: PoseModel, out: Path, sequence: Sequence, report: Report) -> _Outcome:
-    """The test part with all methods, written to disk."""
-    frames = part_frames(model, sequence, Part.TEST)
-    cache = FeatureCache(out / "cache")
-    started = time.perf_counter()
-    result = VisualOdometry(model).process(sequence, frames, cache=cache, progress=report)
-    seconds = round(time.perf_counter() - started, 2)
-    classical = load_classical(out / "model")
-    assert classical is not None
-    paths = [sequence.image_paths[i] for i in result.frames]
-    features = extract_features(paths, model.backbone, cache)
-    result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
-    truth = sequence.require_truth()[result.frames]
-    write_run(out, result, [path.name for path in paths], truth, "demo")
-    counts = {
-        "n_answered": len(result.frames),
-        "n_unreliable": int(np.sum(~result.reliable)),
-        "n_fixed": sum(bool(fixes.search) for fixes in result.fixes),
-        "n_unknown": int(np.sum(result.kinds == Evidence.UNKNOWN)),
-        "n_without_image": len(result.unreadable),
-        "problems": {str(k): v for k, v in result.unreadable.items()},
-        "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
-        "stopped": "",
-        "seconds": seconds,
-    }
-    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference, result.kinds))
-    metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
-    return _Outcome(result, truth, metrics)
-
-
 def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
     return {
         "n_frames": check.n_frames,
@@ -159,68 +117,3 @@ def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
         "share_held": check.share_held,
         "share_held_position": check.share_held_position,
     }
-
-
-def _page(
-    outcome: _Outcome,
-    sequence: Sequence,
-    model: PoseModel,
-    world: CorridorWorld,
-    alike: AmbiguityCheck,
-    folder: Path,
-) -> ReportContent:
-    """The page, with the plan of a frame that has several look-alike places and all of them held."""
-    run, truth = outcome.run, outcome.truth
-    index = _telling_frame(outcome, truth, alike)
-    name = sequence.image_paths[run.frames[index]].name
-    svg = plan_figure(
-        run,
-        index,
-        truth,
-        classical=run.trajectories.get("classical"),
-        walls=world.plan(),
-        alike=alike.places[index],
-    )
-    caption = (
-        f"{name}, from above. The image fits {len(alike.places[index]) + 1} places equally well; the region names all, "
-        "and motion through the corridor chooses among them. A regressor answers in between, where nothing is."
-    )
-    bands = trajectory_figure(run, truth, run.trajectories["classical"])
-    bands_caption = "One band per interval. Where there are several at one time, the camera could be in any of them."
-    errors_caption = "Share of frames whose position error is below a value."
-    figures = [
-        PageFigure("plan", "Here or there, not in between", caption, svg),
-        PageFigure("trajectory", "Trajectory with its region", bands_caption, bands),
-        PageFigure("errors", "Errors of all frames", errors_caption, error_figure(run.trajectories, truth)),
-    ]
-    errors, record = outcome.metrics["errors"], outcome.metrics["ambiguity"]
-    ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
-    summary = [
-        f"A drone flew {N_LAPS} times along a dark hallway of {world.n_modules} identical modules, into every room. "
-        f"{len(model.split.train)} frames trained a network, {len(model.split.calibration)} calibrated its regions, "
-        f"{len(run.frames)} were held out ({outcome.metrics['split_note']})",
-        f"Position RMSE: {errors['smoothed']['rmse_m']:.3f} m, against {errors['classical']['rmse_m']:.2f} m for a "
-        f"regressor on the same features ({ratio:.0f} times).",
-        f"{record['n_frames']} frames have other places with the same view; the regions hold "
-        f"{100 * record['share_held']:.1f} % of these {record['n_places']} places.",
-    ]
-    image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))
-    pictures = Thumbnails()
-    for i in run.frames.tolist():
-        pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    viewer = make_viewer(folder, pictures.kept, model.rules.level)
-    title = "conformodal: a corridor of identical rooms"
-    return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
-
-
-def _telling_frame(outcome: _Outcome, truth: Trajectory, alike: AmbiguityCheck) -> int:
-    """Of the frames with most look-alike places, all held, the one whose regressor is furthest from any of them."""
-    classical = outcome.run.trajectories["classical"].positions_xyz
-    counts = [len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]
-    best, furthest = 0, -1.0
-    for i in np.flatnonzero(np.array(counts) == max(counts)):
-        places = np.concatenate((alike.places[i], truth.positions_xyz[i : i + 1]))
-        distance = float(np.linalg.norm(places - classical[i], axis=1).min())
-        if distance > furthest:
-            best, furthest = int(i), distance
-    return best

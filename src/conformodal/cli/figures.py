@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from collections.abc import Sequence as Collection
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
+from matplotlib.figure import Figure
 
 from conformodal.datasets import Sequence, SplitKind
-from conformodal.experiments.table1 import Row, run_name, task_key
-from conformodal.motion import CornerTracker
+from conformodal.experiments.table1 import Row, Softmaxes, run_name, task_key
+from conformodal.odometry import Method
+from conformodal.report.overview import binning_figure, overview_figure, softmax_figure
 from conformodal.report.paper import (
     band_figure,
     cuboid_figure,
@@ -21,58 +23,93 @@ from conformodal.report.paper import (
     size_figure,
 )
 from conformodal.report.stored import StoredRun
+from conformodal.vision import FeatureCache
+
+from .steps import flow_to, steps_of, training_values
 
 _MOST_CUBOIDS = 30
+_ENDINGS = {Method.PAPER: "paper", Method.CONFORMODAL: "ours"}
+_ANSWERS = {Method.PAPER: "the paper's greedy answer", Method.CONFORMODAL: "our answer, after reasoning"}
 
 
-def draw_figures(
-    sequence: Sequence,
-    out: Path,
-    split: SplitKind,
-    rows: Collection[Row],
-    bins: dict[int, Path],
-    results: Collection[dict[str, Any]],
-) -> list[str]:
-    """Write all figures under ``out/figures``; returns their names.
+class FigureWriter:
+    """Writes figures under ``OUT/figures`` and remembers their names.
 
     Parameters
     ----------
     sequence
-        For the images of figure 3.
+        For images.
     out
         Where ``reproduce`` keeps its runs.
     split, rows
         Whose runs.
-    bins
-        Folder of a run by the number of bins.
-    results
-        Of the tasks of seed 0, for reliability.
     """
-    folder, written = out / "figures", []
 
-    def save(name: str, figure: Any) -> None:
-        save_figure(figure, folder, name)
-        written.append(name)
+    def __init__(self, sequence: Sequence, out: Path, split: SplitKind, rows: Collection[Row]) -> None:
+        self.sequence = sequence
+        self.out = out
+        self.split = split
+        self.rows = rows
+        self.written: list[str] = []
 
-    def stored(these: Collection[Row]) -> list[tuple[str, StoredRun]]:
-        places = [out / "runs" / run_name(task_key(split, 0, r.used, r.network), r.sigma) for r in these]
-        return [(row.label, StoredRun.read(place)) for row, place in zip(these, places, strict=True)]
+    def flow(self) -> None:
+        """Figure 3, from the middle of the recording; both systems follow the same corners."""
+        self._save("figure3", flow_figure(*flow_to(self.sequence, len(self.sequence) // 2)))
 
-    by_bins = [(f"K = {k}", StoredRun.read(path)) for k, path in bins.items()]
-    save("figure2_cuboids", cuboid_figure(by_bins, _frame_to_show([run for _, run in by_bins])))
-    save("figure3_flow", _flow(sequence))
-    save("figure4_data", band_figure(stored(rows[:2])))
-    save("figure5_networks", band_figure(stored(rows[2:5])))
-    noise = stored(rows[5:])
-    save("figure6_noise", band_figure(noise))
-    save("size_and_error", size_figure(noise))
-    region = results[1]["noise"]["0"]["region"]  # 80 % of the data
-    curves = [
-        (f"{split}, {what}", np.array(numbers["coverage_at"]))
-        for what, numbers in (("softmax and landmarks", region), ("softmax alone", region["alone"]))
-    ]
-    save("reliability", reliability_figure(curves, region["n_calibration"], region["n_test"]))
-    return written
+    def steps(self, bins: Mapping[int, Path], cache: FeatureCache) -> None:
+        """Figures 1, 2a and 2b, from the paper's system: bins are the fewest, softmaxes have the most.
+
+        Parameters
+        ----------
+        bins
+            Folders of runs, with their models, by the number of bins.
+        cache
+            Of features.
+        """
+        said = []
+        for k in (min(bins), max(bins)):
+            run = StoredRun.read(bins[k])
+            names = [record["frame"] for record in run.records]
+            said.append(Softmaxes.of(bins[k], names, self.sequence, cache))
+        coarse, fine = said
+        steps = steps_of(fine, run, self.sequence)
+        softmax = steps.softmaxes[steps.shown]
+        self._save("figure1_paper", overview_figure(steps))
+        times, values = training_values(coarse, self.sequence, steps.shown)
+        edges = coarse.model.bins.edges_[steps.shown]
+        self._save("figure2a_paper", binning_figure(times, values, edges, softmax.target))
+        self._save("figure2b_paper", softmax_figure(softmax))
+
+    def regions(self, method: Method, bins: Mapping[int, Path]) -> None:
+        """Figures 2c and 2d, and 4 to 6, from the runs of one system."""
+        ending, answer = _ENDINGS[method], _ANSWERS[method]
+        by_bins = [(f"K = {k}", StoredRun.read(path)) for k, path in bins.items()]
+        self._save(f"figure2cd_{ending}", cuboid_figure(by_bins, _frame_to_show([run for _, run in by_bins])))
+        for number, rows in ((4, self.rows[:2]), (5, self.rows[2:5]), (6, self.rows[5:])):
+            self._save(f"figure{number}_{ending}", band_figure(self._stored(method, rows), answer))
+
+    def sizes(self, region: Mapping[str, Any]) -> None:
+        """Of ours: size against error over all noises, and reliability.
+
+        Parameters
+        ----------
+        region
+            Numbers about the regions of a task of seed 0.
+        """
+        self._save("size_and_error", size_figure(self._stored(Method.CONFORMODAL, self.rows[5:])))
+        curves = [
+            (f"{self.split}, {what}", np.array(numbers["coverage_at"]))
+            for what, numbers in (("softmax and landmarks", region), ("softmax alone", region["alone"]))
+        ]
+        self._save("reliability", reliability_figure(curves, region["n_calibration"], region["n_test"]))
+
+    def _stored(self, method: Method, rows: Collection[Row]) -> list[tuple[str, StoredRun]]:
+        names = [run_name(task_key(method, self.split, 0, r.used, r.network), r.sigma) for r in rows]
+        return [(row.label, StoredRun.read(self.out / "runs" / name)) for row, name in zip(rows, names, strict=True)]
+
+    def _save(self, name: str, figure: Figure) -> None:
+        save_figure(figure, self.out / "figures", name)
+        self.written.append(name)
 
 
 def _frame_to_show(runs: Collection[StoredRun]) -> int:
@@ -81,15 +118,3 @@ def _frame_to_show(runs: Collection[StoredRun]) -> int:
     counts = np.array([[np.prod([max(len(run.intervals(i, t)), 1) for t in "xyz"]) for run in runs] for i in frames])
     most = counts.max(axis=1)
     return int(np.argmax(np.where(most <= _MOST_CUBOIDS, counts.sum(axis=1), -most)))
-
-
-def _flow(sequence: Sequence) -> Any:
-    """Corners through five frames from the middle of the recording."""
-    start = max(0, len(sequence) // 2 - 5)
-    tracker = CornerTracker()
-    for i in range(start, min(start + 6, len(sequence))):
-        image = sequence.image(i)
-        tracker.advance(np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
-        if i == start:
-            tracker.mark()
-    return flow_figure(image, *tracker.pairs())

@@ -13,7 +13,7 @@ from .known import KnownPlaces
 from .landmarks import Fixes, Landmarks, fit_landmarks
 from .model import PoseModel
 from .motions import MotionRecord, measure_motions
-from .paper import PaperOdometry, odometry_of
+from .paper import PaperOdometry, odometry_of, paper_motions
 from .parquet import read_region_parquet, write_region_parquet
 from .provenance import provenance
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
@@ -82,6 +82,7 @@ __all__ = [
     "measure_motions",
     "model_digest",
     "odometry_of",
+    "paper_motions",
     "pose_errors",
     "pose_targets",
     "prepare_training_data",

@@ -185,9 +185,7 @@ class PaperOdometry:
             If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
         """
         if motions is None:
-            wanted = chosen_frames(self.model, sequence, frames)
-            front_end = EssentialFrontEnd(sequence.camera)
-            motions = measure_motions(sequence, wanted, progress, front_end=front_end, landmarks=False)
+            motions = paper_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
         usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
         proba = self.model.proba(features)
         regions, times = self.model.regions(proba), sequence.timestamps_s[usable]
@@ -215,6 +213,11 @@ class PaperOdometry:
             kinds=np.full(usable.size, Evidence.SOFTMAX, dtype=np.int64),
             answer=self.answer,
         )
+
+
+def paper_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
+    """Relative motions of `frames` as the paper has them; see :func:`~conformodal.odometry.measure_motions`."""
+    return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), landmarks=False)
 
 
 def odometry_of(model: PoseModel, fix_every: int = 1) -> VisualOdometry | PaperOdometry:

@@ -5,6 +5,7 @@ from .diagnosis import draw_diagnosis
 from .figures import error_figure, plan_figure, trajectory_figure
 from .live import LiveView, LiveViewError
 from .page import PageFigure, ReportContent, write_page
+from .table1 import table1_markdown, table1_notes, table1_sections
 from .thumbnails import Thumbnails
 from .viewer import Viewer, make_viewer
 
@@ -21,6 +22,9 @@ __all__ = [
     "error_figure",
     "make_viewer",
     "plan_figure",
+    "table1_markdown",
+    "table1_notes",
+    "table1_sections",
     "trajectory_figure",
     "write_comparison",
     "write_page",

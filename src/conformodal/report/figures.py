@@ -30,10 +30,26 @@ COLOURS = {
 _BAND_ALPHA = 0.6
 _RING, _LEAST_BOX = 16, 2.5  # points: across a mark, and the width of a box's own line
 _LONGEST_CELL_S = 2.0
+_ANSWER = "conformal, after reasoning"
 
 
-def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Trajectory | None = None) -> str:
-    """Position over time with the region's bands: every interval of every frame is drawn, so modes show."""
+def trajectory_figure(
+    run: OdometryRun,
+    truth: Trajectory | None,
+    classical: Trajectory | None = None,
+    answer: str = _ANSWER,
+) -> str:
+    """Position over time with the region's bands: every interval of every frame is drawn, so modes show.
+
+    Parameters
+    ----------
+    run
+        With its answer.
+    truth, classical
+        Of the same frames.
+    answer
+        What the legend calls the answer.
+    """
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     start = run.timestamps_s[0]
@@ -53,7 +69,7 @@ def trajectory_figure(run: OdometryRun, truth: Trajectory | None, classical: Tra
         axis.set_ylabel(f"{name} (m)")
         axis.margins(x=0.005)
     axes[-1].set_xlabel("time (s)")
-    _legend(figure, truth is not None, classical is not None, alike=False)
+    _legend(figure, truth is not None, classical is not None, alike=False, answer=answer)
     return as_svg(figure)
 
 
@@ -66,6 +82,7 @@ def plan_figure(
     walls: Sequence[npt.NDArray[np.float64]] = (),
     alike: npt.NDArray[np.float64] | None = None,
     axes: tuple[int, int] = (0, 1),
+    answer: str = _ANSWER,
 ) -> str:
     """One frame's disjoint regions seen from above, with the chosen pose.
 
@@ -81,6 +98,8 @@ def plan_figure(
         (m, 3) other places with the same view.
     axes
         The two horizontal axes of the world.
+    answer
+        What the legend calls the chosen pose.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axis = figure.subplots()
@@ -105,7 +124,8 @@ def plan_figure(
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
     axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
-    _legend(figure, truth is not None, classical is not None, alike=alike is not None and len(alike) > 0, points=True)
+    places = alike is not None and len(alike) > 0
+    _legend(figure, truth is not None, classical is not None, alike=places, answer=answer, points=True)
     return as_svg(figure)
 
 
@@ -116,6 +136,7 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     styles = {"smoothed": ("-", COLOURS["smoothed"]), "classical": ("-", COLOURS["classical"])}
     styles |= {"classical_smoothed": ("--", COLOURS["classical"]), "viterbi": ("--", COLOURS["smoothed"])}
     styles |= {"online": ("-.", COLOURS["smoothed"])}
+    styles |= {"plain": ("-.", COLOURS["classical"])}
     styles |= {"greedy": (":", COLOURS["alike"]), "softmax_mean": (":", COLOURS["truth"])}
     share = (np.arange(len(truth)) + 1) / len(truth)
     for name, (line, colour) in styles.items():
@@ -148,10 +169,10 @@ def _marker(
     axis.plot([x], [y], shape, ms=size, mew=1.6, mfc=fill, color=colour, zorder=5)
 
 
-def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, points: bool = False) -> None:
+def _legend(figure: Figure, truth: bool, classical: bool, *, alike: bool, answer: str, points: bool = False) -> None:
     entries = [Rectangle((0, 0), 1, 1, color=COLOURS["region"], alpha=1 if points else _BAND_ALPHA)]
     labels = ["calibrated region"]
-    lines = [("smoothed", "conformal, after reasoning", "o", "-", True), ("truth", "truth", "+", "--", truth)]
+    lines = [("smoothed", answer, "o", "-", True), ("truth", "truth", "+", "--", truth)]
     lines.append(("classical", "classical regressor", "X" if points else ".", "", classical))
     lines.append(("alike", "places that look the same", "s", "", alike))
     for key, label, shape, line, shown in lines:

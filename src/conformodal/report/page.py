@@ -13,6 +13,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from conformodal._files import write_whole
+from conformodal.odometry import Method
 
 from .templating import render_page
 from .viewer import Viewer
@@ -21,10 +22,19 @@ _LABELS = {
     "smoothed": "conformal: global search and smoothing (the answer)",
     "viterbi": "conformal: global search",
     "online": "conformal: fixed-lag search, as in a stream",
-    "greedy": "conformal: greedy, the paper's reasoning",
+    "greedy": "conformal: greedy choice among our own intervals",
     "softmax_mean": "softmax mean, no reasoning",
+    "plain": "plain regressor",
     "classical": "classical regressor",
     "classical_smoothed": "classical regressor with the same smoother",
+}
+# Where the run is the paper's system's own.
+_PAPERS_LABELS = _LABELS | {
+    "greedy": "the paper's system: its greedy answer",
+    "softmax_mean": "the paper's system without reasoning: softmax mean",
+    "plain": "plain regressor on the same features",
+    "classical": "tuned (classical) regressor on the same features",
+    "classical_smoothed": "tuned regressor with our smoother",
 }
 
 
@@ -69,7 +79,9 @@ def write_page(path: Path, content: ReportContent) -> None:
     for figure in content.figures:
         write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
     errors = content.metrics.get("errors") or {}
-    ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
+    paper = content.metrics["configuration"].get("method") == Method.PAPER
+    labels = _PAPERS_LABELS if paper else _LABELS
+    ordered = [(label, errors[name]) for name, label in labels.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")
     image = None if content.image is None else (content.image[0], _data_url(content.image[1]))
     render_page(

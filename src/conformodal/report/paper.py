@@ -31,10 +31,17 @@ def save_figure(figure: Figure, folder: Path, name: str) -> None:
         figure.savefig(part, format="png", dpi=_PNG_DPI, metadata={"Software": "conformodal"})
 
 
-def band_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
+def band_figure(runs: Sequence[tuple[str, StoredRun]], answer: str) -> Figure:
     """Positions over time with their regions' bands, one column a run (figures 4 to 6).
 
     Bands of one target share an axis, so that widths can be compared across columns.
+
+    Parameters
+    ----------
+    runs
+        With their titles.
+    answer
+        What the legend calls their answers.
     """
     figure = Figure(figsize=(1 + 3.6 * len(runs), 6.5), layout="constrained")
     axes = figure.subplots(3, len(runs), sharey="row", sharex=True, squeeze=False)
@@ -57,7 +64,7 @@ def band_figure(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
             if column == 0:
                 axis.set_ylabel(f"{target} (m)")
         axes[2, column].set_xlabel("time (s)")
-    _legend(figure)
+    _legend(figure, answer)
     return figure
 
 
@@ -160,12 +167,12 @@ def _shown(values: npt.NDArray[np.float64]) -> tuple[float, float]:
     return float(middle - half), float(middle + half)
 
 
-def _legend(figure: Figure) -> None:
+def _legend(figure: Figure, answer: str) -> None:
     entries = [
         Rectangle((0, 0), 1, 1, color=COLOURS["region"], alpha=0.6),
         mpl.lines.Line2D([], [], color=COLOURS["smoothed"]),
         mpl.lines.Line2D([], [], color=COLOURS["truth"], ls="--"),
         mpl.lines.Line2D([], [], color=COLOURS["classical"], marker=".", ls=""),
     ]
-    labels = ["calibrated region", "conformal, after reasoning", "truth", "classical regressor"]
+    labels = ["calibrated region", answer, "truth", "tuned regressor"]
     figure.legend(entries, labels, loc="outside upper center", ncols=4, frameon=False)

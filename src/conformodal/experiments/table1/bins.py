@@ -9,21 +9,28 @@ from typing import Any
 from conformodal.datasets import Sequence, SplitKind
 from conformodal.odometry import (
     METRICS,
+    Method,
     ModelConfig,
+    MotionRecord,
     ResultsError,
-    VisualOdometry,
     data_digest,
+    measure_motions,
+    odometry_of,
+    paper_motions,
     prepare_training_data,
     provenance,
     read_metrics,
+    save_model,
     train_model,
     write_metrics,
     write_run,
 )
 from conformodal.vision import FeatureCache, TrainingConfig
 
+from .conditions import ALPHA
+
 N_BINS = (10, 50)
-ALPHA = 0.1
+MODEL = "model"  # folder of a run's model
 
 
 def bin_runs(
@@ -33,31 +40,39 @@ def bin_runs(
     epochs: int,
     cache: FeatureCache,
     progress: Callable[[str, int, int], None] | None = None,
+    *,
+    method: Method = Method.CONFORMODAL,
 ) -> dict[int, Path]:
-    """Runs on the test part with each number of bins, each target at alpha = 0.1 as in the paper; kept in `folder`."""
+    """Runs on the test part with each number of bins, each target at alpha = 0.1 as in the paper.
+
+    They are kept in `folder`, each with its model.
+    """
     found = {}
+    motions: MotionRecord | None = None  # both have the same test frames
+    measure = paper_motions if method is Method.PAPER else measure_motions
     for k in N_BINS:
-        place = folder / f"{split}-bins{k}"
+        place = folder / (f"{method}-{split}-bins{k}" if method is Method.PAPER else f"{split}-bins{k}")
         found[k] = place
-        config = ModelConfig(
-            split=split,
-            n_bins=k,
-            alpha=ALPHA,
-            score="lac",
-            joint="none",
-            landmarks=False,
-            training=TrainingConfig(epochs=epochs),
-        )
-        settings = {"n_bins": k, "epochs": epochs, "data": data_digest(sequence)}
+        config = _config(method, split, k, TrainingConfig(epochs=epochs))
+        settings = {"method": str(method), "n_bins": k, "epochs": epochs, "data": data_digest(sequence)}
         if _has(place, settings):
             continue
         data = prepare_training_data(sequence, config, cache, progress)
         model = train_model(data, config, progress=progress)
-        run = VisualOdometry(model).process(sequence, data.split.test, cache=cache, progress=progress)
+        motions = motions or measure(sequence, data.split.test, progress)
+        run = odometry_of(model).process(sequence, data.split.test, cache=cache, motions=motions, progress=progress)
         names = [sequence.image_paths[i].name for i in run.frames]
         write_run(place, run, names, sequence.require_truth()[run.frames], "bins")
+        save_model(model, place / MODEL)
         write_metrics(place, {"command": "bins", "provenance": provenance(), "configuration": settings})
     return found
+
+
+def _config(method: Method, split: SplitKind, n_bins: int, training: TrainingConfig) -> ModelConfig:
+    settings: dict[str, Any] = {"split": split, "n_bins": n_bins, "alpha": ALPHA, "training": training}
+    if method is Method.PAPER:
+        return ModelConfig.paper(**settings)
+    return ModelConfig(**settings, score="lac", joint="none", landmarks=False)
 
 
 def _has(place: Path, settings: dict[str, Any]) -> bool:

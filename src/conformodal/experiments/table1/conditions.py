@@ -5,18 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from conformodal.datasets import SplitKind
-from conformodal.vision import FineTuning
+from conformodal.odometry import Method, ModelConfig
+from conformodal.vision import FineTuning, TrainingConfig
 
 from ..errors import ExperimentError
 
 LARGE, SMALL = 0.8, 0.4
 TEST = 0.2
 CALIBRATION_SHARE = 0.2  # of the used frames
+ALPHA = 0.1
 NETWORKS = ("efficientnet_lite0", "efficientnet_lite1", "efficientnet_lite2")
 NOISE = (0.0, 0.05, 0.1, 0.2)
-_RESULTS = 9  # of results of tasks; older ones are worked out again
+_RESULTS = 10  # of results of tasks; older ones are worked out again
 
 
 @dataclass(frozen=True)
@@ -71,17 +74,25 @@ def rows_of(networks: Sequence[str] = NETWORKS) -> tuple[Row, ...]:
     )
 
 
-def task_key(split: SplitKind, seed: int, used: float, network: str) -> str:
-    """Name of a task's files."""
-    return f"{split}-seed{seed}-{used:g}-{re.sub(r'[^A-Za-z0-9_.-]+', '_', network)}"
+def task_key(method: Method, split: SplitKind, seed: int, used: float, network: str) -> str:
+    """Name of a task's files; those of the paper's method begin with its name."""
+    key = f"{split}-seed{seed}-{used:g}-{re.sub(r'[^A-Za-z0-9_.-]+', '_', network)}"
+    return f"{method}-{key}" if method is Method.PAPER else key
+
+
+def run_name(key: str, sigma: float) -> str:
+    """Folder of the run of a task at a noise."""
+    return f"{key}-noise{sigma:g}"
 
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """One training of everything, tested at every noise that a row asks for.
+    """One training of a system and all its opponents, tested at every noise that a row asks for.
 
     Attributes
     ----------
+    method
+        The paper's system, or this project's.
     split, seed
         Of the split; the seed also of training.
     used, network
@@ -96,6 +107,7 @@ class TrainingTask:
         Settings of fine-tuning, or None for frozen features.
     """
 
+    method: Method
     split: SplitKind
     seed: int
     used: float
@@ -108,19 +120,19 @@ class TrainingTask:
     @property
     def key(self) -> str:
         """File name of the result."""
-        return task_key(self.split, self.seed, self.used, self.network)
+        return task_key(self.method, self.split, self.seed, self.used, self.network)
 
     @property
     def group(self) -> str:
         """Trainings of one split share motions, and many the scene."""
-        return f"{self.split}-seed{self.seed}"
+        return f"{self.method}-{self.split}-seed{self.seed}"
 
     @property
     def settings(self) -> dict[str, object]:
         """All that decides the result."""
         tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
-        own = {"split": str(self.split), "sigmas": list(self.sigmas), "fine_tuning": tuning, "results": _RESULTS}
-        return {**vars(self), **own}
+        names = {"method": str(self.method), "split": str(self.split)}
+        return {**vars(self), **names, "sigmas": list(self.sigmas), "fine_tuning": tuning, "results": _RESULTS}
 
 
 def tasks_of(
@@ -130,11 +142,13 @@ def tasks_of(
     epochs: int,
     data: str,
     fine_tuning: FineTuning | None = None,
+    methods: Sequence[Method] = (Method.PAPER, Method.CONFORMODAL),
 ) -> list[TrainingTask]:
     """The trainings behind all rows, those with the same motions next to each other."""
     trainings = dict.fromkeys((row.used, row.network) for row in rows)
     return [
         TrainingTask(
+            method,
             split,
             seed,
             used,
@@ -144,7 +158,24 @@ def tasks_of(
             data,
             None if fine_tuning is None else replace(fine_tuning, seed=seed),
         )
+        for method in methods
         for split in splits
         for seed in seeds
         for used, network in trainings
     ]
+
+
+def config_of(task: TrainingTask) -> ModelConfig:
+    """Settings of the model that a task trains."""
+    settings: dict[str, Any] = {
+        "split": task.split,
+        "alpha": ALPHA,
+        "test": TEST,
+        "calibration": CALIBRATION_SHARE * task.used,
+        "used": task.used,
+        "network": task.network,
+        "fine_tuning": task.fine_tuning,
+        "seed": task.seed,
+        "training": TrainingConfig(epochs=task.epochs, seed=task.seed),
+    }
+    return ModelConfig.paper(**settings) if task.method is Method.PAPER else ModelConfig(**settings)

@@ -11,9 +11,9 @@ from conformodal.conformal import Regions, SplitConformal
 from conformodal.odometry import Fixes, OdometryRun, PoseModel, pose_targets
 from conformodal.poses import Trajectory
 
+from .conditions import ALPHA
 from .sizes import rank_correlation
 
-ALPHA = 0.1
 RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 FloatArray = npt.NDArray[np.float64]
 

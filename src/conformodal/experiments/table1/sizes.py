@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import spearmanr
 
+from conformodal.odometry import Method
+
 from .conditions import Row, TrainingTask
 from .summary import Record
 from .tables import Table, spread
@@ -26,12 +28,12 @@ def rank_correlation(one: npt.ArrayLike, other: npt.ArrayLike) -> float:
 def size_table(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[Record], split: str) -> Table:
     """Rank correlation of the position region's size with the error and with the turning rate, seed by seed.
 
-    Frame by frame; and of each condition's mean size with its RMSE, condition by condition.
+    Of ours. Frame by frame; and of each condition's mean size with its RMSE, condition by condition.
     """
     frames = {
         (task.seed, task.used, task.network, sigma): result["noise"][f"{sigma:g}"]["frames"]
         for task, result in zip(tasks, results, strict=True)
-        if str(task.split) == split
+        if str(task.split) == split and task.method is Method.CONFORMODAL
         for sigma in task.sigmas
     }
     seeds = sorted({seed for seed, *_ in frames})

@@ -8,17 +8,23 @@ from pathlib import Path
 from typing import Any
 
 from conformodal._files import replacing, write_whole
+from conformodal.odometry import Method
 
 from ..errors import ExperimentError
 from .conditions import Row, TrainingTask
 
 METHODS = {
+    "paper": "the paper's system",
+    "paper_softmax_mean": "the paper's system without reasoning: means of its softmaxes",
+    "paper_plain": "plain regressor, on the paper's features",
+    "paper_classical": "tuned regressor, on the paper's features",
     "smoothed": "conformal, smoothed",
     "no_landmarks": "conformal, smoothed, without landmarks",
     "viterbi": "conformal, global search",
-    "greedy": "conformal, the paper's greedy reasoning",
+    "greedy": "conformal, greedy choice among our own intervals",
     "softmax_mean": "softmax mean",
-    "classical": "classical",
+    "plain": "plain regressor, on our features",
+    "classical": "classical: tuned regressor, on our features",
     "classical_smoothed": "classical, same smoother",
     "classical_landmarks": "classical, our landmarks, search and smoother",
     "landmarks": "landmarks alone",
@@ -31,10 +37,16 @@ METHODS = {
     "local_regression": "locally linear regression",
 }
 Record = dict[str, Any]
+# Names of a method in runs of the paper's system, and in records, where ours are beside them.
+_PAPERS = {"greedy": "paper"} | {name: f"paper_{name}" for name in ("softmax_mean", "plain", "classical")}
+_ANSWERS = {Method.PAPER: "greedy", Method.CONFORMODAL: "smoothed"}
 
 
 def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[Record]) -> list[Record]:
-    """One record a row, split, seed and method."""
+    """One record a row, split, seed and method.
+
+    ``ratio`` is the error of the tuned regressor on the same features over the method's.
+    """
     records = []
     for task, result in zip(tasks, results, strict=True):
         for row in rows:
@@ -50,13 +62,13 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
                         "used": row.used,
                         "network": row.network,
                         "sigma": row.sigma,
-                        "method": method,
+                        "method": _PAPERS[method] if task.method is Method.PAPER else method,
                         **errors,
                         "ratio": tested["errors"]["classical"]["rmse_m"] / errors["rmse_m"],
                         **{f"frames_{k}": v for k, v in result["frames"].items()},
                         **result["cost"].get(method, {}),
                         "answer_ms": tested["answer_ms"].get(method),
-                        **(_region(tested["region"]) if method == "smoothed" else {}),
+                        **(_region(tested["region"]) if method == _ANSWERS[task.method] else {}),
                     }
                 )
     return records
@@ -65,7 +77,7 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
 def _region(found: Record) -> Record:
     """Flat; ``region_alone_`` is what the softmax alone gives."""
     own = {f"region_{k}": v for k, v in found.items() if k != "alone"}
-    return {**own, **{f"region_alone_{k}": v for k, v in found["alone"].items()}}
+    return {**own, **{f"region_alone_{k}": v for k, v in found.get("alone", {}).items()}}
 
 
 def write_json(records: Sequence[Record], path: Path) -> None:

@@ -12,6 +12,21 @@ from .conditions import Row
 from .summary import METHODS, Record
 
 _BYTES = 4  # of a trained number
+# The best of these stands beside the classical regressor.
+_OTHERS = (
+    "landmarks",
+    "learnt_weights",
+    "mixture_density",
+    "dropout_passes",
+    "deep_ensemble",
+    "quantile_regression",
+    "local_regression",
+)
+# Systems that the first table compares: its answer, its labels, and the two regressors on its features.
+_SYSTEMS = (
+    ("paper", "the paper's system here", "the paper's system", "its", ("paper_plain", "paper_classical")),
+    ("smoothed", "ours", "ours", "our", ("plain", "classical")),
+)
 _COST = (("rmse_m", 4), ("train_s", 1), ("answer_ms", 2))
 
 
@@ -30,6 +45,32 @@ class Table:
 
 def _piped(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
+
+
+def lead_table(rows: Sequence[Row], records: Sequence[Record], splits: Sequence[str]) -> Table:
+    """The paper's numbers, the paper's system here and ours, the latter two against regressors on their own features.
+
+    A system without records has no columns.
+    """
+    there = {r["method"] for r in records}
+    systems = [system for system in _SYSTEMS if system[0] in there]
+    header = ["condition", "split", "published: conformal, m", "published: classical, m", "published: ratio"]
+    for _, label, name, whose, _ in systems:
+        header.append(f"{label}, m")
+        for kind in ("plain", "tuned"):
+            header += [f"{kind} regressor on {whose} features, m", f"{kind} / {name}"]
+    lines = []
+    for split in splits:
+        for row in rows:
+            published = row.paper_classical / row.paper_conformal
+            cells = [row.label, split, f"{row.paper_conformal:g}", f"{row.paper_classical:g}", f"{published:.1f}"]
+            for answer, _, _, _, regressors in systems:
+                cells.append(_of(records, row, split, answer, "rmse_m", 4))
+                for method in regressors:
+                    cells.append(_of(records, row, split, method, "rmse_m", 4))
+                    cells.append(spread(_ratios(records, row, split, method, answer), 2))
+            lines.append(cells)
+    return Table(header, lines)
 
 
 def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Table:
@@ -54,9 +95,9 @@ def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Ta
         cells = [row.label]
         for method in ("smoothed", "classical"):
             cells += [_of(records, row, split, method, "rmse_m", 4), _of(records, row, split, method, "rmse_deg", 2)]
-        ratios = _ratios(records, row, split)
-        cells += [spread(ratios["classical"], 2), spread(ratios["classical_smoothed"], 2)]
-        others = {m: v for m, v in ratios.items() if m in METHODS and m not in _OURS and not m.startswith("classical")}
+        for method in ("classical", "classical_smoothed"):
+            cells.append(spread(_ratios(records, row, split, method, "smoothed"), 2))
+        others = {m: _ratios(records, row, split, m, "smoothed") for m in _OTHERS}
         best = min(others, key=lambda m: float(np.mean(others[m])))
         cells.append(f"{spread(others[best], 2)} {METHODS[best]}")
         cells.append(_of(records, row, split, "smoothed", "region_joint_coverage", 2))
@@ -70,9 +111,12 @@ def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Ta
 
 
 def method_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Table:
-    """Every method's position RMSE in every row."""
+    """Position RMSE in every row, of every method that has records."""
+    there = {r["method"] for r in records}
     lines = [
-        [name, *(_of(records, row, split, method, "rmse_m", 4) for row in rows)] for method, name in METHODS.items()
+        [name, *(_of(records, row, split, method, "rmse_m", 4) for row in rows)]
+        for method, name in METHODS.items()
+        if method in there
     ]
     return Table(["method", *(row.label for row in rows)], lines)
 
@@ -98,6 +142,16 @@ def region_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> 
     return Table(["condition", *columns], lines)
 
 
+def paper_region_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Table:
+    """Coverage and size of the regions of the paper's system."""
+    keys = ("coverage", "joint_coverage", "length", "intervals")
+    lines = []
+    for row in rows:
+        values = (_values(records, row, split, "paper", f"region_{key}") for key in keys)
+        lines.append([row.label, *(spread([float(np.mean(v)) for v in of], 2) for of in values)])
+    return Table(["condition", "a target covered", "whole pose covered", "set length", "intervals"], lines)
+
+
 def cost_table(row: Row, records: Sequence[Record], split: str) -> Table:
     """What every method costs beside its error, in one row."""
     header = ["method", "RMSE, m", "training, s", "answer, ms a frame", "trained or stored numbers, MB"]
@@ -111,9 +165,6 @@ def cost_table(row: Row, records: Sequence[Record], split: str) -> Table:
     return Table(header, lines)
 
 
-_OURS = ("smoothed", "no_landmarks", "viterbi", "greedy", "softmax_mean", "online")
-
-
 def _values(records: Sequence[Record], row: Row, split: str, method: str, key: str) -> list[Any]:
     wanted = (row.label, split, method)
     found = [r.get(key) for r in records if (r["row"], r["split"], r["method"]) == wanted]
@@ -124,14 +175,10 @@ def _of(records: Sequence[Record], row: Row, split: str, method: str, key: str, 
     return spread(_values(records, row, split, method, key), digits)
 
 
-def _ratios(records: Sequence[Record], row: Row, split: str) -> dict[str, list[float]]:
-    """Error of every other method over ours, seed by seed."""
-    ours = _values(records, row, split, "smoothed", "rmse_m")
-    methods = dict.fromkeys(r["method"] for r in records)
-    return {
-        m: [theirs / mine for theirs, mine in zip(_values(records, row, split, m, "rmse_m"), ours, strict=True)]
-        for m in methods
-    }
+def _ratios(records: Sequence[Record], row: Row, split: str, method: str, over: str) -> list[float]:
+    """Error of a method over that of another, seed by seed."""
+    errors, others = (_values(records, row, split, name, "rmse_m") for name in (method, over))
+    return [a / b for a, b in zip(errors, others, strict=True)]
 
 
 def spread(values: Sequence[float], digits: int) -> str:

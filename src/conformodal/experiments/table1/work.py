@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,15 +14,13 @@ import numpy.typing as npt
 from conformodal.datasets import PixelNoise, Sequence
 from conformodal.motion import Described
 from conformodal.odometry import (
-    ModelConfig,
-    MotionRecord,
+    Method,
     OdometryRun,
     PoseModel,
     Scene,
     TrainingData,
     VisualOdometry,
     learn_scene,
-    measure_motions,
     pose_targets,
     prepare_training_data,
     train_model,
@@ -31,7 +28,7 @@ from conformodal.odometry import (
 )
 from conformodal.poses import Trajectory, angle_between_quats, normalise_quat, trajectory_errors
 from conformodal.reasoning import smooth, viterbi
-from conformodal.vision import FeatureCache, Head, TrainingConfig, extract_features
+from conformodal.vision import FeatureCache, extract_features
 
 from ..baselines import (
     Baseline,
@@ -46,9 +43,13 @@ from ..baselines import (
     with_thumbnail,
 )
 from ..classical import ClassicalRegressor, opponents_training, train_classical
-from .conditions import CALIBRATION_SHARE, TEST, TrainingTask
+from ..plain import PlainRegressor, train_plain
+from .conditions import ALPHA, TrainingTask, config_of, run_name
+from .costs import ms_a_frame, n_numbers
 from .landmarks import landmark_rows
-from .regions import ALPHA, in_deviations, position_error, position_size, region_numbers
+from .motions import MotionMemory
+from .papers import PaperWorker
+from .regions import in_deviations, position_error, position_size, region_numbers
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -71,25 +72,17 @@ class Table1Worker:
         self.sequence = sequence
         self.cache = cache
         self.runs = runs
-        # motions depend on the test frames and the noise alone: the trainings of one split share them
-        self._motions: dict[tuple[Any, ...], MotionRecord] = {}
-        # and those that train on the same frames share the scene, whatever their network
+        self._paper = PaperWorker(sequence, cache, runs)
+        self._motions = MotionMemory()
+        # trainings on the same frames share the scene, whatever their network
         self._scenes: dict[tuple[Any, ...], tuple[Scene, float]] = {}
 
     def __call__(self, task: TrainingTask) -> dict[str, Any]:
         """Errors, coverage and cost, by noise; JSON."""
-        training = TrainingConfig(epochs=task.epochs, seed=task.seed)
-        config = ModelConfig(
-            split=task.split,
-            alpha=ALPHA,
-            test=TEST,
-            calibration=CALIBRATION_SHARE * task.used,
-            used=task.used,
-            network=task.network,
-            fine_tuning=task.fine_tuning,
-            seed=task.seed,
-            training=training,
-        )
+        if task.method is Method.PAPER:
+            return self._paper(task)
+        config = config_of(task)
+        training = config.training
         data = prepare_training_data(self.sequence, config, self.cache)
         scene, scene_s = self._scene(task, data)  # others of this split may have learnt it: it counts once for each
         started = time.perf_counter()
@@ -98,6 +91,9 @@ class Table1Worker:
         started = time.perf_counter()
         classical = train_classical(data, opponents_training(training))
         classical_s = time.perf_counter() - started
+        started = time.perf_counter()
+        plain = train_plain(data, training)
+        plain_s = time.perf_counter() - started
         problem = Problem.of(data, classical)
         quantiles = quantile_regression(problem, ALPHA)
         baselines = {
@@ -112,7 +108,7 @@ class Table1Worker:
         cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
         cost["smoothed"] = {
             "train_s": conformal_s,
-            "n_parameters": sum(_n_numbers(head) for head in {id(h): h for h in (model.head, *model.finders)}.values())
+            "n_parameters": sum(n_numbers(head) for head in {id(h): h for h in (model.head, *model.finders)}.values())
             + (0 if model.local is None else model.local.regression.size)
             + (0 if model.landmarks is None else model.landmarks.map.size)
             + (
@@ -121,8 +117,9 @@ class Table1Worker:
                 else model.region_landmarks.map.size
             ),
         }
-        cost["classical"] = {"train_s": classical_s, "n_parameters": _n_numbers(classical.head)}
-        trained = _Trained(task, data, model, classical, baselines, quantiles)
+        cost["classical"] = {"train_s": classical_s, "n_parameters": n_numbers(classical.head)}
+        cost["plain"] = {"train_s": plain_s, "n_parameters": n_numbers(plain.head)}
+        trained = _Trained(task, data, model, classical, plain, baselines, quantiles)
         parts = {name: len(data.split.part(name)) for name in ("train", "calibration", "test")}
         return {
             "frames": parts,
@@ -134,13 +131,14 @@ class Table1Worker:
     def _tested(self, trained: _Trained, sigma: float) -> dict[str, Any]:
         task, data, model, classical = trained.task, trained.data, trained.model, trained.classical
         noisy = replace(self.sequence, noise=PixelNoise(sigma, task.seed) if sigma else None)
-        motions = self._measured(task, noisy, data.split.test)
+        motions = self._motions.measured(task, noisy, data.split.test)
         run = VisualOdometry(model).process(noisy, data.split.test, cache=self.cache, motions=motions)
         truth, recording = self.sequence.require_truth()[run.frames], self.sequence.recording[run.frames]
         paths = [self.sequence.image_paths[i] for i in run.frames]
         features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
         found = {
             **run.trajectories,
+            "plain": trained.plain.trajectory(features, run.timestamps_s),
             **classical.trajectories(features, run, recording, model.prior),
             **landmark_rows(model, features, run, recording, classical),
         }
@@ -177,18 +175,6 @@ class Table1Worker:
             self._scenes = {key: (scene, time.perf_counter() - started)}
         return self._scenes[key]
 
-    def _measured(self, task: TrainingTask, noisy: Sequence, frames: npt.NDArray[np.int64]) -> MotionRecord:
-        key = (task.split, task.seed, noisy.noise)
-        if key not in self._motions:
-            self._motions = {k: v for k, v in self._motions.items() if k[:2] == key[:2]}
-            self._motions[key] = measure_motions(noisy, frames)
-        return self._motions[key]
-
-
-def run_name(key: str, sigma: float) -> str:
-    """Folder of the run of a task at a noise."""
-    return f"{key}-noise{sigma:g}"
-
 
 @dataclass(frozen=True, eq=False)
 class _Trained:
@@ -196,6 +182,7 @@ class _Trained:
     data: TrainingData
     model: PoseModel
     classical: ClassicalRegressor
+    plain: PlainRegressor
     baselines: dict[str, Baseline]
     quantiles: QuantileIntervals
 
@@ -211,16 +198,9 @@ def _answer_times(
     started = time.perf_counter()
     _answer(trained.model, features, described, run, recording)  # once: all of it has just been done before
     found = {"smoothed": 1e3 * (time.perf_counter() - started) / len(features)}
-    answers = {"classical": trained.classical.predict, **{k: b.answer for k, b in trained.baselines.items()}}
-    return found | {name: _ms_a_frame(partial(answer, features), len(features)) for name, answer in answers.items()}
-
-
-def _ms_a_frame(answer: Callable[[], object], n_frames: int) -> float:
-    """Wall time of the second of two calls."""
-    answer()
-    started = time.perf_counter()
-    answer()
-    return 1e3 * (time.perf_counter() - started) / n_frames
+    regressors = {"classical": trained.classical.predict, "plain": trained.plain.predict}
+    answers = {**regressors, **{k: b.answer for k, b in trained.baselines.items()}}
+    return found | {name: ms_a_frame(partial(answer, features), len(features)) for name, answer in answers.items()}
 
 
 def _answer(
@@ -238,10 +218,6 @@ def _answer(
         at = np.flatnonzero(recording == number)
         seen = replace(run.observations(at), candidates=[candidates[t] for t in at])
         smooth(viterbi(seen, model.prior), seen, model.prior)
-
-
-def _n_numbers(head: Head) -> int:
-    return sum(p.numel() for p in head.parameters())
 
 
 def _sizes(

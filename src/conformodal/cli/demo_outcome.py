@@ -1,0 +1,110 @@
+"""The demo's test part with all methods, written to disk."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from conformodal.datasets import Sequence
+from conformodal.datasets.corridor import CorridorWorld
+from conformodal.experiments import AmbiguityCheck, load_classical, train_plain
+from conformodal.odometry import (
+    Evidence,
+    Method,
+    ModelConfig,
+    OdometryRun,
+    PoseModel,
+    RegionTally,
+    odometry_of,
+    prepare_training_data,
+    write_run,
+)
+from conformodal.poses import Trajectory
+from conformodal.vision import FeatureCache, extract_features
+
+from .console import Report
+from .outcome import Known, Part, part_frames, run_metrics
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Answers to the test part, the truth, and the content of ``metrics.json``."""
+
+    run: OdometryRun
+    truth: Trajectory
+    metrics: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Everything that the demo's page tells of.
+
+    Attributes
+    ----------
+    outcome, sequence, model
+        What was answered, the flight, and who answered.
+    world, n_laps
+        What was flown through, and how often.
+    alike
+        Places with the same view.
+    folder
+        Where the answers are.
+    """
+
+    outcome: Outcome
+    sequence: Sequence
+    model: PoseModel
+    world: CorridorWorld
+    alike: AmbiguityCheck
+    n_laps: int
+    folder: Path
+
+
+def answer_test_part(model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: Report) -> Outcome:
+    """Answer the test part by a model, by the regressor saved beside it, and, of the paper's, by a plain one.
+
+    Parameters
+    ----------
+    model, config
+        What was trained, and how.
+    out
+        Folder of the demo.
+    sequence
+        The flight.
+    report
+        Told what is being done.
+    """
+    frames = part_frames(model, sequence, Part.TEST)
+    cache = FeatureCache(out / "cache")
+    started = time.perf_counter()
+    result = odometry_of(model).process(sequence, frames, cache=cache, progress=report)
+    seconds = round(time.perf_counter() - started, 2)
+    classical = load_classical(out / "model")
+    assert classical is not None
+    paths = [sequence.image_paths[i] for i in result.frames]
+    features = extract_features(paths, model.backbone, cache)
+    result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
+    if model.method is Method.PAPER:
+        plain = train_plain(prepare_training_data(sequence, config, cache, report), config.training)
+        result.trajectories["plain"] = plain.trajectory(features, result.timestamps_s)
+    truth = sequence.require_truth()[result.frames]
+    write_run(out, result, [path.name for path in paths], truth, "demo")
+    counts = {
+        "n_answered": len(result.frames),
+        "n_unreliable": int(np.sum(~result.reliable)),
+        "n_fixed": sum(bool(fixes.search) for fixes in result.fixes),
+        "n_unknown": int(np.sum(result.kinds == Evidence.UNKNOWN)),
+        "n_without_image": len(result.unreadable),
+        "problems": {str(k): v for k, v in result.unreadable.items()},
+        "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
+        "stopped": "",
+        "seconds": seconds,
+    }
+    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference, result.kinds))
+    metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
+    return Outcome(result, truth, metrics)

@@ -1,0 +1,131 @@
+"""The demo's page, and its last word: what the answer's error is beside those of regressors on the same features."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from conformodal.odometry import Method
+from conformodal.report import (
+    PageFigure,
+    ReportContent,
+    Thumbnails,
+    error_figure,
+    make_viewer,
+    plan_figure,
+    trajectory_figure,
+)
+
+from .demo_outcome import Told
+
+_OURS, _PAPERS = "conformal, after reasoning", "the paper's greedy answer"
+
+
+def ratios_said(method: Method, metrics: dict[str, Any]) -> list[str]:
+    """What the terminal says last of the errors."""
+    errors = metrics["errors"]
+    took = f"({metrics['seconds']:.0f} s in all)"
+    if method is Method.CONFORMODAL:
+        ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
+        return [f"classical / conformal rmse_m: {ratio:.1f}   {took}"]
+    over = [f"{name} regressor {_over(errors, of):.2f}" for name, of in (("plain", "plain"), ("tuned", "classical"))]
+    return [
+        f"rmse_m over that of the paper's system (greedy): {', '.join(over)}; below 1 the regressor is the better one",
+        f"rmse_m of its softmax means over the same: {_over(errors, 'softmax_mean'):.2f}   {took}",
+    ]
+
+
+def page_of(told: Told) -> ReportContent:
+    """The page, with the plan of a frame that has several look-alike places, and all of them held if there is one."""
+    outcome, sequence = told.outcome, told.sequence
+    run, truth = outcome.run, outcome.truth
+    paper = told.model.method is Method.PAPER
+    index = _telling_frame(told)
+    name = sequence.image_paths[run.frames[index]].name
+    answer = _PAPERS if paper else _OURS
+    svg = plan_figure(
+        run,
+        index,
+        truth,
+        classical=run.trajectories["classical"],
+        walls=told.world.plan(),
+        alike=told.alike.places[index],
+        answer=answer,
+    )
+    n_places = len(told.alike.places[index]) + 1
+    caption = f"{name}, from above. The image fits {n_places} places equally well; " + (
+        f"the region holds {int(told.alike.held[index].sum())} of the other {n_places - 1}. Greedy reasoning chooses "
+        "one of its cuboids, and goes on from there in the next frame, right or wrong."
+        if paper
+        else "the region names all, and motion through the corridor chooses among them. A regressor answers in "
+        "between, where nothing is."
+    )
+    heading = "One frame's disjoint cuboids" if paper else "Here or there, not in between"
+    bands = trajectory_figure(run, truth, run.trajectories["classical"], answer)
+    bands_caption = "One band per interval. Where there are several at one time, the camera could be in any of them."
+    errors_caption = "Share of frames whose position error is below a value."
+    figures = [
+        PageFigure("plan", heading, caption, svg),
+        PageFigure("trajectory", "Trajectory with its region", bands_caption, bands),
+        PageFigure("errors", "Errors of all frames", errors_caption, error_figure(run.trajectories, truth)),
+    ]
+    image = (f"{name}: which room is this?", sequence.image(int(run.frames[index])))
+    pictures = Thumbnails()
+    for i in run.frames.tolist():
+        pictures.add(sequence.image_paths[i].name, sequence.image(i))
+    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level)
+    title = "conformodal: a corridor of identical rooms" + (", by the paper's system" if paper else "")
+    summary = [_flown(told), _errors_said(outcome.metrics["errors"], paper), _places_said(outcome.metrics["ambiguity"])]
+    return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
+
+
+def _flown(told: Told) -> str:
+    split = told.model.split
+    return (
+        f"A drone flew {told.n_laps} times along a dark hallway of {told.world.n_modules} identical modules, into "
+        f"every room. {len(split.train)} frames trained a network, {len(split.calibration)} calibrated its regions, "
+        f"{len(told.outcome.run.frames)} were held out ({told.outcome.metrics['split_note']})"
+    )
+
+
+def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
+    if not paper:
+        ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
+        return (
+            f"Position RMSE: {errors['smoothed']['rmse_m']:.3f} m, against {errors['classical']['rmse_m']:.2f} m for a "
+            f"regressor on the same features ({ratio:.0f} times)."
+        )
+    return (
+        f"Position RMSE of the paper's system, greedy reasoning included: {errors['greedy']['rmse_m']:.2f} m. "
+        f"A plain regressor on the same features, epochs and optimiser has {errors['plain']['rmse_m']:.2f} m "
+        f"({_over(errors, 'plain'):.2f} times), a tuned one {errors['classical']['rmse_m']:.2f} m "
+        f"({_over(errors, 'classical'):.2f} times), the means of the system's own softmaxes "
+        f"{errors['softmax_mean']['rmse_m']:.2f} m."
+    )
+
+
+def _places_said(record: dict[str, Any]) -> str:
+    return (
+        f"{record['n_frames']} frames have other places with the same view; the regions hold "
+        f"{100 * record['share_held']:.1f} % of these {record['n_places']} places."
+    )
+
+
+def _over(errors: dict[str, dict[str, float]], method: str) -> float:
+    """The error of a method over that of the paper's system."""
+    return errors[method]["rmse_m"] / errors["greedy"]["rmse_m"]
+
+
+def _telling_frame(told: Told) -> int:
+    """Of the frames with most look-alike places, all held, the one whose regressor is furthest from any of them."""
+    truth, alike = told.outcome.truth, told.alike
+    classical = told.outcome.run.trajectories["classical"].positions_xyz
+    counts = [len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]
+    best, furthest = 0, -1.0
+    for i in np.flatnonzero(np.array(counts) == max(counts)):
+        places = np.concatenate((alike.places[i], truth.positions_xyz[i : i + 1]))
+        distance = float(np.linalg.norm(places - classical[i], axis=1).min())
+        if distance > furthest:
+            best, furthest = int(i), distance
+    return best

@@ -1,0 +1,201 @@
+"""The paper's figures 1, 2a and 2b from a real run: the method step by step, bins, and a softmax with its set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from .figures import COLOURS
+
+FloatArray = npt.NDArray[np.float64]
+_OUTSIDE = "#BBBBBB"  # bins that are not in the set
+_LEAST_BOX = 1.5  # points: the line around a cuboid, so that a thin one is seen
+
+
+@dataclass(frozen=True, eq=False)
+class SoftmaxOfTarget:
+    """One image's softmax of one target.
+
+    Attributes
+    ----------
+    target
+        Its name.
+    edges
+        (K + 1,) of the bins, metres.
+    proba
+        (K,) probabilities.
+    least
+        Least probability of a bin in the set, 1 - q.
+    intervals
+        (m, 2) ends of the set's intervals.
+    truth
+        The true value.
+    """
+
+    target: str
+    edges: FloatArray
+    proba: npt.NDArray[np.floating[Any]]
+    least: float
+    intervals: FloatArray
+    truth: float
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """What the overview shows of one frame.
+
+    Attributes
+    ----------
+    image
+        (h, w, 3) RGB.
+    softmaxes
+        Of x, y and z.
+    shown
+        Which of them has its softmax drawn.
+    flow
+        Corners (m, 2) in an earlier frame and in this one, in pixels.
+    answer, truth
+        Chosen and true positions (n, 3) of all frames of the run.
+    frame
+        Which of the n.
+    """
+
+    image: npt.NDArray[np.uint8]
+    softmaxes: Sequence[SoftmaxOfTarget]
+    shown: int
+    flow: tuple[FloatArray, FloatArray]
+    answer: FloatArray
+    truth: FloatArray
+    frame: int
+
+
+def binning_figure(times_s: FloatArray, values: FloatArray, edges: FloatArray, target: str) -> Figure:
+    """Bins of equal mass over the training trajectory, and the one-hot labels that follow (figure 2a).
+
+    Parameters
+    ----------
+    times_s, values
+        (n,) of the training frames.
+    edges
+        (K + 1,) of the bins.
+    target
+        Its name.
+    """
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    path, labels = figure.subplots(1, 2)
+    for k, (low, high) in enumerate(pairwise(edges)):
+        path.axhspan(low, high, color=COLOURS["region"] if k % 2 else "none", alpha=0.25, lw=0)
+    for edge in edges:
+        path.axhline(edge, color=COLOURS["wall"], lw=0.6)
+    path.plot(times_s, values, ".", ms=3, color=COLOURS["smoothed"])
+    path.set(xlabel="time (s)", ylabel=f"{target} (m)", ylim=(edges[0], edges[-1]))
+    path.set_title(f"training trajectory, {len(edges) - 1} bins of equal mass", fontsize=11)
+    code = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    hot = np.zeros((len(edges) - 1, len(values)))
+    hot[code, np.arange(len(values))] = 1
+    labels.imshow(hot, origin="lower", aspect="auto", interpolation="nearest", cmap="Blues", vmax=1.2)
+    labels.set(xlabel="training frame", ylabel=f"bin of {target}")
+    labels.set_title("one-hot labels", fontsize=11)
+    return figure
+
+
+def softmax_figure(softmax: SoftmaxOfTarget) -> Figure:
+    """A softmax, the calibrated threshold, and the disjoint set of bins that reach it (figure 2b)."""
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axis = figure.subplots()
+    _bars(axis, softmax)
+    n = len(softmax.intervals)
+    axis.set_title(f"{n} {'interval' if n == 1 else 'intervals'}", fontsize=11)
+    axis.set_ylabel("softmax")
+    entries = [Rectangle((0, 0), 1, 1, color=c) for c in (COLOURS["region"], _OUTSIDE)]
+    lines = [("-.", COLOURS["classical"]), ("--", COLOURS["truth"])]
+    entries += [mpl.lines.Line2D([], [], ls=style, color=colour) for style, colour in lines]  # type: ignore[misc]
+    names = ["bins in the set", "other bins", f"threshold 1 - q = {softmax.least:.3g}", "truth"]
+    figure.legend(entries, names, loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def overview_figure(steps: Steps) -> Figure:
+    """From an image to the path, one panel a step (figure 1)."""
+    height, width = steps.image.shape[:2]
+    figure = Figure(figsize=(20, 4.1), layout="constrained")
+    axes = figure.subplots(1, 6, width_ratios=[1.1 * width / height, 1.1, 1.1, 1.2, 1.1 * width / height, 1.2])
+    titles = ["image", "softmax, threshold", "disjoint sets", "cuboids, from above", "optical flow", "reasoned path"]
+    for number, (axis, title) in enumerate(zip(axes, titles, strict=True), start=1):
+        axis.set_title(f"{number}  {title}", fontsize=12)
+    axes[0].imshow(steps.image)
+    axes[0].set_axis_off()
+    shown = steps.softmaxes[steps.shown]
+    _bars(axes[1], shown)
+    axes[1].set_ylabel("softmax")
+    _sets(axes[2], steps.softmaxes)
+    flat = sorted(np.argsort(-np.ptp(steps.truth, axis=0))[:2].tolist())
+    for axis in (axes[3], axes[5]):
+        _cuboids(axis, steps, flat)
+    _flow(axes[4], steps)
+    axes[5].plot(*steps.answer[: steps.frame + 1, flat].T, "-", lw=1, color=COLOURS["smoothed"], zorder=3)
+    axes[5].plot(*steps.answer[steps.frame, flat], "o", ms=9, mfc="none", mew=1.8, color=COLOURS["smoothed"], zorder=5)
+    entries = [
+        Rectangle((0, 0), 1, 1, color=COLOURS["region"]),
+        mpl.lines.Line2D([], [], ls="-.", color=COLOURS["classical"]),
+        mpl.lines.Line2D([], [], marker="o", mfc="none", color=COLOURS["smoothed"]),
+        mpl.lines.Line2D([], [], marker="+", ls="--", color=COLOURS["truth"]),
+    ]
+    names = ["calibrated set", "threshold", "chosen poses so far, and of this frame", "truth"]
+    figure.legend(entries, names, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def _bars(axis: Axes, softmax: SoftmaxOfTarget) -> None:
+    inside = softmax.proba >= softmax.least
+    colours = [COLOURS["region"] if here else _OUTSIDE for here in inside]
+    axis.bar(softmax.edges[:-1], softmax.proba, np.diff(softmax.edges), align="edge", color=colours, ec="white", lw=0.3)
+    axis.axhline(softmax.least, ls="-.", lw=1.2, color=COLOURS["classical"])
+    axis.axvline(softmax.truth, ls="--", lw=1, color=COLOURS["truth"])
+    low = -0.04 * float(softmax.proba.max())
+    for a, b in np.clip(softmax.intervals, softmax.edges[0], softmax.edges[-1]):
+        axis.plot([a, b], [low, low], lw=4, color=COLOURS["region"], solid_capstyle="butt")
+    axis.set(xlabel=f"{softmax.target} (m)", xlim=(softmax.edges[0], softmax.edges[-1]))
+
+
+def _sets(axis: Axes, softmaxes: Sequence[SoftmaxOfTarget]) -> None:
+    """Intervals of every target over its range."""
+    for row, softmax in enumerate(softmaxes):
+        low, high = softmax.edges[[0, -1]]
+        place = (np.clip(softmax.intervals, low, high) - low) / (high - low)
+        axis.plot([0, 1], [row, row], lw=1, color=COLOURS["wall"])
+        for a, b in place:
+            axis.add_patch(Rectangle((a, row - 0.2), b - a, 0.4, fc=COLOURS["region"], ec=COLOURS["region"], lw=1))
+        axis.plot((softmax.truth - low) / (high - low), row, "+", ms=11, mew=1.6, color=COLOURS["truth"])
+    axis.set_yticks(range(len(softmaxes)), [s.target for s in softmaxes])
+    axis.set(xlabel="share of the training range", ylim=(len(softmaxes) - 0.5, -0.5))
+
+
+def _cuboids(axis: Axes, steps: Steps, flat: Sequence[int]) -> None:
+    axis.plot(*steps.truth[:, flat].T, "--", lw=0.8, color=COLOURS["truth"], alpha=0.6)
+    parts = [steps.softmaxes[j] for j in flat]
+    clipped = [np.clip(s.intervals, s.edges[0], s.edges[-1]) for s in parts]
+    for (a, b), (c, d) in product(*clipped):
+        axis.add_patch(
+            Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_LEAST_BOX, zorder=2)
+        )
+    axis.plot(*steps.truth[steps.frame, flat], "+", ms=11, mew=1.8, color=COLOURS["truth"], zorder=6)
+    axis.set(xlabel=f"{parts[0].target} (m)", ylabel=f"{parts[1].target} (m)")
+    axis.set_aspect("equal", adjustable="datalim")
+
+
+def _flow(axis: Axes, steps: Steps) -> None:
+    before, now = steps.flow
+    axis.imshow(steps.image)
+    (x, y), (u, v) = before.T, (now - before).T
+    axis.quiver(x, y, u, v, color=COLOURS["classical"], angles="xy", scale_units="xy", scale=1, width=0.004)
+    axis.set_axis_off()
