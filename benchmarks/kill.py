@@ -1,6 +1,8 @@
 """Commands killed at random moments: earlier results whole, and the rerun as if nothing had happened.
 
 python benchmarks/kill.py [MOMENTS] [COMMANDS]
+
+Numbers of a command are kept in benchmarks/results/kill and not measured again.
 """
 
 from __future__ import annotations
@@ -18,13 +20,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from common import write_table
+from common import RESULTS, write_table
 
 from conformodal.datasets.corridor import write_corridor
+from conformodal.odometry import provenance
 
 MAIN = "from conformodal.cli.main import app; app()"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+COMMANDS = ["train", "run", "calibrate", "data convert", "reproduce"]
 NETWORKS = ",".join(["efficientnet_lite0"] * 3)
 
 
@@ -68,7 +73,8 @@ def prepare(root: Path) -> list[Case]:
         if command(arguments).wait():
             raise SystemExit(f"failed: {arguments}")
     out = root / "out"
-    reproduce = ["reproduce", "table1", world, "--split", "interleaved", "--seeds", 1, "--epochs", 2]
+    reproduce = ["reproduce", "table1", world, "--method", "paper", "--split", "interleaved", "--seeds", 1]
+    reproduce += ["--epochs", 5]
     results = ("regions.jsonl", ".tum")
     return [
         Case("train", [*train, out], out, lambda f: contents(f, (".safetensors",)), model),
@@ -111,35 +117,48 @@ def trial(case: Case, moment: float, number: signal.Signals, expected: object) -
     return b"Traceback" not in said, whole, same
 
 
+def measured(case: Case, n_moments: int, rng: random.Random) -> dict[str, Any]:
+    """Counts over the moments at which a command was killed."""
+    fresh(case)
+    started = time.perf_counter()
+    if command(case.arguments).wait():
+        raise SystemExit(f"failed: {case.name}")
+    seconds = time.perf_counter() - started
+    expected = case.result(case.out)
+    found = [trial(case, rng.uniform(0, seconds), SIGNALS[k % len(SIGNALS)], expected) for k in range(n_moments)]
+    quiet, whole, same = (sum(column) for column in zip(*found, strict=True))
+    source = provenance()["source_revision"]
+    return {"moments": n_moments, "seconds": seconds, "quiet": quiet, "whole": whole, "same": same, "source": source}
+
+
 def main() -> None:
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 60
-    rng = random.Random(0)
-    rows = []
+    asked, kept = sys.argv[2:] or COMMANDS, RESULTS / "kill"
+    kept.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        cases = [case for case in prepare(Path(scratch)) if not sys.argv[2:] or case.name in sys.argv[2:]]
-        for case in cases:
-            fresh(case)
-            started = time.perf_counter()
-            if command(case.arguments).wait():
-                raise SystemExit(f"failed: {case.name}")
-            seconds = time.perf_counter() - started
-            expected = case.result(case.out)
-            found = [
-                trial(case, rng.uniform(0, seconds), SIGNALS[k % len(SIGNALS)], expected)
-                for k in range(n // len(cases))
-            ]
-            quiet, whole, same = (sum(column) for column in zip(*found, strict=True))
-            rows.append([case.name, str(len(found)), f"{seconds:.0f}", str(quiet), str(whole), str(same)])
-            print(rows[-1], flush=True)
+        for case in prepare(Path(scratch)):
+            file = kept / f"{case.name.replace(' ', '-')}.json"
+            if case.name in asked and not file.is_file():
+                numbers = measured(case, n // len(COMMANDS), random.Random(case.name))
+                file.write_text(json.dumps(numbers, indent=1) + "\n")
+                print(case.name, numbers, flush=True)
+    rows, sources = [], set()
+    for name in COMMANDS:
+        file = kept / f"{name.replace(' ', '-')}.json"
+        if file.is_file():
+            of = json.loads(file.read_text())
+            sources.add(of["source"])
+            rows.append([name, *(str(round(of[k])) for k in ("moments", "seconds", "quiet", "whole", "same"))])
     notes = (
         "Moments are drawn evenly over the time of an uninterrupted command, signals are SIGKILL, SIGTERM and SIGINT "
         "in turn. Earlier results: a model for train and calibrate, a run for run; whole too where the new ones had "
         "taken their place. Rerun: the same command once more; weights, regions, trajectories, radius and files must "
-        "be the same to the bit, errors of reproduce to the last digit."
+        "be the same to the bit, errors of reproduce (`--method paper`) to the last digit. Measured with source "
+        f"{', '.join(sorted(sources))}."
     )
     header = ["command", "moments", "seconds in all", "no traceback", "earlier results whole", "rerun the same"]
-    asked = shlex.join(["python", "benchmarks/kill.py", *sys.argv[1:]])
-    write_table("kill", "Commands killed at random moments", asked, header, rows, notes)
+    line = shlex.join(["python", "benchmarks/kill.py", *sys.argv[1:]])
+    write_table("kill", "Commands killed at random moments", line, header, rows, notes)
 
 
 if __name__ == "__main__":
