@@ -18,12 +18,20 @@ _POSITION = "xyz"
 
 
 def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
-    """One frame of a run: of those whose region holds the position, the one with most intervals in a target."""
+    """One frame of a run, and the target that has most intervals there.
+
+    Of the frames whose region holds the position it is the one with most intervals in a target; if the region holds
+    none, or is too many cuboids to see, the one with fewest cuboids.
+    """
     targets = pose_targets(run.truth, said.model.sign_reference)
     counts = said.regions.n_intervals[:, :3]
-    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (counts.prod(axis=1) <= _MOST_CUBOIDS)
-    frame, shown = np.unravel_index(int(np.argmax(np.where(fits[:, None], counts, 0))), counts.shape)
-    intervals, edges = said.regions.intervals(int(frame)), said.model.bins.edges_
+    cuboids = counts.prod(axis=1)
+    earlier = np.maximum(said.frames - _FLOW_OVER, 0)
+    moved = (earlier < said.frames) & (sequence.recording[earlier] == sequence.recording[said.frames])
+    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= _MOST_CUBOIDS) & moved
+    frame = int(np.argmax(np.where(fits, counts.max(axis=1), -cuboids)))
+    shown = int(np.argmax(counts[frame]))
+    intervals, edges = said.regions.intervals(frame), said.model.bins.edges_
     softmaxes = [
         SoftmaxOfTarget(
             name, edges[j], said.proba[j][frame], float(said.least[j]), intervals[j], float(targets[frame, j])
@@ -32,7 +40,7 @@ def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
     ]
     image, before, now = flow_to(sequence, int(said.frames[frame]))
     positions = run.answer.positions_xyz, run.truth.positions_xyz
-    return Steps(image, softmaxes, int(shown), (before, now), *positions, int(frame))
+    return Steps(image, softmaxes, shown, (before, now), *positions, frame)
 
 
 def training_values(

@@ -102,10 +102,11 @@ def table1_notes(
         As they were asked for.
     """
     over = f"{seeds} {'seed' if seeds == 1 else 'seeds'}"
+    passes = f"{epochs} {'epoch' if epochs == 1 else 'epochs'}"
     features = "Frozen" if fine_tune == "none" else f"Fine-tuned (--fine-tune {fine_tune}, on the training part)"
     ours = Method.CONFORMODAL in methods
     notes = [
-        f"Mean ± standard deviation over {over} of split and training, {epochs} epochs. {features} features of "
+        f"Mean ± standard deviation over {over} of split and training, {passes}. {features} features of "
         f"{networks.replace(',', ', ')}. The test frames, a fifth unless recordings or lists decide, are the same for "
         "every row; a fifth of the used frames calibrates. Noise is on the camera's pixels, in [0, 1], at test time "
         "only, for network and tracker alike. Ratio: the regressor's RMSE over the system's, seed by seed; above 1 the "
@@ -130,7 +131,7 @@ def table1_notes(
             "the smoothed answer's error."
         )
     notes.append(
-        f"Costs: wall time with {workers} trainings at a time on this machine, searches for settings included"
+        f"Costs: wall time with --workers {workers} on this machine, searches for settings included"
         + (
             "; a projection of the features that several share counts with the first of them, mostly ours; the other "
             "networks but ours start from the tuned regressor's, whose search is counted once, as its own; locally "

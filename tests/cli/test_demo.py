@@ -1,0 +1,64 @@
+"""The demo by the paper's system, on a small flight."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli import demo
+from conformodal.cli.demo_pages import ratios_said
+from conformodal.cli.main import app
+from conformodal.odometry import Method
+from conformodal.poses import read_tum
+
+
+@pytest.fixture
+def out(small_world, tmp_path, monkeypatch):
+    """Holds the first half of the small corridor's flight, as if an earlier demo had written it."""
+    folder = tmp_path / "out"
+    shutil.copytree(small_world.folder, folder / "corridor")
+    flight = {"seed": 3, "n_modules": 3, "n_laps": 1}
+    (folder / "corridor" / "demo.json").write_text(json.dumps(flight))
+    images = sorted((folder / "corridor" / "seq-01").glob("*.color.png"))
+    for image in images[len(images) // 2 :]:
+        image.unlink()
+        image.with_name(image.name.replace("color.png", "pose.txt")).unlink()
+    (folder / "cache").symlink_to(small_world.cache)
+    monkeypatch.setattr(demo, "N_MODULES", 3)
+    monkeypatch.setattr(demo, "N_LAPS", 1)
+    monkeypatch.setattr(demo, "TRAINING", replace(demo.TRAINING, epochs=3))
+    return folder
+
+
+@pytest.mark.slow
+def test_the_papers_system_is_trained_and_told_of_beside_two_regressors(out):
+    result = CliRunner().invoke(app, ["demo", "--out", str(out), "--seed", "3", "--method", "paper"])
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == f"results: {out.resolve()}"
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["command"] == "demo"
+    assert metrics["configuration"]["method"] == "paper"
+    assert set(metrics["errors"]) == {"greedy", "softmax_mean", "plain", "classical", "classical_smoothed"}
+    assert (metrics["coverage"]["alpha"], metrics["coverage"]["joint"]) == (0.1, "none")
+    assert metrics["ambiguity"]["n_places"] > 0
+    for line in ratios_said(Method.PAPER, metrics):
+        assert line in result.output
+    answer = read_tum(out / "trajectory.tum")
+    assert len(answer) == len(read_tum(out / "methods" / "plain.tum")) == metrics["n_answered"]
+    page = (out / "report.html").read_text()
+    assert "the paper&#39;s system: its greedy answer" in page
+    assert "the paper's greedy answer" in (out / "figures" / "plan.svg").read_text()
+    assert "conformal" not in (out / "figures" / "plan.svg").read_text()
+    loaded = json.loads((out / "model" / "model.json").read_text())
+    assert loaded["configuration"]["method"] == "paper"
+
+
+def test_the_last_word_says_which_is_the_better_one():
+    errors = {name: {"rmse_m": e} for name, e in (("greedy", 2.0), ("plain", 1.0), ("classical", 0.5))}
+    metrics = {"errors": {**errors, "softmax_mean": {"rmse_m": 3.0}, "smoothed": {"rmse_m": 0.1}}, "seconds": 9.6}
+    said = " ".join(ratios_said(Method.PAPER, metrics))
+    assert "plain regressor 0.50, tuned regressor 0.25; below 1 the regressor is the better one" in said
+    assert "1.50" in said
+    assert ratios_said(Method.CONFORMODAL, metrics) == ["classical / conformal rmse_m: 5.0   (10 s in all)"]
