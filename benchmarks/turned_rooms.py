@@ -24,7 +24,7 @@ from conformodal.datasets.corridor import Renderer, TurnedRooms, visiting_path, 
 from conformodal.datasets.corridor.turned_rooms import ROOM_X
 from conformodal.odometry import ModelConfig, PoseModel, VisualOdometry, prepare_training_data, train_model
 from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
-from conformodal.reasoning import MotionPrior, PosePath, online, smooth, viterbi
+from conformodal.reasoning import MotionPrior, Observations, PosePath, online, smooth, viterbi
 from conformodal.vision import FeatureCache
 
 SEEDS = (10, 11, 12, 13, 14)  # 20 and 21 served to choose by
@@ -70,23 +70,33 @@ def errors(path: PosePath, truth: Trajectory) -> list[float]:
     return [float(wrong.mean()), float(np.sqrt(np.mean(off**2))), float(np.degrees(np.sqrt(np.mean(angle**2))))]
 
 
-def measure(seed: int) -> Numbers:
-    found: Numbers = {}
+def observe(seed: int) -> tuple[MotionPrior, dict[str, tuple[Observations, Trajectory]]]:
+    """What reasoning is given, and the truth, for every interval between answered frames."""
+    seen = {}
     with tempfile.TemporaryDirectory() as scratch:
         model, sequence, cache = learn(Path(scratch), seed)
         for name, every in EVERY.items():
-            frames = np.arange(0, len(sequence), every)
-            run = VisualOdometry(model).process(sequence, frames, cache=cache)
-            truth, whole = sequence.require_truth()[run.frames], run.observations(np.arange(len(run.frames)))
-            for limits, rotation, direction in product((True, False), repeat=3):
-                motions = [kept(m, rotation, direction) for m in run.motions]
-                seen = replace(whole, motions=motions, submaps=whole.submaps if rotation and direction else ())
-                prior = model.prior if limits else unlimited(model.prior)
-                best = viterbi(seen, prior)
-                setting = ", ".join((name, *(f"{int(on)}" for on in (limits, rotation, direction))))
-                found[f"{setting}, viterbi"] = errors(best, truth)
-                found[f"{setting}, smoothed"] = errors(smooth(best, seen, prior), truth)
-                found[f"{setting}, online"] = errors(online(seen, prior), truth)
+            run = VisualOdometry(model).process(sequence, np.arange(0, len(sequence), every), cache=cache)
+            seen[name] = run.observations(np.arange(len(run.frames))), sequence.require_truth()[run.frames]
+    return model.prior, seen
+
+
+def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajectory]]) -> Numbers:
+    """Errors of all reasoners with all parts of the motion on and off."""
+    found: Numbers = {}
+    for (name, (whole, truth)), *switches in product(observed.items(), *[(True, False)] * 3):
+        limits, rotation, direction = switches
+        motions = [kept(m, rotation, direction) for m in whole.motions]
+        seen = replace(whole, motions=motions, submaps=whole.submaps if rotation and direction else ())
+        usual = prior if limits else unlimited(prior)
+        best = viterbi(seen, usual)
+        setting = ", ".join((name, *(str(int(on)) for on in switches)))
+        for reasoner, path in (
+            ("viterbi", best),
+            ("smoothed", smooth(best, seen, usual)),
+            ("online", online(seen, usual)),
+        ):
+            found[f"{setting}, {reasoner}"] = errors(path, truth)
     return found
 
 
@@ -109,7 +119,7 @@ def main() -> None:
     for seed in seeds:
         file = folder / f"{seed}.json"
         if not file.is_file():
-            file.write_text(json.dumps(measure(seed), indent=0) + "\n", encoding="utf-8")
+            file.write_text(json.dumps(measure(*observe(seed)), indent=0) + "\n", encoding="utf-8")
         results.append(json.loads(file.read_text(encoding="utf-8")))
     rows = []
     for setting in results[0]:

@@ -52,6 +52,8 @@ def test_flights_are_seeded_visit_both_sides_and_stay_clear_of_walls(renderer):
     np.testing.assert_array_equal(path.positions_xyz, visiting_path(6, seed=1).positions_xyz)
     assert path.positions_xyz[:, 0].max() > ROOM_X
     assert path.positions_xyz[:, 0].min() < -ROOM_X
+    side = np.sign(path.positions_xyz[np.abs(path.positions_xyz[:, 0]) > ROOM_X, 0])
+    assert abs(side.mean()) < 0.05  # as often on the one as on the other
     steps = np.diff(path.positions_xyz, axis=0)
     length = np.linalg.norm(steps, axis=1)
     origins, headings = path.positions_xyz[:-1], steps / length[:, None]
