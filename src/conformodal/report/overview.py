@@ -18,6 +18,8 @@ from .figures import COLOURS
 
 FloatArray = npt.NDArray[np.float64]
 _OUTSIDE = "#BBBBBB"  # bins that are not in the set
+_LEAST_SHOWN, _BELOW_THRESHOLD = 1e-4, 30.0  # where bars begin
+_STRIP = 0.025  # height of the intervals along the bottom, as a share of the panel's
 _LEAST_BOX = 1.5  # points: the line around a cuboid, so that a thin one is seen
 
 
@@ -119,8 +121,9 @@ def softmax_figure(softmax: SoftmaxOfTarget) -> Figure:
     entries = [Rectangle((0, 0), 1, 1, color=c) for c in (COLOURS["region"], _OUTSIDE)]
     lines = [("-.", COLOURS["classical"]), ("--", COLOURS["truth"])]
     entries += [mpl.lines.Line2D([], [], ls=style, color=colour) for style, colour in lines]  # type: ignore[misc]
-    names = ["bins in the set", "other bins", f"threshold 1 - q = {softmax.least:.3g}", "truth"]
-    figure.legend(entries, names, loc="outside upper center", ncols=4, frameon=False)
+    entries.append(mpl.lines.Line2D([], [], lw=4, color=COLOURS["smoothed"]))  # type: ignore[arg-type]
+    names = ["bins in the set", "other bins", f"threshold 1 - q = {softmax.least:.2g}", "truth", "the set's intervals"]
+    figure.legend(entries, names, loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -129,7 +132,7 @@ def overview_figure(steps: Steps) -> Figure:
     height, width = steps.image.shape[:2]
     figure = Figure(figsize=(20, 4.1), layout="constrained")
     axes = figure.subplots(1, 6, width_ratios=[1.1 * width / height, 1.1, 1.1, 1.2, 1.1 * width / height, 1.2])
-    titles = ["image", "softmax, threshold", "disjoint sets", "cuboids, from above", "optical flow", "reasoned path"]
+    titles = ["image", "softmax, threshold", "disjoint sets", "cuboids", "optical flow", "reasoned path"]
     for number, (axis, title) in enumerate(zip(axes, titles, strict=True), start=1):
         axis.set_title(f"{number}  {title}", fontsize=12)
     axes[0].imshow(steps.image)
@@ -138,7 +141,8 @@ def overview_figure(steps: Steps) -> Figure:
     _bars(axes[1], shown)
     axes[1].set_ylabel("softmax")
     _sets(axes[2], steps.softmaxes)
-    flat = sorted(np.argsort(-np.ptp(steps.truth, axis=0))[:2].tolist())
+    longest = next(j for j in np.argsort(-np.ptp(steps.truth, axis=0)).tolist() if j != steps.shown)
+    flat = sorted((steps.shown, longest))
     for axis in (axes[3], axes[5]):
         _cuboids(axis, steps, flat)
     _flow(axes[4], steps)
@@ -156,15 +160,22 @@ def overview_figure(steps: Steps) -> Figure:
 
 
 def _bars(axis: Axes, softmax: SoftmaxOfTarget) -> None:
+    """Bars on a log scale, because thresholds are far below the peaks; the set's intervals lie along the bottom."""
     inside = softmax.proba >= softmax.least
     colours = [COLOURS["region"] if here else _OUTSIDE for here in inside]
+    axis.set_yscale("log")
     axis.bar(softmax.edges[:-1], softmax.proba, np.diff(softmax.edges), align="edge", color=colours, ec="white", lw=0.3)
-    axis.axhline(softmax.least, ls="-.", lw=1.2, color=COLOURS["classical"])
+    bottom = _LEAST_SHOWN
+    if softmax.least > 0:
+        axis.axhline(softmax.least, ls="-.", lw=1.2, color=COLOURS["classical"])
+        bottom = softmax.least / _BELOW_THRESHOLD
     axis.axvline(softmax.truth, ls="--", lw=1, color=COLOURS["truth"])
-    low = -0.04 * float(softmax.proba.max())
     for a, b in np.clip(softmax.intervals, softmax.edges[0], softmax.edges[-1]):
-        axis.plot([a, b], [low, low], lw=4, color=COLOURS["region"], solid_capstyle="butt")
-    axis.set(xlabel=f"{softmax.target} (m)", xlim=(softmax.edges[0], softmax.edges[-1]))
+        ends = [_STRIP, _STRIP]
+        axis.plot(
+            [a, b], ends, lw=4, color=COLOURS["smoothed"], solid_capstyle="butt", transform=axis.get_xaxis_transform()
+        )
+    axis.set(xlabel=f"{softmax.target} (m)", xlim=(softmax.edges[0], softmax.edges[-1]), ylim=(bottom, 1))
 
 
 def _sets(axis: Axes, softmaxes: Sequence[SoftmaxOfTarget]) -> None:

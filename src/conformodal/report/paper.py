@@ -85,6 +85,7 @@ def cuboid_figure(runs: Sequence[tuple[str, StoredRun]], frame: int) -> Figure:
         for path, style, colour in ((run.answer, "o", COLOURS["smoothed"]), (run.truth, "+", COLOURS["truth"])):
             axis.plot(*path.positions_xyz[frame, :, None], style, ms=9, mew=2, color=colour)
         axis.set(xlim=ranges[0], ylim=ranges[1], zlim=ranges[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+        axis.locator_params(nbins=5)
         axis.set_box_aspect(None, zoom=0.88)  # else labels are cut off
         axis.set_title(f"{as_label(title)}: {len(cuboids)} {'cuboid' if len(cuboids) == 1 else 'cuboids'}", fontsize=11)
     return figure
