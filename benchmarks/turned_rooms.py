@@ -15,8 +15,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, write_table
-from scipy.stats import t as student
+from common import RESULTS, mean_interval, write_table
 
 from conformodal.cli.demo import ALPHA, TRAINING
 from conformodal.datasets import Sequence, read_sevenscenes
@@ -100,15 +99,6 @@ def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajecto
     return found
 
 
-def mean_and_interval(values: list[float], digits: int) -> str:
-    """Mean and Student's 95 % interval of its error."""
-    mean = f"{np.mean(values):.{digits}f}"
-    if len(values) == 1:
-        return mean
-    half = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
-    return f"{mean} ± {half:.{digits}f}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
@@ -125,7 +115,7 @@ def main() -> None:
     for setting in results[0]:
         name, limits, rotation, direction, reasoner = setting.split(", ")
         columns = zip(*(numbers[setting] for numbers in results), strict=True)
-        numbers = [mean_and_interval(list(column), d) for column, d in zip(columns, (3, 2, 1), strict=True)]
+        numbers = [mean_interval(list(column), d) for column, d in zip(columns, (3, 2, 1), strict=True)]
         switches = ["yes" if on == "1" else "" for on in (limits, rotation, direction)]
         rows.append([name, *switches, reasoner, *numbers])
     header = ["a frame every", "limits", "rotation", "direction", "reasoner", "wrong room", "rmse_m", "rmse_deg"]
@@ -137,7 +127,8 @@ def main() -> None:
         "nearly always within a second. Wrong room: share of the frames in rooms."
     )
     title = "What relative motion is worth between rooms that are one another's half-turn"
-    write_table("turned_rooms", title, "python benchmarks/turned_rooms.py", header, rows, notes)
+    command = f"python benchmarks/turned_rooms.py --seeds {' '.join(map(str, seeds))}"
+    write_table("turned_rooms", title, command, header, rows, notes)
 
 
 if __name__ == "__main__":
