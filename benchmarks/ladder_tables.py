@@ -132,7 +132,7 @@ def draw(numbers: Numbers) -> None:
     """Errors along the steps, a line a condition."""
     mpl.rcParams.update({"svg.hashsalt": "ladder", "svg.fonttype": "none", "font.size": 9})
     names = names_of(numbers, "steps")
-    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
+    figure, axis = plt.subplots(figsize=(10, 5), layout="constrained")
     places = list(dict.fromkeys(place for place, _ in conditions(numbers)))
     styles = dict(zip(INTERVALS, ("-", "--", ":", "-."), strict=True))
     for place, interval in conditions(numbers):
@@ -148,7 +148,7 @@ def draw(numbers: Numbers) -> None:
     axis.set(yscale="log", ylabel="RMSE of positions (m)", xticks=range(len(names)))
     axis.set_xticklabels(names, rotation=35, ha="right", fontsize=8)
     axis.grid(axis="y", alpha=0.3)
-    axis.legend(loc="upper right", frameon=False, fontsize=7, ncols=2)
+    axis.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize=7)
     figure.savefig(ROOT / "docs" / "images" / "ladder.svg", metadata={"Date": None})
 
 
@@ -209,7 +209,8 @@ def write_tables(numbers: Numbers) -> None:
         "",
         *[f"- {part}: {low:.2f} to {high:.2f}" for part, low, high in worthless(numbers, surely=False)],
         "",
-        "Parts whose removal raises no error by more than that for sure, with the whole interval:",
+        "Parts for which no column's whole interval lies above that (with few seeds intervals are wide, so that such a "
+        "part may still be worth something):",
         "",
         *[f"- {part}: {low:.2f} to {high:.2f}" for part, low, high in worthless(numbers, surely=True)],
         "",
