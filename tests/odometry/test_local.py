@@ -54,14 +54,17 @@ def test_the_stranger_an_image_the_less_its_fix_is_trusted(world):
     assert spreads[0] < spreads[1] / 3 < spreads[2] / 10
 
 
-def test_every_place_that_looks_alike_has_a_fix_with_its_share_of_the_trust(world):
+def test_every_place_that_looks_alike_has_a_fix_with_its_share_of_the_odds(world):
     finder, _, y = world
     values = np.stack((y[0], y[1], y[2]))[None]
     here = finder.fixes(LocalAnswers(values, np.array([[0.25, 0.75, 0.0]]), np.full(1, finder.typical)))[0]
     assert len(here) == 2  # a place without neighbours is none
     np.testing.assert_allclose(here[0].position_xyz, y[0, :3])
-    assert here[1].trust == pytest.approx(3 * here[0].trust)
-    assert here[0].trust + here[1].trust < 1
+    odds = [fix.trust / (1 - fix.trust) for fix in here]
+    assert odds[1] == pytest.approx(3 * odds[0])
+    # all together are as likely to be right as one place would be
+    alone = finder.fixes(LocalAnswers(values, np.array([[1.0, 0.0, 0.0]]), np.full(1, finder.typical)))[0][0]
+    assert sum(odds) == pytest.approx(alone.trust / (1 - alone.trust))
 
 
 def test_what_is_typical_comes_from_samples_left_out(world):

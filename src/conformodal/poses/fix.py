@@ -23,7 +23,7 @@ class PoseFix:
     n_inliers
         Different observations that agree with it: a corner counts once.
     trust
-        Probability that it is not altogether wrong.
+        Probability that it is not altogether wrong; of several of one image, each as if the others were wrong.
     inlier_share
         Share of the matched observations that agree with it.
     image_share
