@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import platform
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from scipy import stats
 
 from conformodal.datasets import Sequence
 from conformodal.odometry import provenance
-from conformodal.poses import Trajectory
+from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.reasoning import MotionPrior
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
 RESULTS = Path(__file__).parent / "results"
+UNLIMITED = 1e6  # radians and metres a second
 
 
 def spread(values: list[float], digits: int = 4) -> str:
@@ -52,6 +55,21 @@ def colmap_truth(kitchen: Sequence) -> tuple[npt.NDArray[np.int64], Trajectory]:
     frames = np.array([i for i, name in enumerate(names) if name in rows])
     poses = np.array([rows[names[i]] for i in frames])
     return frames, Trajectory(kitchen.timestamps_s[frames], poses[:, :3], poses[:, 3:])
+
+
+def without_limits(prior: MotionPrior) -> MotionPrior:
+    """A motion prior that allows any speed and any turning rate."""
+    speeds = tuple(UNLIMITED for _ in prior.top_speed_mps)
+    return replace(prior, turn_rate_rad_s=UNLIMITED, top_speed_mps=speeds)
+
+
+def without_parts(motion: RelativeMotion | None, *, rotation: bool, direction: bool) -> RelativeMotion | None:
+    """A relative motion with its rotation and its direction, or without one or both."""
+    if motion is None or not (rotation or direction):
+        return None
+    if not rotation:
+        motion = replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
+    return motion if direction else replace(motion, direction_prev=None, direction_sigma_rad=np.inf)
 
 
 def write_table(name: str, title: str, command: str, header: list[str], rows: list[list[str]], notes: str = "") -> None:

@@ -10,6 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
+from common import without_limits, without_parts
 from ladder_runs import Trained
 
 from conformodal.conformal import SplitConformal
@@ -31,8 +32,6 @@ from conformodal.reasoning import (
     smooth,
     viterbi,
 )
-
-FAST = 1e6  # metres a second, and radians: no limit
 
 
 @dataclass(frozen=True)
@@ -151,8 +150,8 @@ class Paths:
     def path(self, parts: Parts) -> PosePath:
         """The path with some parts."""
         model, seen = self.trained.model, self.seen
-        prior = model.prior if parts.limits else _unlimited(model.prior)
-        motions = [_without(m, parts) for m in seen.relative]
+        prior = model.prior if parts.limits else without_limits(model.prior)
+        motions = [without_parts(m, rotation=parts.rotations, direction=parts.directions) for m in seen.relative]
         candidates = self._candidates(parts)
         known = seen.known_p > model.rules.level
         if parts.bridging:
@@ -217,18 +216,6 @@ class Paths:
         modes = mode_candidates(model.proba(self.trained.features[held_out]), model.bins)
         truth = self.seen.sequence.require_truth()[held_out]
         return replace(model, local=None, scale=fit_spread_scale(modes, truth))
-
-
-def _unlimited(prior: MotionPrior) -> MotionPrior:
-    return replace(prior, turn_rate_rad_s=FAST, top_speed_mps=tuple(FAST for _ in prior.top_speed_mps))
-
-
-def _without(motion: RelativeMotion | None, parts: Parts) -> RelativeMotion | None:
-    if motion is None or (parts.rotations and parts.directions):
-        return motion
-    turned = {} if parts.rotations else {"R_prev_next": None, "rotation_sigma_rad": np.inf}
-    moved = {} if parts.directions else {"direction_prev": None, "direction_sigma_rad": np.inf}
-    return replace(motion, **turned, **moved)
 
 
 @contextmanager

@@ -15,21 +15,20 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, mean_interval, write_table
+from common import RESULTS, mean_interval, without_limits, without_parts, write_table
 
 from conformodal.cli.demo import ALPHA, TRAINING
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import Renderer, TurnedRooms, visiting_path, write_flight
 from conformodal.datasets.corridor.turned_rooms import ROOM_X
 from conformodal.odometry import ModelConfig, PoseModel, VisualOdometry, prepare_training_data, train_model
-from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
+from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning import MotionPrior, Observations, PosePath, online, smooth, viterbi
 from conformodal.vision import FeatureCache
 
 SEEDS = (10, 11, 12, 13, 14)  # 20 and 21 served to choose by
 N_VISITS = 12
 EVERY = {"0.2 s": 2, "1 s": 10, "3 s": 30}
-UNLIMITED = 1e6  # radians and metres a second
 
 Numbers = dict[str, list[float]]  # by setting and reasoner: share in the wrong room, rmse_m, rmse_deg
 
@@ -44,20 +43,6 @@ def learn(folder: Path, seed: int) -> tuple[PoseModel, Sequence, FeatureCache]:
     config = ModelConfig(alpha=ALPHA, seed=seed, landmarks=False, training=replace(TRAINING, seed=seed))
     model = train_model(prepare_training_data(read_sevenscenes(folder / "train"), config, cache), config)
     return model, read_sevenscenes(folder / "test"), cache
-
-
-def kept(motion: RelativeMotion | None, rotation: bool, direction: bool) -> RelativeMotion | None:
-    """A motion without its rotation or its direction."""
-    if motion is None or not (rotation or direction):
-        return None
-    if not rotation:
-        motion = replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
-    return motion if direction else replace(motion, direction_prev=None, direction_sigma_rad=np.inf)
-
-
-def unlimited(prior: MotionPrior) -> MotionPrior:
-    speeds = (UNLIMITED,) * len(prior.top_speed_mps)
-    return replace(prior, turn_rate_rad_s=UNLIMITED, top_speed_mps=speeds)
 
 
 def errors(path: PosePath, truth: Trajectory) -> list[float]:
@@ -85,9 +70,9 @@ def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajecto
     found: Numbers = {}
     for (name, (whole, truth)), *switches in product(observed.items(), *[(True, False)] * 3):
         limits, rotation, direction = switches
-        motions = [kept(m, rotation, direction) for m in whole.motions]
+        motions = [without_parts(m, rotation=rotation, direction=direction) for m in whole.motions]
         seen = replace(whole, motions=motions, submaps=whole.submaps if rotation and direction else ())
-        usual = prior if limits else unlimited(prior)
+        usual = prior if limits else without_limits(prior)
         best = viterbi(seen, usual)
         setting = ", ".join((name, *(str(int(on)) for on in switches)))
         for reasoner, path in (

@@ -1,4 +1,4 @@
-"""The opponent: a plain regressor that shares everything with the conformal network but its answer, tuned.
+"""The tuned baseline: a regressor that shares everything with the conformal network but its answer.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
 no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are

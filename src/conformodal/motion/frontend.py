@@ -14,8 +14,8 @@ from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
 from .two_view import TwoViewSolver, solve_poselib
 
 # With a smaller share of the marked corners left than this, motion so far is banked and measured afresh from here.
-# Corners that last longest drift most: measured from the last sixty, rotations over three seconds through doors were
-# off by 18 degrees (median), more than four of their spreads; chained like this by 3, about one spread.
+# The corners that last longest drift most, so a rotation is chained from short stretches rather than measured from the
+# last few corners of a long one.
 _REMARK_BELOW = 0.5
 
 

@@ -25,7 +25,7 @@ class Panel:
     uv: tuple[float, float] = (0.0, 0.0)
 
     def moved(self, quarter_turns: int, shift: Vector = (0.0, 0.0, 0.0)) -> Panel:
-        """Turned about the z axis by so many quarters, then shifted."""
+        """Turned about the z axis by a number of quarter turns, then shifted."""
         corner, u, v = (_turned(vector, quarter_turns) for vector in (self.corner, self.u, self.v))
         x, y, z = (a + b for a, b in zip(corner, shift, strict=True))
         return Panel((x, y, z), u, v, self.material, self.uv)
