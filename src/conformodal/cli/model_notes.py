@@ -58,8 +58,9 @@ def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:
         return "test frames are of recordings of which nothing is known"
+    median = found["median_frames_to_known"]
     return (
-        f"test frames lie a median of {found['median_frames_to_known']:g} frames from the nearest training or "
+        f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
         f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {NEAR_FRAMES}"
     )
 
