@@ -29,9 +29,10 @@ from ladder_runs import ALPHA, PLACES, Models, Trained
 from ladder_tables import write_tables
 
 from conformodal.conformal import SplitConformal
-from conformodal.motion import EssentialFrontEnd, describe
-from conformodal.odometry import Fixes, PaperOdometry, measure_motions, pose_targets, provenance
-from conformodal.reasoning import smooth, viterbi
+from conformodal.localization import FrameEvidence, extract_local_features, pose_targets
+from conformodal.motion import EssentialFrontEnd
+from conformodal.odometry import PaperOdometry, measure_motions, provenance
+from conformodal.reasoning import Observations, smooth, viterbi
 
 SEEDS = (10, 11, 12, 13, 14)
 EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}  # a fifth of 30 frames a second: a sixth of a second apart
@@ -39,21 +40,11 @@ SPARSE = ("TUM cabinet", "KITTI 06")  # too few frames to take fewer
 LAC = "score `lac`, each target by itself"
 
 
-def frames_of(trained: Trained, models: Models, frames: np.ndarray, fixes: dict[int, Fixes]) -> Frames:
-    model, sequence = trained.model, models.sequence
-    motions = measure_motions(sequence, frames)
-    for i in frames.tolist():
-        if i not in fixes:
-            fixes[i] = model.fixes(motions.described[i])
-    known_p = model.known_p(trained.features[frames])
-    return Frames(sequence, frames, motions, [fixes[i] for i in frames.tolist()], known_p)
-
-
 def steps(models: Models, seen: Frames, ours: Paths) -> dict[str, list[float]]:
     """Errors from the paper's system on, one change more each."""
     paper = models.paper()
     essential = measure_motions(
-        models.sequence, seen.frames, front_end=EssentialFrontEnd(models.sequence.camera), landmarks=False
+        models.sequence, seen.frames, front_end=EssentialFrontEnd(models.sequence.camera), local=False
     )
     run = PaperOdometry(paper.model).process(models.sequence, seen.frames, cache=models.cache, motions=essential)
     found = {"the paper's system": seen.error(run.trajectories["greedy"])}
@@ -68,11 +59,16 @@ def steps(models: Models, seen: Frames, ours: Paths) -> dict[str, list[float]]:
     )
     held_out = model.split.calibration
     lac = SplitConformal(model.bins, ALPHA, "lac", "none")
-    lac.calibrate(model.proba(ours.trained.features[held_out]), targets[held_out])
+    lac.calibrate(_proba(ours.trained, held_out), targets[held_out])
     found["order-aware labels, bins with a margin"] = seen.error(ours.greedy(lac, essential))
     found["score by density, one threshold for the pose"] = seen.error(ours.greedy(motions=essential))
     found["relative motion by PoseLib"] = seen.error(ours.greedy())
     return found | {name: seen.error(ours.path(parts)) for name, parts in STEPS.items()}
+
+
+def _proba(trained: Trained, frames: np.ndarray) -> list[np.ndarray]:
+    """Softmaxes of some frames."""
+    return trained.model.localizer.beliefs(FrameEvidence(trained.features[frames])).proba
 
 
 def regions(trained: Trained, seen: Frames) -> dict[str, Any]:
@@ -80,32 +76,33 @@ def regions(trained: Trained, seen: Frames) -> dict[str, Any]:
     model = trained.model
     targets = pose_targets(seen.sequence.require_truth(), model.sign_reference)
     spread, truth = targets[model.split.train].std(axis=0), targets[seen.frames]
-    proba = model.proba(trained.features[seen.frames])
-    known = seen.known_p > model.rules.level
     held_out = model.split.calibration
     lac = SplitConformal(model.bins, ALPHA, "lac", "max")
     lac.rule.keep_scale()  # probabilities of all targets are on one scale
-    lac.calibrate(model.proba(trained.features[held_out]), targets[held_out])
+    lac.calibrate(_proba(trained, held_out), targets[held_out])
+    paths = Paths(trained, seen)
+    without = model.localize(FrameEvidence(paths.features))
     found = {
-        "softmax": model.regions(proba, known_p=seen.known_p),
-        "lac": lac.predict(proba),
-        "landmarks": model.regions(proba, seen.fixes, known_p=seen.known_p),
+        "overall": without.regions,
+        "lac": lac.predict(without.beliefs.proba),
+        "all": paths.localization(ALL).regions,
     }
     return {
-        name: [float(r.contains(truth, joint=True)[known].mean()), float((r.length / spread)[known, :3].mean())]
+        name: [
+            float(r.contains(truth, joint=True)[without.known].mean()),
+            float((r.length / spread)[without.known, :3].mean()),
+        ]
         for name, r in found.items()
     }
 
 
 def milliseconds(trained: Trained, models: Models, seen: Frames) -> dict[str, float]:
     """Of each part for one frame."""
-    model, features = trained.model, trained.features[seen.frames]
-    image = models.sequence.image(int(seen.frames[0]))
-    n, described = len(features), [seen.motions.described[i] for i in seen.frames.tolist()]
-    ours = Paths(trained, seen)
-    chosen = ours.path(ALL)
-    given = _given(ours)
-    proba = model.proba(features)
+    model, paths = trained.model, Paths(trained, seen)
+    image, n = models.sequence.image(int(seen.frames[0])), len(seen.frames)
+    chosen, found, evidence = paths.path(ALL), paths.localization(ALL), paths.evidence
+    given = Observations(found.candidates, seen.relative, seen.times, [])
+    thresholds = model.rules.thresholds(found.kinds)
 
     def ms(work: Callable[[], object], count: int) -> float:
         work()
@@ -113,26 +110,17 @@ def milliseconds(trained: Trained, models: Models, seen: Frames) -> dict[str, fl
         work()
         return 1e3 * (time.perf_counter() - started) / count
 
+    sources = {s.name: ms(lambda s=s: s.answer(evidence), n) for s in model.localizer.sources}
     return {
-        "network": ms(lambda: model.backbone.describe(model.backbone.prepare(image)[None]), 1),
-        "region from the softmax": ms(lambda: model.regions(proba, known_p=seen.known_p), n),
-        "region with landmarks": ms(lambda: model.regions(proba, seen.fixes, known_p=seen.known_p), n),
-        "ensemble and neighbours": ms(lambda: model.search(features), n),
-        "neighbours": ms(lambda: None if model.local is None else model.local.regression.predict(features), n),
-        "corners of landmarks": ms(lambda: describe(image, models.sequence.camera), 1),
-        "landmarks, two maps": ms(lambda: [model.fixes(d) for d in described], n),
-        "novelty": ms(lambda: model.known_p(features), n),
+        "network": ms(lambda: model.backbone.features_of(image), 1),
+        "local features": ms(lambda: extract_local_features(image, models.sequence.camera), 1),
+        **sources,
+        "belief": ms(lambda: model.localizer.beliefs(evidence), n),
+        "region of a belief": ms(lambda: model.regions(found.beliefs, thresholds), n),
+        "novelty": ms(lambda: model.novelty.p_values(evidence.features) if model.novelty else None, n),
         "Viterbi": ms(lambda: viterbi(given, model.prior), n),
         "smoother": ms(lambda: smooth(chosen, given, model.prior), n),
     }
-
-
-def _given(paths: Paths) -> Any:
-    model, seen = paths.trained.model, paths.seen
-    from conformodal.reasoning import Observations  # noqa: PLC0415
-
-    candidates = model.candidates(model.search(paths.features), seen.fixes)
-    return Observations(candidates, seen.relative, seen.times, [])
 
 
 def measured(place: str, seed: int, runs: Path, *, tuned: bool) -> dict[str, Any]:
@@ -141,7 +129,7 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool) -> dict[str, Any
     cv2.setNumThreads(1)
     models = Models(place, seed, runs)
     ours = models.ours()
-    others = {view: models.neighbours(view) for view in ("network", "thumbnail")} if ours.model.local else {}
+    others = {view: its for view in ("network", "thumbnail") if (its := models.neighbours(view)) is not None}
     retrained = {
         "order-aware labels": models.unlabelled(),
         "the map of features": models.averaged(),
@@ -149,7 +137,7 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool) -> dict[str, Any
         "a small network (larger instead)": models.larger(),
         "frozen features (fine-tuned instead)": models.tuned() if tuned else None,
     }
-    test, fixes = ours.model.split.test, {}
+    test = ours.model.split.test
     found: dict[str, Any] = {
         "source": provenance()["source_revision"],
         "train_s": ours.seconds,
@@ -158,7 +146,7 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool) -> dict[str, Any
     }
     for name, interval in ({"all": 0.0} if place in SPARSE else EVERY).items():
         frames = spaced(models.sequence.timestamps_s, test, interval) if interval else test
-        seen = frames_of(ours, models, frames, fixes)
+        seen = Frames(models.sequence, frames, measure_motions(models.sequence, frames))
         paths = Paths(ours, seen, others)
         here = {
             "frames": len(frames),

@@ -8,29 +8,37 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
 from common import DATA
+from safetensors.numpy import load_file, save_file
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.datasets import Sequence, SplitKind, held_out_together, read_sequence, read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
+from conformodal.localization import (
+    LandmarkSource,
+    LocalFeatures,
+    Matcher,
+    NeighbourSource,
+    PoseSource,
+    SourceData,
+    SourceState,
+    target_scale,
+)
+from conformodal.localization.neighbours import fit_local
 from conformodal.odometry import (
-    Calibration,
     ModelConfig,
     PoseModel,
-    Scene,
     TrainingData,
-    learn_scene,
     load_model,
-    make_folds,
     prepare_training_data,
     save_model,
-    target_scale,
     train_model,
 )
-from conformodal.odometry.local import make_finder
+from conformodal.odometry.config import Calibration
 from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
@@ -38,7 +46,6 @@ from conformodal.vision import (
     TrainingConfig,
     default_cache_dir,
     feature_views,
-    fit_local,
 )
 
 ALPHA = 0.1
@@ -111,7 +118,10 @@ class Models:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.sequence = sequence_of(place, seed, self.folder)
         self.cache = FeatureCache(self.folder if place == "corridor" else default_cache_dir())
-        self._scene: Scene | None = None
+        self._local_features: dict[int, LocalFeatures] = {}
+        self._matcher = Matcher()
+        self._maps: dict[bytes, LandmarkSource | None] = {}
+        self._fit_landmarks = LandmarkSource.fit
 
     def ours(self) -> Trained:
         """Ours, as it is."""
@@ -155,28 +165,39 @@ class Models:
         ours = config_of(self.place, self.seed)
         training = ours.training if projected else replace(ours.training, components=None)
         bare = {"margin": 0.0, "sigma_bins": 0.0, "score": "lac", "joint": "none", "novelty_level": 0.0}
-        parts = {"finders": 1, "local": False, "landmarks": False}
-        return self._kept(name, replace(ours, training=training, **bare, **parts))
+        return self._kept(name, replace(ours, training=training, **bare, sources=("head",)))
 
-    def neighbours(self, view: str) -> PoseModel:
-        """Ours with neighbours by one kind of features alone: ``network`` or ``thumbnail``."""
+    def neighbours(self, view: str) -> PoseSource | None:
+        """Neighbours by one kind of features alone: ``network`` or ``thumbnail``, the global descriptor."""
         ours = self.ours()
-        folder = self.folder / f"neighbours-{view}"
-        if (folder / "model.json").is_file():
-            return load_model(folder)
-        frames = np.sort(np.concatenate((ours.model.split.train, ours.model.split.calibration)))
+        file = self.folder / f"neighbours-{view}.json"
+        weights = file.with_suffix(".safetensors")
+        if file.is_file():
+            return NeighbourSource.from_state(SourceState(load_file(weights), json.loads(file.read_text())))
+        frames = ours.model.split.train
         config = config_of(self.place, self.seed)
-        targets = prepare_training_data(self.sequence, config, self.cache).targets[frames]
+        data = prepare_training_data(self.sequence, config, self.cache)
+        targets = data.targets[frames]
         pieces = held_out_together(self.sequence.recording, config.split, given_test=self.sequence.given_test)[frames]
         views = (getattr(feature_views(ours.features.shape[1]), view),)
-        found = fit_local(ours.features[frames], targets, target_scale(targets), pieces, views=views)
-        model = replace(ours.model, local=make_finder(*found))
-        save_model(model, folder)
-        return model
+        fitted = fit_local(ours.features[frames], targets, target_scale(targets), pieces, views=views)
+        found = NeighbourSource.of(*fitted, frames)
+        if found is not None:
+            state = found.state()
+            save_file({k: np.ascontiguousarray(v) for k, v in state.arrays.items()}, weights)
+            file.write_text(json.dumps(state.settings))
+        return found
 
     def data(self, config: ModelConfig, stages: Stages | None = None) -> TrainingData:
         """Frames, split and features."""
         return prepare_training_data(self.sequence, config, self.cache, stages)
+
+    def _landmarks(self, data: SourceData, frames: npt.NDArray[np.int64]) -> LandmarkSource | None:
+        """A map does not depend on the network: the models of a place and seed share those of the same frames."""
+        key = frames.tobytes()
+        if key not in self._maps:
+            self._maps[key] = self._fit_landmarks(data, frames)
+        return self._maps[key]
 
     def _kept(
         self,
@@ -189,18 +210,10 @@ class Models:
         if seen_as is not None:
             data = replace(data, features=seen_as(data.features))
         if not (folder / "seconds.json").is_file():
-            scene = self._scene_for(config, data, stages) if name != "paper" else None
-            model = train_model(data, config, scene=scene, progress=stages)
+            data._shared._local_features, data._shared.matcher = self._local_features, self._matcher
+            with patch.object(LandmarkSource, "fit", self._landmarks):
+                model = train_model(data, config, progress=stages)
             stages("end", 0, 0)
             save_model(model, folder)
             (folder / "seconds.json").write_text(json.dumps(stages.seconds))
         return Trained(load_model(folder), data.features, json.loads((folder / "seconds.json").read_text()))
-
-    def _scene_for(self, config: ModelConfig, data: TrainingData, stages: Stages) -> Scene:
-        """The scene is the same for all: landmarks and depths do not depend on the network."""
-        if self._scene is None:
-            folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
-            self._scene = learn_scene(self.sequence, data.split, folds, progress=stages)
-        if config.landmarks:
-            return self._scene
-        return Scene(self._scene.depth_m, self._scene.depth_spread)

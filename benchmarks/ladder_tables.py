@@ -20,28 +20,22 @@ SMALL = 0.03  # a part that changes an error by less is worth nothing there
 SOURCE = ROOT / "src" / "conformodal"
 # Files that are there for a part alone.
 FILES = {
-    "order-aware labels": [],
-    "neighbours": ["vision/local.py", "vision/local_fit.py", "odometry/local.py", "reasoning/fixes.py"],
-    "landmarks": ["motion/landmarks/*.py", "odometry/landmarks.py", "odometry/fix_scale.py", "reasoning/pooling.py"],
-    "submaps": ["motion/submaps.py", "motion/bundle.py", "poses/submap.py", "reasoning/placing.py"],
-    "relative motion": ["motion/relative_pose.py", "motion/two_view.py", "motion/tracker.py", "motion/frontend.py"],
+    "neighbours": ["localization/neighbours/*.py"],
+    "landmarks": ["localization/landmarks/*.py", "localization/local_features.py"],
+    "submaps": ["motion/submaps.py", "motion/bundle.py", "poses/submap.py", "reasoning/submap_alignment.py"],
+    "relative rotations": ["motion/relative_pose.py", "motion/two_view.py", "motion/tracker.py", "motion/frontend.py"],
     "limits on speed and turning": ["reasoning/prior.py"],
     "Viterbi (each frame's most probable candidate)": ["reasoning/viterbi.py"],
     "bridging of unknown frames": ["reasoning/bridging.py"],
-    "smoother": ["reasoning/smoother.py", "reasoning/orientations.py", "reasoning/robust.py"],
-    "spreads of the size of errors": ["reasoning/spreads.py"],
+    "smoother": ["reasoning/smoother.py", "reasoning/orientations.py"],
     "projection": ["vision/projection.py"],
     "frozen features (fine-tuned instead)": ["vision/finetuning.py", "vision/tuning_loop.py"],
 }
 # Stages of training, and times of a frame, that are there for a part alone.
-STAGES = {
-    "neighbours": ("neighbours",),
-    "landmarks": ("corners", "landmarks", "landmarks, part 1"),
-    "two of the three ensemble members": ("finder 2", "finder 3"),
-}
+STAGES = {"neighbours": ("neighbours",), "landmarks": ("local features", "landmarks")}
 TIMES = {
     "neighbours": ("neighbours",),
-    "landmarks": ("corners of landmarks", "landmarks, two maps"),
+    "landmarks": ("local features", "landmarks"),
     "Viterbi (each frame's most probable candidate)": ("Viterbi",),
     "smoother": ("smoother",),
 }
@@ -214,11 +208,11 @@ def write_tables(numbers: Numbers) -> None:
         "",
         *[f"- {part}: {low:.2f} to {high:.2f}" for part, low, high in worthless(numbers, surely=True)],
         "",
-        "## Limits and relative motion",
+        "## Limits and relative rotations",
         "",
         "Position RMSE of the smoothed path, metres. Limits are those on speed and turning.",
         "",
-        *table(["evidence, limits, relative motion", *header], switches),
+        *table(["evidence, limits, relative rotations", *header], switches),
         "",
         "## Regions",
         "",
@@ -238,7 +232,7 @@ def _regions(numbers: Numbers) -> list[str]:
     names: dict[str, None] = {}
     for one in numbers.values():
         names |= dict.fromkeys(one["regions"])
-    labels = {"landmarks": "softmax and landmarks", "softmax": "softmax alone", "lac": "softmax alone, score `lac`"}
+    labels = {"all": "all sources", "overall": "without local features", "lac": "softmax alone, score `lac`"}
     rows = []
     for name in names:
         for kind, label in labels.items():

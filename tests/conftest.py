@@ -62,7 +62,7 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> SmallWorld:
 
     root = tmp_path_factory.mktemp("small")
     write_corridor(root / "corridor", n_modules=3, n_laps=1, seed=3)
-    arguments = ["train", root / "corridor", "--out", root / "model", "--cache", root / "cache", "--classical"]
+    arguments = ["train", root / "corridor", "--out", root / "model", "--cache", root / "cache"]
     result = CliRunner().invoke(app, [str(a) for a in arguments] + ["--epochs", "25", "--alpha", "0.2"])
     assert result.exit_code == 0, result.output
     return SmallWorld(root / "corridor", root / "cache", root / "model")

@@ -12,7 +12,7 @@ from conformodal.cli.console import state_of
 from conformodal.cli.main import app
 from conformodal.cli.model_notes import said_of_landmarks
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.odometry import Estimate, Evidence, load_model, read_region_parquet, read_region_records
+from conformodal.odometry import Estimate, EvidenceKind, load_model, read_region_parquet, read_region_records
 from conformodal.poses import Trajectory, read_tum, write_tum
 
 
@@ -48,15 +48,8 @@ def test_run_writes_everything(results):
     assert metrics["provenance"]["packages"]["torch"].startswith("2.13")
     assert metrics["split"] == "interleaved"
     assert metrics["n_answered"] == len(read_tum(results / "trajectory.tum"))
-    assert set(metrics["errors"]) == {
-        "smoothed",
-        "viterbi",
-        "online",
-        "greedy",
-        "softmax_mean",
-        "classical",
-        "classical_smoothed",
-    }
+    assert set(metrics["errors"]) == {"smoothed", "viterbi", "online"}
+    assert {path.stem for path in (results / "methods").iterdir()} == {"viterbi", "online"}
     assert "exchangeable" in metrics["coverage"]["assumption"]
     records = read_region_records(results / "regions.jsonl")
     assert len(records) == metrics["n_answered"]
@@ -73,12 +66,12 @@ def test_regions_are_the_same_as_parquet(results):
 
 def test_a_run_says_in_how_many_frames_landmarks_were_recognised(small_world, results, tmp_path):
     counts = json.loads((results / "metrics.json").read_text())
-    assert counts["fix_every"] == 1
-    assert 0.8 * counts["n_answered"] < counts["n_fixed"] <= counts["n_answered"]
-    invoke("run", small_world.model, small_world.folder, "--out", tmp_path, "--part", "test", "--fix-every", 4)
+    assert counts["match_every"] == 1
+    assert 0.8 * counts["n_answered"] < counts["n_localized"] <= counts["n_answered"]
+    invoke("run", small_world.model, small_world.folder, "--out", tmp_path, "--part", "test", "--match-every", 4)
     fewer = json.loads((tmp_path / "metrics.json").read_text())
-    assert fewer["fix_every"] == 4
-    assert 0 < fewer["n_fixed"] <= -(-fewer["n_answered"] // 4)
+    assert fewer["match_every"] == 4
+    assert 0 < fewer["n_localized"] <= -(-fewer["n_answered"] // 4)
 
 
 def test_the_page_is_self_contained(results):
@@ -185,7 +178,7 @@ def test_bad_input_is_one_kind_line(small_world, tmp_path, results):
 
 def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
     arguments = ["train", small_world.folder, "--out", tmp_path / "m", "--split", "blocks", "--epochs", "2"]
-    arguments.append("--no-landmarks")  # a map a fold takes minutes
+    arguments += ["--sources", "head,neighbours"]  # a map a fold takes minutes
     trained = invoke(*arguments, "--joint", "bonferroni", "--cache", small_world.cache)
     assert trained.exit_code == 0, trained.output
     said = " ".join(trained.output.split())
@@ -237,7 +230,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     part = invoke("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
     assert part.exit_code == 0, part.output
     assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
-    for another_way in (["--limit", 3], ["--fix-every", 2]):
+    for another_way in (["--limit", 3], ["--match-every", 2]):
         some = invoke("run", model, flights, *another_way, "--out", tmp_path / "part")
         assert some.exit_code == 0, some.output
         assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
@@ -286,9 +279,9 @@ def test_training_says_what_landmarks_found(small_world):
 
 def test_the_status_line_says_whether_a_place_is_known():
     region = Regions(QuantileBins(2).fit(np.arange(9.0)[:, None]), [np.ones((1, 2), bool)], np.zeros((1, 1), bool))
-    seen = Estimate(0.0, None, None, region, None, None, True, known_p=0.43, evidence=Evidence.LANDMARKS)
+    seen = Estimate(0.0, None, None, region, None, None, True, known_p=0.43, evidence=EvidenceKind.LANDMARKS)
     assert state_of(seen) == "reliable, known p 0.43, intervals x:1"
-    assert state_of(replace(seen, known_p=0.003, evidence=Evidence.UNKNOWN)) == "unknown place (p = 0.003)"
+    assert state_of(replace(seen, known_p=0.003, evidence=EvidenceKind.UNKNOWN)) == "unknown place (p = 0.003)"
     assert state_of(replace(seen, region=None, problem="no image")) == "no answer: no image"
 
 

@@ -18,7 +18,7 @@ def invoke(*arguments):
 @pytest.fixture(scope="module")
 def trained(small_world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    options = ["--method", "paper", "--classical", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache]
+    options = ["--method", "paper", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache]
     result = invoke("train", small_world.folder, "--out", folder / "model", *options)
     assert result.exit_code == 0, result.output
     assert "the paper has no such test" in result.output
@@ -30,17 +30,13 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     result = invoke("run", trained / "model", small_world.folder, "--part", "test", "--out", out)
     assert result.exit_code == 0, result.output
     metrics = json.loads((out / "metrics.json").read_text())
-    assert list(metrics["errors"]) == ["greedy", "classical", "classical_smoothed", "softmax_mean"]
+    assert list(metrics["errors"]) == ["greedy"]
     assert metrics["configuration"]["method"] == "paper"
     assert metrics["coverage"]["joint"] == "none"
     assert metrics["coverage"]["joint_band_99"] is None
     assert "For the whole pose there is no exact law" in metrics["coverage"]["assumption"]
-    assert metrics["n_fixed"] == metrics["n_unknown"] == 0
-    assert sorted(p.stem for p in (out / "methods").glob("*.tum")) == [
-        "classical",
-        "classical_smoothed",
-        "softmax_mean",
-    ]
+    assert metrics["n_localized"] == metrics["n_unknown"] == 0
+    assert not list((out / "methods").iterdir())
     assert {r["known_p"] for r in read_region_records(out / "regions.jsonl")} == {None}  # images are not tested
     answer = read_tum(out / "trajectory.tum")
     assert len(answer) == metrics["n_answered"]
@@ -49,7 +45,7 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     checked = invoke("evaluate", out, "--truth", out / "truth.tum")
     assert checked.exit_code == 0, checked.output
     assert "greedy" in checked.output
-    assert "smoothed" not in checked.output.replace("classical_smoothed", "")
+    assert "smoothed" not in checked.output
 
 
 @pytest.mark.parametrize("option", [("--score", "density"), ("--joint", "bonferroni"), ("--calibration", "stretches")])

@@ -53,17 +53,17 @@ def trained():
     return data, classical, Problem.of(data, classical)
 
 
-@pytest.mark.parametrize("thumbnail", [False, True])
-def test_projections_are_of_the_rows_asked_for_and_fitted_once(thumbnail):
+@pytest.mark.parametrize("whole", [False, True])
+def test_projections_are_of_the_rows_asked_for_and_fitted_once(whole):
     data = make_data(n=200)
     views = feature_views(data.features.shape[1])
     for rows in (data.split.train, data.split.calibration):
-        found = data.projection(rows, 4, thumbnail=thumbnail)
-        true = fit_projection(data.features[rows], 4, views.both if thumbnail else views.network)
+        found = data.projection(rows, 4, whole=whole)
+        true = fit_projection(data.features[rows], 4, views.both if whole else views.network)
         np.testing.assert_array_equal(found.components, true.components)
         np.testing.assert_array_equal(found.offset, true.offset)
-        assert data.projection(rows.copy(), 4, thumbnail=thumbnail) is found
-        assert data.projection(rows, 3, thumbnail=thumbnail) is not found
+        assert data.projection(rows.copy(), 4, whole=whole) is found
+        assert data.projection(rows, 3, whole=whole) is not found
     other = replace(data, features=2 * data.features)
     assert not np.array_equal(other.projection(rows, 4).offset, data.projection(rows, 4).offset)
 

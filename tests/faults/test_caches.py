@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.numpy import save as save_tensors
 
-from conformodal._files import FolderInUseError, locked
+from conformodal.core.files import FolderInUseError, locked
 from conformodal.datasets import ImageError
 from conformodal.vision import (
     Backbone,
@@ -131,7 +131,7 @@ def test_the_state_of_another_head_is_not_taken_up(tmp_path, other):
     assert bits(fit_head(x, y, outputs, loss, config, checkpoint_dir=tmp_path)) == plain
 
 
-HOLD = "import sys; from pathlib import Path; from conformodal._files import locked\n"
+HOLD = "import sys; from pathlib import Path; from conformodal.core.files import locked\n"
 HOLD += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 
 

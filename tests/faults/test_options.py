@@ -98,6 +98,9 @@ WRONG = {
     "a device": (["train", "--device", "tpu"], "device must be"),
     "a score": (["train", "--score", "best"], "score"),
     "a joint": (["train", "--joint", "all"], "joint"),
+    "a source": (["train", "--sources", "head,stars"], "pose source must be one of"),
+    "a source twice": (["train", "--sources", "head,head"], "sources must be different names"),
+    "no source": (["train", "--sources", ""], "pose source must be one of"),
     "shares": (["train", "--test", "0.5", "--calibration-share", "0.5"], "leave something to train on"),
     "used": (["train", "--used", "0.16"], "--used must be more than"),
     "a cache that is a file": (["train", "--cache", "file"], "--cache must be a folder"),
@@ -117,7 +120,7 @@ WRONG = {
             ("--score", "hpd_mid"),
             ("--joint", "max"),
             ("--sigma", "0.7"),
-            ("--landmarks",),
+            ("--sources", "head,neighbours,landmarks"),
             ("--calibration", "stretches"),
             ("--novelty-level", "0.015"),
         ]
@@ -240,7 +243,7 @@ SAY_NOTHING = {
     "convert: a topic": (("data", "convert", "DATA", "--topic", "/image"), "--topic says something with a ROS"),
     "convert: a camera": (("data", "convert", "DATA", "--camera", "DATA"), "--camera is for sources that say no"),
     "paper: a level of novelty": (("run", "PAPER", "DATA", "--novelty-level", "0.1"), "no test for unknown places"),
-    "paper: landmarks at times": (("run", "PAPER", "DATA", "--fix-every", "3"), "no landmarks to look for"),
+    "paper: matching at times": (("run", "PAPER", "DATA", "--match-every", "3"), "looks at no local features"),
 }
 
 

@@ -14,13 +14,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from conformodal import _files
-from conformodal._files import FolderError, FolderInUseError, check_writable, write_whole, writing_in
 from conformodal.cli.main import app
-from conformodal.experiments import load_classical, remove_classical, save_classical
+from conformodal.core import files as core_files
+from conformodal.core.files import FolderError, FolderInUseError, check_writable, write_whole, writing_in
 from conformodal.odometry import (
-    PoseRadius,
-    Promise,
     ResultsError,
     ResultsWriter,
     load_model,
@@ -29,7 +26,7 @@ from conformodal.odometry import (
     save_model,
     write_metrics,
 )
-from conformodal.odometry.folders import FINISHED, UNFINISHED, check_belongs, claimed, result_digests, settle
+from conformodal.odometry.results.folders import FINISHED, UNFINISHED, check_belongs, claimed, result_digests, settle
 from conformodal.poses import Trajectory, write_tum
 
 HOLDS = {
@@ -113,13 +110,13 @@ def test_what_the_system_refuses_is_a_kind_error(tmp_path, monkeypatch, number, 
     if call == "mkdir":
         monkeypatch.setattr(Path, "mkdir", refuse)
     else:
-        monkeypatch.setattr(_files.tempfile, "TemporaryFile", refuse)
+        monkeypatch.setattr(core_files.tempfile, "TemporaryFile", refuse)
     with pytest.raises(FolderError, match=f"new: cannot be written: {os.strerror(number)}"):
         check_writable(tmp_path / "new")
 
 
 def test_a_full_disk_is_seen_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(_files.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))
+    monkeypatch.setattr(core_files.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))
     with pytest.raises(FolderError, match="disk is full"):
         check_writable(tmp_path)
 
@@ -129,7 +126,7 @@ def test_a_folder_that_is_read_is_not_written(tmp_path):
         pass
 
 
-HOLD = "import sys; from pathlib import Path; from conformodal._files import writing_in\n"
+HOLD = "import sys; from pathlib import Path; from conformodal.core.files import writing_in\n"
 HOLD += "with writing_in(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 
 
@@ -144,7 +141,7 @@ def test_a_folder_in_use_is_refused_until_its_process_dies(tmp_path):
         with pytest.raises(FolderInUseError):
             ResultsWriter(tmp_path)
         other.kill()
-    (tmp_path / f".x.1{_files.PART}").write_text("half a file")
+    (tmp_path / f".x.1{core_files.PART}").write_text("half a file")
     with writing_in(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
@@ -378,7 +375,7 @@ def model(small_world):
 def test_a_model_is_whole_whenever_saving_is_killed(model, tmp_path, monkeypatch, moment, first):
     if not first:
         save_model(model, tmp_path)
-    other = replace(model, sign_reference=-model.sign_reference)
+    other = replace(model, localizer=replace(model.localizer, sign_reference=-model.sign_reference))
     moves, move = [], Path.replace
 
     def counted(self, target):
@@ -399,26 +396,6 @@ def test_a_model_is_whole_whenever_saving_is_killed(model, tmp_path, monkeypatch
     save_model(other, tmp_path)
     np.testing.assert_array_equal(load_model(tmp_path).sign_reference, other.sign_reference)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["model.json", "weights.safetensors"]
-
-
-def test_a_regressor_of_another_model_is_left_out_with_a_word(model, small_world, tmp_path):
-    said = []
-    shutil.copytree(small_world.model, tmp_path / "m")
-    regressor = load_classical(tmp_path / "m", said.append)
-    assert regressor is not None
-    radius = PoseRadius(1.0, 0.1, Promise.FRAME, "smoothed", 9, metres_per_rad=3.0)
-    save_model(replace(model, radius=radius), tmp_path / "m")  # as calibrate does
-    assert load_classical(tmp_path / "m", said.append) is not None
-    assert not said
-    save_model(replace(model, sign_reference=-model.sign_reference), tmp_path / "m")
-    assert load_classical(tmp_path / "m", said.append) is None
-    assert "belongs to another model" in said[0]
-    with pytest.warns(UserWarning, match="belongs to another model"):
-        load_classical(tmp_path / "m")
-    save_classical(regressor, tmp_path / "m")
-    assert load_classical(tmp_path / "m") is not None
-    remove_classical(tmp_path / "m")
-    assert load_classical(tmp_path / "m") is None
 
 
 def test_run_refuses_its_model_and_its_source(small_world, tmp_path):
@@ -455,7 +432,7 @@ def test_a_source_without_a_readable_frame_leaves_earlier_results(small_world, t
 # files of the names that a command writes, where it has not written any
 STRAYS = {
     "run": ["report.html", "truth.tum"],
-    "train": ["weights.safetensors", "classical.json", "classical.safetensors"],
+    "train": ["weights.safetensors"],
     "reproduce": ["table1.md", "table1.html", "table1.parquet"],
     "demo": ["model/model.json", "report.html", "corridor/seq-01/frame-000000.color.png"],
 }

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from conformodal._files import write_whole
 from conformodal.cli.console import PlainConsole, plain, print_errors
 from conformodal.cli.main import app
+from conformodal.core.files import write_whole
 from conformodal.odometry import ResultsWriter, read_region_parquet, read_region_records, write_region_parquet
 from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Section, error_chart, make_viewer, write_comparison, write_page

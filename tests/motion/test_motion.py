@@ -14,7 +14,8 @@ from conformodal.motion import (
     undistort,
 )
 from conformodal.motion.plane import plane_motions
-from conformodal.motion.spreads import DIRECTION_FACTOR, ROTATION_FACTOR, image_cells, turning_spread
+from conformodal.motion.settings import MOTION_ERRORS
+from conformodal.motion.spreads import image_cells, turning_spread
 from conformodal.poses import MotionStatus, PinholeCamera
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
@@ -205,9 +206,9 @@ def test_claimed_spreads_follow_the_errors_that_neighbouring_corners_share(scale
         after = after + rng.normal(size=(12, 2))[image_cells(before, CAMERA)] * scale
         motion = estimate_relative_motion(before, after, CAMERA)
         error = Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()
-        turns.append(error / 1.538 / motion.rotation_sigma_rad * ROTATION_FACTOR)
+        turns.append(error / 1.538 / motion.rotation_sigma_rad * MOTION_ERRORS.rotation_factor)
         angle = np.arccos(np.clip(motion.direction_prev @ centre / np.linalg.norm(centre), -1, 1))
-        ways.append(angle / 1.177 / motion.direction_sigma_rad * DIRECTION_FACTOR)
+        ways.append(angle / 1.177 / motion.direction_sigma_rad * MOTION_ERRORS.direction_factor)
     assert 1 / 1.6 < np.median(turns) < 1.6
     assert 1 / 1.6 < np.median(ways) < 1.6
 
@@ -221,7 +222,7 @@ def test_spread_of_a_turn_alone_follows_its_errors():
         motion = estimate_relative_motion(before, after, CAMERA)
         assert motion.status is MotionStatus.LOW_PARALLAX
         error = Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()
-        ratios.append(error / 1.538 / motion.rotation_sigma_rad * ROTATION_FACTOR)
+        ratios.append(error / 1.538 / motion.rotation_sigma_rad * MOTION_ERRORS.rotation_factor)
     assert 1 / 1.6 < np.median(ratios) < 1.6
 
 

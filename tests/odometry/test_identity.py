@@ -16,14 +16,7 @@ from conformodal.cli.outcome import Part, part_frames
 from conformodal.datasets import Layout, PixelNoise, Sequence, make_split, read_sequence, read_sevenscenes
 from conformodal.datasets.streams import SequenceStream
 from conformodal.datasets.writing import write_layout
-from conformodal.odometry import (
-    OdometryError,
-    calibrate_selection,
-    data_digest,
-    identify,
-    load_model,
-    save_model,
-)
+from conformodal.odometry import OdometryError, calibrate_selection, data_digest, identify, load_model, save_model
 from conformodal.poses import PinholeCamera, Trajectory
 
 CAMERA = PinholeCamera(10.0, 10.0, 4.0, 3.0, 8, 6)

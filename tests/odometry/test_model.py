@@ -12,7 +12,7 @@ from conformodal.odometry import (
     OdometryError,
     PoseRadius,
     Promise,
-    RegionTally,
+    RegionStatistics,
     Sizing,
     VisualOdometry,
     learn_scene,
@@ -120,7 +120,7 @@ def test_every_joint_and_score_survives_saving_and_reasoning(
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
     run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
-    tally = RegionTally.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
+    tally = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
     table = coverage_table(tally, back, exchangeable=True)
     assert (table["joint_band_99"] is not None) == (joint == "max")
     assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
@@ -219,7 +219,12 @@ def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, plain_s
     back = load_model(tmp_path / "model")
     assert back.backbone.fingerprint == trained.backbone.fingerprint
     image = back.backbone.prepare(sequence.image(3))[None]
-    np.testing.assert_array_equal(back.backbone.describe(image), trained.backbone.describe(image))
+    np.testing.assert_array_equal(
+        back.backbone.extract_local_features(image), trained.backbone.extract_local_features(image)
+    )
     frozen = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache)).backbone
-    assert np.abs(frozen.describe(image).astype(float) - back.backbone.describe(image)).max() > 0
+    assert (
+        np.abs(frozen.extract_local_features(image).astype(float) - back.backbone.extract_local_features(image)).max()
+        > 0
+    )
     assert back.configuration["fine_tuning"]["blocks"] == 1

@@ -5,6 +5,7 @@ import pytest
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import read_sevenscenes
+from conformodal.localization import pose_targets
 from conformodal.motion import EssentialFrontEnd
 from conformodal.odometry import (
     Calibration,
@@ -14,7 +15,6 @@ from conformodal.odometry import (
     PaperOdometry,
     VisualOdometry,
     load_model,
-    pose_targets,
     prepare_training_data,
     save_model,
     train_model,

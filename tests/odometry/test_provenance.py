@@ -3,7 +3,7 @@ import subprocess
 
 import pytest
 
-from conformodal.odometry.provenance import source_revision
+from conformodal.odometry.results.provenance import source_revision
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile
-from conformodal.odometry import Evidence, RegionRules, trusted
+from conformodal.localization import PoseMeasurement
+from conformodal.odometry import EvidenceKind, RegionRules, trusted
 from conformodal.odometry.region_rules import TRUSTED
-from conformodal.poses import PoseFix
 
-SOFTMAX, UNMATCHED, LANDMARKS, UNKNOWN = Evidence
+SOFTMAX, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
 
 
 def calibrated(bins, n=80, joint="max", seed=0, groups=None):
@@ -27,7 +27,7 @@ def rules(bins):
 
 
 def fix(trust):
-    return PoseFix(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, trust)
+    return PoseMeasurement(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, trust)
 
 
 def test_kinds_follow_the_p_values_and_the_trust(rules):

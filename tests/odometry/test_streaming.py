@@ -3,9 +3,8 @@ import pytest
 
 from conformodal.datasets import read_sequence
 from conformodal.datasets.streams import Frame, SequenceStream, SourceError
-from conformodal.experiments import load_classical
 from conformodal.odometry import (
-    RegionTally,
+    RegionStatistics,
     ResultsWriter,
     StreamRunner,
     VisualOdometry,
@@ -18,21 +17,21 @@ from conformodal.vision import FeatureCache
 
 @pytest.fixture(scope="module")
 def world(small_world):
-    return read_sequence(small_world.folder), load_model(small_world.model), load_classical(small_world.model)
+    return read_sequence(small_world.folder), load_model(small_world.model)
 
 
 @pytest.fixture(scope="module")
 def batch(world, small_world):
     """The same frames, all at once."""
-    sequence, model, _ = world
+    sequence, model = world
     frames = model.split.test[model.split.test < 300]
     return frames, VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
 
 
 def stream(world, frames, folder, **options):
-    sequence, model, classical = world
+    sequence, model = world
     with ResultsWriter(folder) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer, classical.answers, truth=sequence.truth, **options)
+        runner = StreamRunner(VisualOdometry(model), writer, truth=sequence.truth, **options)
         for frame in SequenceStream(sequence, frames):
             runner.push(frame)
         runner.finish()
@@ -50,12 +49,13 @@ def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch
         off = np.linalg.norm(found[name].positions_xyz - trajectory.positions_xyz, axis=1)
         # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
         assert np.mean(off < 1e-3) > 0.97, name
-    assert set(found) == {*run.trajectories, "classical", "classical_smoothed"}
-    tally = RegionTally.of(run.regions, world[0].truth[run.frames], world[1].sign_reference)
-    assert np.mean(runner.tally.n_intervals == tally.n_intervals) > 0.97
-    assert np.mean(runner.tally.inside == tally.inside) > 0.97
-    assert np.mean(np.abs(runner.tally.length - tally.length) < 1e-6) > 0.95
-    assert np.mean(runner.tally.kinds == run.kinds) > 0.97
+    assert set(found) == set(run.trajectories)
+    expected = RegionStatistics.of(run.regions, world[0].truth[run.frames], world[1].sign_reference)
+    statistics = runner.statistics
+    assert np.mean(statistics.n_intervals == expected.n_intervals) > 0.97
+    assert np.mean(statistics.inside == expected.inside) > 0.97
+    assert np.mean(np.abs(statistics.length - expected.length) < 1e-6) > 0.95
+    assert np.mean(statistics.kinds == run.kinds) > 0.97
     assert runner.n_unreliable == int(np.sum(~run.reliable))
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]
@@ -65,7 +65,7 @@ def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
     frames, run = batch
     assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
     found = read_trajectories(tmp_path)
-    for name in ("smoothed", "viterbi", "online", "greedy", "softmax_mean", "classical_smoothed"):
+    for name in ("smoothed", "viterbi", "online"):
         np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)
     off = np.linalg.norm(found["viterbi"].positions_xyz - run.trajectories["viterbi"].positions_xyz, axis=1)
     assert np.mean(off < 1e-3) > 0.8
@@ -74,7 +74,7 @@ def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
 
 
 def test_what_waits_does_not_grow(world, tmp_path):
-    sequence, model, _ = world
+    sequence, model = world
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer, window=30, overlap=10)
         for i, frame in enumerate(SequenceStream(sequence, np.arange(75))):
@@ -87,7 +87,7 @@ def test_what_waits_does_not_grow(world, tmp_path):
 
 
 def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
-    sequence, model, _ = world
+    sequence, model = world
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
         for i, frame in enumerate(SequenceStream(sequence, np.arange(12))):
@@ -103,7 +103,7 @@ def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_p
 
 
 def test_time_that_goes_back_is_an_error_and_all_before_is_kept(world, tmp_path):
-    sequence, model, _ = world
+    sequence, model = world
     frames = list(SequenceStream(sequence, np.arange(8)))
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
@@ -117,7 +117,7 @@ def test_time_that_goes_back_is_an_error_and_all_before_is_kept(world, tmp_path)
 
 
 def test_recordings_are_answered_apart(world, tmp_path):
-    sequence, model, _ = world
+    sequence, model = world
     frames = list(SequenceStream(sequence, np.arange(20)))
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)

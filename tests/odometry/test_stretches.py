@@ -6,7 +6,7 @@ import pytest
 from conformodal.conformal import grouped_quantile
 from conformodal.odometry import (
     Calibration,
-    Evidence,
+    EvidenceKind,
     ModelConfig,
     OdometryError,
     Scene,
@@ -37,7 +37,7 @@ def test_thresholds_are_those_of_stretches(trained):
     groups = folds.units[folds.held_out]
     np.testing.assert_array_equal(model.calibration.groups_, groups)
     np.testing.assert_array_equal(model.rules.pooled.groups_, groups)
-    rule = model.rules.of[Evidence.UNMATCHED]
+    rule = model.rules.of[EvidenceKind.UNMATCHED]
     columns = model.rules.pooled.scores_.max(axis=1)
     known = model.rules.known_p > model.rules.level
     parts = [columns[known & (groups == g)] for g in np.unique(groups[known])]
@@ -68,7 +68,7 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     save_model(model, tmp_path)
     back = load_model(tmp_path)
     np.testing.assert_array_equal(back.calibration.groups_, model.calibration.groups_)
-    kinds = np.array(list(Evidence))
+    kinds = np.array(list(EvidenceKind))
     np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
     assert back.region_landmarks is back.landmarks
     assert back.landmarks is not None

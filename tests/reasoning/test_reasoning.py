@@ -24,7 +24,7 @@ from conformodal.reasoning import (
     transition_cost,
     viterbi,
 )
-from conformodal.reasoning.viterbi import FOLLOWED_JUMP_COST, JUMP_COST, ROTATION_MISLED_COST
+from conformodal.reasoning.settings import SEARCH
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 
@@ -131,13 +131,13 @@ def test_costs_are_bounded_and_smallest_at_the_truth():
     before, after = ambiguous(positions, rotations)
     motion = exact_motions(positions, rotations)[1]
     cost = transition_cost(before, after, motion, 0.1, PRIOR)
-    apart = [part(before, after, motion, 0.1, PRIOR) for part in (orientation_cost, position_cost)]
-    np.testing.assert_array_equal(cost, np.minimum(sum(apart), FOLLOWED_JUMP_COST))
+    apart = orientation_cost(before, after, motion, 0.1, PRIOR) + position_cost(before, after, 0.1, PRIOR)
+    np.testing.assert_array_equal(cost, np.minimum(apart, SEARCH.followed_jump))
     assert (np.diag(cost)[::2] < 5).all()  # true headings; odd ones are turned, and so is where they led
-    assert cost[0, 2] == cost[2, 0] == FOLLOWED_JUMP_COST
-    assert cost[0, 1] >= ROTATION_MISLED_COST
+    assert cost[0, 2] == cost[2, 0] == SEARCH.followed_jump
+    assert cost[0, 1] >= SEARCH.rotation_outlier
     unseen = transition_cost(before, after, RelativeMotion(MotionStatus.LOST), 0.1, PRIOR)
-    assert unseen[0, 2] == unseen[2, 0] == JUMP_COST  # nothing was followed
+    assert unseen[0, 2] == unseen[2, 0] == SEARCH.jump  # nothing was followed
 
 
 def half_turned(n_vague=0, seed=0):
@@ -207,7 +207,7 @@ def test_smoothing_improves_on_noise():
     noisy_p = positions + rng.normal(size=(200, 3)) * 0.1
     noisy_p[100] += 3  # one wrong mode
     q = smooth_orientations(noisy_q, np.full(200, 0.03), motions, t, PRIOR)
-    p = smooth_positions(noisy_p, np.full((200, 3), 0.1), q, motions, t, PRIOR)
+    p = smooth_positions(noisy_p, np.full((200, 3), 0.1), q, t, PRIOR)
 
     def rms(x):
         return np.sqrt(np.mean(x**2))
@@ -226,9 +226,9 @@ def test_smoothing_keeps_what_is_exact_and_short():
     same = smooth_orientations(quats, np.full(30, 0.02), motions, t, PRIOR)
     np.testing.assert_allclose(angle_between_quats(same, quats), 0, atol=1e-6)
     assert smooth_orientations(quats[:1], np.ones(1), motions[:1], t[:1], PRIOR).shape == (1, 4)
-    assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], motions[:2], t[:2], PRIOR).shape == (2, 3)
+    assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], t[:2], PRIOR).shape == (2, 3)
     with pytest.raises(ReasoningError, match="positive"):
-        smooth_positions(positions, np.zeros((30, 3)), quats, motions, t, PRIOR)
+        smooth_positions(positions, np.zeros((30, 3)), quats, t, PRIOR)
 
 
 def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
@@ -238,9 +238,7 @@ def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
     off, spreads = positions.copy(), np.full((60, 3), 0.001)
     off[20, 0] += 0.02  # a jerk: twenty times the claim, but little beside a depth of two metres
     off[40, 0] += 0.5
-    found, blind = (
-        smooth_positions(off, spreads, quats, [None] * 60, t, prior) for prior in (replace(calm, depth_m=2.0), calm)
-    )
+    found, blind = (smooth_positions(off, spreads, quats, t, prior) for prior in (replace(calm, depth_m=2.0), calm))
     assert blind[20, 0] - positions[20, 0] < 0.01 < 0.015 < found[20, 0] - positions[20, 0]
     assert abs(found[40, 0] - positions[40, 0]) < 0.01
 
@@ -255,7 +253,7 @@ def test_a_path_is_smoothed_orientations_first():
     found = smooth(own, seen, PRIOR)
     turned = smooth_orientations(quats, own.orientation_spreads_rad, motions, t, PRIOR)
     np.testing.assert_array_equal(found.orientations_quat_wxyz, turned)
-    moved = smooth_positions(own.positions_xyz, own.position_spreads, turned, motions, t, PRIOR)
+    moved = smooth_positions(own.positions_xyz, own.position_spreads, turned, t, PRIOR)
     np.testing.assert_array_equal(found.positions_xyz, moved)
 
 

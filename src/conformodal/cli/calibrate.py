@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal._files import check_writable
+from conformodal.core.files import check_writable
 from conformodal.datasets import Layout
 from conformodal.odometry import (
     METHODS,
@@ -21,7 +21,7 @@ from conformodal.odometry import (
     recordings_needed,
     save_model,
 )
-from conformodal.odometry.folders import claimed
+from conformodal.odometry.results.folders import claimed
 from conformodal.vision import FeatureCache, default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars, say_strongly

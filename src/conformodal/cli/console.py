@@ -20,13 +20,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from conformodal.odometry import Estimate, Evidence
+from conformodal.core import StageProgress
+from conformodal.odometry import Estimate, EvidenceKind
 
 from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
 from .options import check_options
 
 P = ParamSpec("P")
-Report = Callable[[str, int, int], None]
 
 
 def plain(text: str) -> str:
@@ -94,7 +94,7 @@ def say_strongly(said: str) -> None:
 
 
 @contextmanager
-def progress_bars() -> Iterator[Report]:
+def progress_bars() -> Iterator[StageProgress]:
     """Bars for stages: call the yielded function with stage, steps done and steps in all."""
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
@@ -162,7 +162,7 @@ def state_of(estimate: Estimate) -> str:
     """What became of a frame, in a few words."""
     if estimate.region is None:
         return f"no answer: {estimate.problem}"
-    if estimate.evidence is Evidence.UNKNOWN:
+    if estimate.evidence is EvidenceKind.UNKNOWN:
         motion = estimate.relative_motion
         lost = "" if motion is None or motion.reliable else f", {motion.status}"
         return f"unknown place (p = {estimate.known_p:.2g}){lost}"

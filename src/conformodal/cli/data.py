@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from conformodal._files import LOCK, writing_in
+from conformodal.core.files import LOCK, writing_in
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark

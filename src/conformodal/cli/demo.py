@@ -12,16 +12,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal._files import FolderError, write_whole
+from conformodal.core import StageProgress
+from conformodal.core.files import FolderError, write_whole
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity
 from conformodal.odometry import Method, ModelConfig, write_metrics
-from conformodal.odometry.folders import check_no_stray, claimed
+from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.report import write_page
 from conformodal.vision import TrainingConfig
 
-from .console import Report, console, kind_errors, print_where, progress_bars
+from .console import console, kind_errors, print_where, progress_bars
 from .demo_outcome import Told, answer_test_part
 from .demo_pages import page_of, ratios_said
 from .outcome import say
@@ -50,7 +51,7 @@ def demo(
     with claimed(out, "demo"), progress_bars() as report:
         check_no_stray(out, "demo")
         sequence = _corridor(out / "corridor", seed, report)
-        model = train_on(sequence, config, out / "model", classical=True, cache_dir=out / "cache", report=report)
+        model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
         outcome = answer_test_part(model, config, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
         alike = check_ambiguity(
@@ -86,7 +87,7 @@ def _config(method: Method, seed: int) -> ModelConfig:
     return ModelConfig(alpha=ALPHA, seed=seed, training=training)
 
 
-def _corridor(place: Path, seed: int, report: Report) -> Sequence:
+def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
     """The flight of a seed; one that an earlier demo wrote is not written again."""
     mark, flight, old = place / "demo.json", place / "seq-01", place / ".old"
     wanted, found = {"seed": seed, "n_modules": N_MODULES, "n_laps": N_LAPS}, None

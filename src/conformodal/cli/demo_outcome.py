@@ -10,16 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.core import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.datasets.corridor import CorridorWorld
-from conformodal.experiments import AmbiguityCheck, load_classical, train_plain
+from conformodal.experiments import (
+    AmbiguityCheck,
+    baseline_training,
+    comparison_paths,
+    train_classical,
+    train_plain,
+)
 from conformodal.odometry import (
-    Evidence,
+    EvidenceKind,
     Method,
     ModelConfig,
     OdometryRun,
     PoseModel,
-    RegionTally,
+    RegionStatistics,
     odometry_of,
     prepare_training_data,
     write_run,
@@ -27,7 +34,6 @@ from conformodal.odometry import (
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache, extract_features
 
-from .console import Report
 from .outcome import Known, Part, part_frames, run_metrics
 
 
@@ -65,8 +71,10 @@ class Told:
     folder: Path
 
 
-def answer_test_part(model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: Report) -> Outcome:
-    """Answer the test part by a model, by the regressor saved beside it, and, of the paper's, by a plain one.
+def answer_test_part(
+    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress
+) -> Outcome:
+    """Answer the test part by a model, by a tuned regressor and, beside the paper's system, by a plain one.
 
     Parameters
     ----------
@@ -84,27 +92,28 @@ def answer_test_part(model: PoseModel, config: ModelConfig, out: Path, sequence:
     started = time.perf_counter()
     result = odometry_of(model).process(sequence, frames, cache=cache, progress=report)
     seconds = round(time.perf_counter() - started, 2)
-    classical = load_classical(out / "model")
-    assert classical is not None
-    paths = [sequence.image_paths[i] for i in result.frames]
+    paths, recording = [sequence.image_paths[i] for i in result.frames], sequence.recording[result.frames]
     features = extract_features(paths, model.backbone, cache)
-    result.trajectories |= classical.trajectories(features, result, sequence.recording[result.frames], model.prior)
+    result.trajectories |= comparison_paths(result, model, recording)
+    data = prepare_training_data(sequence, config, cache, report)
+    classical = train_classical(data, baseline_training(config.training), report)
+    result.trajectories |= classical.trajectories(features, result, recording, model.prior)
     if model.method is Method.PAPER:
-        plain = train_plain(prepare_training_data(sequence, config, cache, report), config.training)
+        plain = train_plain(data, config.training)
         result.trajectories["plain"] = plain.trajectory(features, result.timestamps_s)
     truth = sequence.require_truth()[result.frames]
     write_run(out, result, [path.name for path in paths], truth, "demo")
     counts = {
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
-        "n_fixed": sum(bool(fixes.search) for fixes in result.fixes),
-        "n_unknown": int(np.sum(result.kinds == Evidence.UNKNOWN)),
+        "n_localized": sum(bool(its) for its in result.localization.beliefs.estimates),
+        "n_unknown": int(np.sum(result.kinds == EvidenceKind.UNKNOWN)),
         "n_without_image": len(result.unreadable),
         "problems": {str(k): v for k, v in result.unreadable.items()},
         "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
         "stopped": "",
         "seconds": seconds,
     }
-    known = Known(truth, RegionTally.of(result.regions, truth, model.sign_reference, result.kinds))
-    metrics = run_metrics(model, classical, Part.TEST, result.trajectories, known, counts)
+    known = Known(truth, RegionStatistics.of(result.regions, truth, model.sign_reference, result.kinds))
+    metrics = run_metrics(model, Part.TEST, result.trajectories, known, counts)
     return Outcome(result, truth, metrics)

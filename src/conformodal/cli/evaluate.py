@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal._files import writing_in
+from conformodal.core.files import writing_in
 from conformodal.datasets import Layout
 from conformodal.experiments import error_table
+from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
     METRICS,
-    TARGET_NAMES,
     OdometryError,
     provenance,
     read_metrics,
@@ -24,8 +24,8 @@ from conformodal.odometry import (
     records_contain,
     write_metrics,
 )
-from conformodal.odometry.folders import check_belongs, claimed, result_digests, settle
-from conformodal.odometry.records import REGIONS
+from conformodal.odometry.results.folders import check_belongs, claimed, result_digests, settle
+from conformodal.odometry.results.records import REGIONS
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
 

@@ -9,22 +9,23 @@ import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.datasets import Split, frames_to_known
-from conformodal.odometry import TARGET_NAMES, Evidence, Landmarks, Method, ModelConfig, PoseModel
+from conformodal.localization import TARGET_NAMES, LandmarkSource
+from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
 from conformodal.poses import PinholeCamera
 
 NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 _WHERE = {
-    Evidence.SOFTMAX: "where landmarks are not looked for",
-    Evidence.UNMATCHED: "where no landmarks are trusted",
-    Evidence.LANDMARKS: "where landmarks are trusted",
+    EvidenceKind.GLOBAL: "where local features are not matched",
+    EvidenceKind.UNMATCHED: "where landmarks recognise no place",
+    EvidenceKind.LANDMARKS: "where landmarks recognise the place",
 }
 
 
-def said_of_landmarks(landmarks: Landmarks | None, camera: PinholeCamera) -> str:
+def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
     """What a user should know of the landmarks."""
     if landmarks is None:
-        return "no landmarks: too few corners of the training frames could be placed; search and regions do without"
+        return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
     said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
@@ -95,15 +96,15 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
         )
     if config.method is Method.PAPER:
         said.append("images are not tested for unknown places: the paper has no such test")
-    elif model.known is None:
+    elif model.novelty is None:
         said.append(
             "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
             "and there is only one"
         )
-    elif model.rules.level < model.known.test.least_p:
+    elif model.rules.level < model.novelty.test.least_p:
         said.append(
             f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
-            f"{model.known.test.n_groups} pieces of the data no p-value is below {model.known.test.least_p:.3g}"
+            f"{model.novelty.test.n_groups} pieces of the data no p-value is below {model.novelty.test.least_p:.3g}"
         )
     else:
         said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")

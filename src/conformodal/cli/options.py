@@ -61,7 +61,7 @@ RANGES = {
     "seeds": Range(1, 10_000),
     "workers": Range(1, 1024),
     "limit": Range(1),
-    "fix_every": Range(1),
+    "match_every": Range(1),
     "metres_per_radian": Range(0, low_open=True),
 }
 # Options that say something only where another has a certain value.

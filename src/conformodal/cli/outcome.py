@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -11,13 +11,12 @@ import numpy.typing as npt
 
 from conformodal.datasets import Sequence
 from conformodal.experiments import (
-    ClassicalRegressor,
     coverage_table,
     error_table,
     is_exchangeable,
     radius_table,
 )
-from conformodal.odometry import METHODS, Evidence, OdometryError, PoseModel, RegionTally, identify, provenance
+from conformodal.odometry import METHODS, EvidenceKind, OdometryError, PoseModel, RegionStatistics, identify, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors, say_strongly
@@ -39,7 +38,7 @@ class Known:
     """True poses of the answered frames, and what is known of their regions."""
 
     truth: Trajectory
-    regions: RegionTally
+    regions: RegionStatistics
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
@@ -86,21 +85,20 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
 
 def run_metrics(
     model: PoseModel,
-    classical: ClassicalRegressor | None,
     part: Part,
     trajectories: dict[str, Trajectory],
     known: Known | None,
     counts: dict[str, Any],
     *,
     whole: bool = True,
-    fixed_all: bool = True,
+    matched_all: bool = True,
     recording: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
     Parameters
     ----------
-    model, classical, part
+    model, part
         What was run, and on which frames.
     trajectories
         By method; may be empty where nothing is known to compare them with.
@@ -110,8 +108,8 @@ def run_metrics(
         Numbers of frames and seconds.
     whole
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
-    fixed_all
-        Whether landmarks were looked for in all of them, as when a radius is calibrated.
+    matched_all
+        Whether local features were matched in all of them, as when a radius is calibrated.
     recording
         (n,) number of each frame's recording, see :func:`~conformodal.experiments.radius_table`.
     """
@@ -126,14 +124,12 @@ def run_metrics(
         "sign_reference_quat_wxyz": model.sign_reference.tolist(),
         **counts,
     }
-    if classical is not None:
-        metrics["classical_training"] = asdict(classical.training)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if whole and fixed_all and part is Part.ALL else None
+    radius = model.radius if whole and matched_all and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth, recording)
     if known is not None:
         metrics["errors"] = error_table(trajectories, known.truth)
-        shown = known.regions.kinds != Evidence.UNKNOWN
+        shown = known.regions.kinds != EvidenceKind.UNKNOWN
         if shown.any() and not shown.all():
             there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
@@ -143,7 +139,7 @@ def run_metrics(
             known.regions,
             model,
             exchangeable=exchangeable,
-            fixed_all=fixed_all,
+            matched_all=matched_all,
             seen=part in (Part.TRAIN, Part.CALIBRATION),
         )
     return metrics
@@ -154,7 +150,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     lines = [
         f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
         f"{metrics['n_unreliable']} frames are not reliable (motion or place), {metrics['n_without_image']} without an "
-        f"image; landmarks recognised in {metrics['n_fixed']}.",
+        f"image; landmarks gave a pose in {metrics['n_localized']}.",
     ]
     lines += [f"{line}." for line in _said_of_unknown(metrics)]
     if metrics["radius"] is not None:
@@ -168,8 +164,8 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
 def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
-    fixed = f", landmarks recognised in {metrics['n_fixed']}" if metrics["n_fixed"] else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{fixed}{lost}")
+    localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
+    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
         console.print(f"  {name}: {why}", soft_wrap=True)
     for line in _said_of_unknown(metrics):

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal._files import check_writable, write_whole
+from conformodal.core.files import check_writable, write_whole
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import Engine, ExperimentError, LocalEngine, RayEngine, run_tasks
 from conformodal.experiments.table1 import (
@@ -28,7 +28,7 @@ from conformodal.experiments.table1 import (
     write_parquet,
 )
 from conformodal.odometry import Method, ResultsError, data_digest, provenance, read_metrics, write_metrics
-from conformodal.odometry.folders import check_no_stray, claimed
+from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.report import table1_markdown, table1_notes, table1_sections, write_comparison
 from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, default_cache_dir
 

@@ -18,9 +18,8 @@ from conformodal.datasets.streams import (
     SourceError,
     prefetch,
 )
-from conformodal.experiments import ClassicalRegressor, load_classical
 from conformodal.odometry import (
-    Evidence,
+    EvidenceKind,
     OdometryError,
     PoseModel,
     ResultsWriter,
@@ -33,7 +32,7 @@ from conformodal.odometry import (
     write_metrics,
     write_region_parquet,
 )
-from conformodal.odometry.folders import check_no_stray, claimed, result_digests
+from conformodal.odometry.results.folders import check_no_stray, claimed, result_digests
 from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
 
 from .console import StatusLine, kind_errors, print_where, say_strongly
@@ -43,8 +42,8 @@ from .outcome import Known, Part, part_frames, run_metrics, say, summary
 from .sources import FOLLOW_OUTSIDE, open_source
 
 INTERRUPTED = "interrupted"
-# Frames that do not wait leave no time for landmarks in each of them: a 30 Hz camera then gets five fixes a second.
-FIX_EVERY_LIVE = 6
+# Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
+MATCH_EVERY_LIVE = 6
 
 
 @kind_errors
@@ -71,10 +70,10 @@ def run(
         Pace,
         typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon."),
     ] = Pace.FAST,
-    fix_every: Annotated[
+    match_every: Annotated[
         int | None,
         typer.Option(
-            min=1, help=f"Look for landmarks in every so many frames; 1, or {FIX_EVERY_LIVE} at a camera's pace."
+            min=1, help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
         ),
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
@@ -88,7 +87,7 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
-        _check_for(loaded, novelty_level, fix_every)
+        _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
         as_trained = part is not Part.ALL
@@ -102,9 +101,8 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
-        classical = load_classical(model, say_strongly)
         metrics, whole_space = stream_through(
-            loaded, classical, stream, part, out, pace, limit, live, fix_every, model_digest(model)
+            loaded, stream, part, out, pace, limit, live, match_every, model_digest(model)
         )
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
@@ -118,14 +116,13 @@ def run(
 
 def stream_through(
     model: PoseModel,
-    classical: ClassicalRegressor | None,
     stream: FrameStream,
     part: Part,
     out: Path,
     pace: Pace = Pace.FAST,
     limit: int | None = None,
     live: LiveView | None = None,
-    fix_every: int | None = None,
+    match_every: int | None = None,
     digest: str | None = None,
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
@@ -141,13 +138,12 @@ def stream_through(
     truth = None if sequence is None else sequence.truth
     pictures, whole_space, limited, stopped = Thumbnails(), False, False, ""
     lossy = stream.live or pace is Pace.CAMERA
-    odometry = odometry_of(model, fix_every or (FIX_EVERY_LIVE if lossy else 1))
+    odometry = odometry_of(model, match_every or (MATCH_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
         write_metrics(writer.place, _unfinished(model, part, digest))
-        others = None if classical is None else classical.answers
-        runner = StreamRunner(odometry, writer, others, truth=truth)
+        runner = StreamRunner(odometry, writer, truth=truth)
         try:
             with StatusLine(stream.n_frames) as status:
                 for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
@@ -155,7 +151,7 @@ def stream_through(
                     if estimate is not None:
                         if estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
-                            for_want = estimate.evidence is not Evidence.UNKNOWN and estimate.region.unbounded.any()
+                            for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
                             whole_space = whole_space or bool(for_want)
                         if live is not None:
                             live.log(frame, estimate, None if truth is None else truth[frame.index : frame.index + 1])
@@ -174,7 +170,7 @@ def stream_through(
         _check_answered(runner, stream.name, stopped)
         known = None
         if truth is not None:
-            known = Known(truth[np.array(runner.answered)], runner.tally)
+            known = Known(truth[np.array(runner.answered)], runner.statistics)
             writer.truth(known.truth)
         counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": digest}
         counts |= {"signal": stop[0]} if stopped == INTERRUPTED else {}
@@ -182,13 +178,12 @@ def stream_through(
         needed = known is not None or (model.radius is not None and part is Part.ALL)
         metrics = run_metrics(
             model,
-            classical,
             part,
             read_trajectories(writer.place) if needed else {},
             known,
             counts,
             whole=whole,
-            fixed_all=odometry.fix_every == 1,
+            matched_all=odometry.match_every == 1,
             recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
         )
         write_metrics(writer.place, metrics)
@@ -200,12 +195,12 @@ def stream_through(
     return metrics, whole_space
 
 
-def _check_for(model: PoseModel, novelty_level: float | None, fix_every: int | None) -> None:
+def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
     """Refuse options that say nothing with this model."""
-    if novelty_level and model.known is None:
+    if novelty_level and model.novelty is None:
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
-    if fix_every not in (None, 1) and model.landmarks is None and model.region_landmarks is None:
-        raise OptionError(f"--fix-every: the model has no landmarks to look for, got {fix_every}")
+    if match_every not in (None, 1) and not model.looks_at_local_features:
+        raise OptionError(f"--match-every: the model looks at no local features, got {match_every}")
 
 
 def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
@@ -230,10 +225,10 @@ def _unfinished(model: PoseModel, part: Part, digest: str | None) -> dict[str, A
 def _counts(runner: StreamRunner) -> dict[str, Any]:
     return {
         "n_answered": runner.n_answered,
-        "fix_every": runner.odometry.fix_every,
+        "match_every": runner.odometry.match_every,
         "results": result_digests(runner.writer.place),
         "n_unreliable": runner.n_unreliable,
-        "n_fixed": runner.n_fixed,
+        "n_localized": runner.n_localized,
         "n_unknown": runner.n_unknown,
         "n_without_image": runner.n_problems,
         "problems": runner.problems,

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from conformodal.datasets import Sequence
 from conformodal.experiments.table1 import Softmaxes
+from conformodal.localization import pose_targets
 from conformodal.motion import CornerTracker, grey_image
-from conformodal.odometry import pose_targets
 from conformodal.report.overview import SoftmaxOfTarget, Steps
 from conformodal.report.stored import StoredRun
 

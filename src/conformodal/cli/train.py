@@ -10,9 +10,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal._files import check_writable
+from conformodal.core import StageProgress
+from conformodal.core.files import check_writable
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.experiments import opponents_training, remove_classical, save_classical, train_classical
+from conformodal.localization import LandmarkSource
 from conformodal.odometry import (
     Calibration,
     Method,
@@ -25,7 +26,7 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
-from conformodal.odometry.folders import check_no_stray, claimed
+from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.vision import (
     NETWORKS,
     Backbone,
@@ -38,7 +39,7 @@ from conformodal.vision import (
     find_network,
 )
 
-from .console import Report, console, kind_errors, print_where, progress_bars, say_strongly
+from .console import console, kind_errors, print_where, progress_bars, say_strongly
 from .model_notes import (
     distances,
     said_of_calibration,
@@ -127,13 +128,12 @@ def train(
     fine_tune_epochs: Annotated[int, typer.Option(min=1, help="Passes over the training images.")] = (
         FineTuning().epochs
     ),
-    landmarks: Annotated[
-        bool,
-        typer.Option(help="Whether search and regions also rest on corners of training frames that are seen again."),
-    ] = _DEFAULT.landmarks,
+    sources: Annotated[
+        str,
+        typer.Option(help="Pose sources that the belief is made of, in order, separated by commas."),
+    ] = ",".join(_DEFAULT.sources),
     device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
-    classical: Annotated[bool, typer.Option(help="Also train the classical regressor, to compare with.")] = False,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
 ) -> None:
@@ -151,7 +151,7 @@ def train(
         "novelty_level": novelty_level,
         "used": used,
         "network": network,
-        "landmarks": landmarks,
+        "sources": tuple(name.strip() for name in sources.split(",")),
         "fine_tuning": tuning_of(fine_tune, fine_tune_epochs, seed),
         "device": device,
         "seed": seed,
@@ -171,7 +171,7 @@ def train(
         check_writable(cache_dir)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
-            train_on(sequence, config, out, classical=classical, cache_dir=cache_dir, report=report)
+            train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)
 
 
@@ -209,19 +209,14 @@ def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
 
 
 def train_on(
-    sequence: Sequence, config: ModelConfig, out: Path, *, classical: bool, cache_dir: Path, report: Report
+    sequence: Sequence, config: ModelConfig, out: Path, *, cache_dir: Path, report: StageProgress
 ) -> PoseModel:
     """Train, calibrate and save; says what a user should know of the model."""
     started = time.perf_counter()
     data = prepare_training_data(sequence, config, FeatureCache(cache_dir), report)
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
-    opponent = train_classical(data, opponents_training(config.training), report) if classical else None
-    # all at the end: until then, a model that was there before is whole
+    # at the end: until then, a model that was there before is whole
     save_model(model, out)
-    if opponent is None:
-        remove_classical(out)
-    else:
-        save_classical(opponent, out)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     metrics = {
@@ -240,7 +235,7 @@ def train_on(
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
     console.print(said_of_distances(split, sequence.recording), soft_wrap=True)
-    if config.landmarks:
+    if LandmarkSource.name in config.sources:
         console.print(said_of_landmarks(model.landmarks, model.camera))
     used = np.concatenate((split.train, split.calibration))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):

@@ -1,10 +1,10 @@
-"""The root of every error this package raises on purpose."""
+"""Errors of the conformal core."""
 
 from __future__ import annotations
 
+from conformodal.core.errors import ConformodalError
 
-class ConformodalError(ValueError):
-    """Bad input, told kindly: what was found, where, and what was expected."""
+__all__ = ["ConformalError", "ConformalTypeError", "ConformodalError", "NotCalibratedError"]
 
 
 class ConformalError(ConformodalError):

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
 
 from .decoding import image_fault
@@ -21,8 +22,6 @@ from .errors import DatasetError, DatasetWarning
 from .files import Remark, read_lines, readable, shown
 from .sequence import Sequence
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Damaged = dict[int, str]
 
 NO_POSE = "no pose"

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal._files import FolderInUseError, locked
+from conformodal.core import FloatArray
+from conformodal.core.files import FolderInUseError, locked
 from conformodal.poses import PoseError
 from conformodal.poses.text import number, text_lines
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from .sequence import Sequence
 
 P = ParamSpec("P")
-FloatArray = npt.NDArray[np.float64]
 
 FRAME_RATE_HZ = 30.0
 _RATES_HZ = (1e-3, 1e6)

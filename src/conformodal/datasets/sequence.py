@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .decoding import read_image
 from .errors import DatasetError
 from .files import Remark
 from .noise import PixelNoise
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

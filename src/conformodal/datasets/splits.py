@@ -16,10 +16,9 @@ from math import ceil
 import numpy as np
 import numpy.typing as npt
 
-from .errors import SplitError
+from conformodal.core import BoolArray, IntArray
 
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from .errors import SplitError
 
 
 class SplitKind(StrEnum):

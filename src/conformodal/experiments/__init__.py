@@ -3,12 +3,10 @@
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import (
     ClassicalRegressor,
-    load_classical,
-    opponents_training,
-    remove_classical,
-    save_classical,
+    baseline_training,
     train_classical,
 )
+from .comparison import comparison_paths
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, radius_table
@@ -22,16 +20,14 @@ __all__ = [
     "LocalEngine",
     "PlainRegressor",
     "RayEngine",
+    "baseline_training",
     "check_ambiguity",
+    "comparison_paths",
     "coverage_table",
     "error_table",
     "is_exchangeable",
-    "load_classical",
-    "opponents_training",
     "radius_table",
-    "remove_classical",
     "run_tasks",
-    "save_classical",
     "train_classical",
     "train_plain",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets.corridor import Renderer, same_views
-from conformodal.odometry import OdometryRun, PoseModel, pose_targets
+from conformodal.localization import pose_targets
+from conformodal.odometry import OdometryRun, PoseModel
 from conformodal.poses import Trajectory
 
 

@@ -21,16 +21,17 @@ import numpy.typing as npt
 import torch
 
 from conformodal.conformal import conformal_quantile
+from conformodal.core import FloatArray
 from conformodal.datasets import SplitKind, held_out_together
-from conformodal.odometry import TrainingData, target_scale
+from conformodal.localization import target_scale
+from conformodal.localization.neighbours import LocalSettings, fit_local
+from conformodal.odometry import TrainingData
 from conformodal.vision import (
     Head,
-    LocalSettings,
     Projection,
     TrainingConfig,
     feature_views,
     fit_head,
-    fit_local,
     mean_squared_error,
     predict_values,
 )
@@ -48,7 +49,6 @@ from .losses import (
 from .plain import known_frames
 from .search import Search
 
-FloatArray = npt.NDArray[np.float64]
 Features: TypeAlias = npt.NDArray[np.float32]
 Answer: TypeAlias = Callable[[Features], FloatArray]
 
@@ -112,7 +112,7 @@ class Problem:
 def with_thumbnail(problem: Problem) -> Baseline:
     """The classical regressor that sees the thumbnail too, with settings searched anew."""
     started = time.perf_counter()
-    head = train_classical(problem.data, problem.config, thumbnail=True).head
+    head = train_classical(problem.data, problem.config, whole=True).head
     return _trained(problem, [head], started, lambda features: predict_values(head, features))
 
 

@@ -8,33 +8,17 @@ searched with and without dropout: without, squared errors bear a rate three tim
 
 from __future__ import annotations
 
-import hashlib
-import json
-import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
 
-from conformodal._files import write_whole
-from conformodal.odometry import OdometryRun, TrainingData, as_trajectory, model_digest
+from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
-from conformodal.vision import (
-    Head,
-    Projection,
-    TrainingConfig,
-    predict_values,
-)
+from conformodal.vision import Head, TrainingConfig, predict_values
 
-from .errors import ExperimentError
 from .plain import PlainRegressor, fit_values, known_frames, scaling
 from .search import Search
 
@@ -42,7 +26,6 @@ START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
 _BATCH_SIZE = 32  # at 64, the conformal network's, errors rose on most splits that were tried
 COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
-_FILES = ("classical.json", "classical.safetensors")
 
 
 @dataclass(eq=False)
@@ -89,7 +72,7 @@ def train_classical(
     config: TrainingConfig,
     progress: Callable[[str, int, int], None] | None = None,
     *,
-    thumbnail: bool = False,
+    whole: bool = False,
 ) -> ClassicalRegressor:
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
@@ -105,15 +88,15 @@ def train_classical(
         Settings; only learning rate, dropout and components change.
     progress
         Called with stage, trainings done and trainings in all (as far as known).
-    thumbnail
-        Whether to look at the thumbnail too; by default it sees what the conformal heads see.
+    whole
+        Whether it sees the global descriptor too; by default it sees what the softmax head sees.
     """
     train, check = data.split.train, data.split.calibration
     mean, scale = scaling(data)
     standard = (data.targets - mean) / scale
 
     def fit(rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
-        return fit_values(data, rows, standard, settings, thumbnail=thumbnail)
+        return fit_values(data, rows, standard, settings, whole=whole)
 
     def report(done: int, total: int) -> None:
         if progress is not None:
@@ -155,71 +138,11 @@ def train_classical(
     )
 
 
-def opponents_training(config: TrainingConfig) -> TrainingConfig:
-    """Where the classical regressor and the other opponents start, for a conformal network trained with `config`."""
+def baseline_training(config: TrainingConfig) -> TrainingConfig:
+    """Settings that baselines start from, beside a conformal network trained with `config`."""
     return replace(config, batch_size=_BATCH_SIZE)
 
 
 def root_mean_square(miss: npt.NDArray[np.float64]) -> float:
     """Root mean square length of vectors (n, d)."""
     return float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
-
-
-def save_classical(regressor: ClassicalRegressor, folder: Path) -> None:
-    """Write the regressor beside the saved model that it belongs to: ``classical.safetensors``, ``classical.json``."""
-    arrays: dict[str, npt.NDArray[Any]] = {f"head.{k}": v.numpy() for k, v in regressor.head.state_dict().items()}
-    arrays |= {"mean": regressor.mean, "scale": regressor.scale, "spread_m": regressor.spread_m}
-    content = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
-    record = {
-        "model": model_digest(folder),
-        "hidden": regressor.head.output.in_features,
-        "training": asdict(regressor.training),
-        "spread_rad": regressor.spread_rad,
-        "sha256": hashlib.sha256(content).hexdigest(),
-    }
-    write_whole(folder / _FILES[1], content)
-    write_whole(folder / _FILES[0], json.dumps(record, indent=1) + "\n")
-
-
-def remove_classical(folder: Path) -> None:
-    """Remove the regressor beside a model, if there is one: another model takes that one's place."""
-    for name in _FILES:
-        (folder / name).unlink(missing_ok=True)
-
-
-def load_classical(folder: Path, say: Callable[[str], None] = warnings.warn) -> ClassicalRegressor | None:
-    """The regressor beside a saved model, or None if there is none that belongs to it.
-
-    Parameters
-    ----------
-    folder
-        Of the model.
-    say
-        Told where there is one that belongs to another model, as a training that was killed may leave it.
-
-    Raises
-    ------
-    ExperimentError
-        If its files are incomplete, damaged or altered.
-    """
-    if not (folder / _FILES[0]).is_file():
-        return None
-    try:
-        record = json.loads((folder / _FILES[0]).read_text(encoding="utf-8"))
-        if record.get("model") != model_digest(folder):
-            say(f"{folder / _FILES[0]}: belongs to another model than the one beside it, and is left out; train again")
-            return None
-        content = (folder / _FILES[1]).read_bytes()
-        if hashlib.sha256(content).hexdigest() != record["sha256"]:
-            raise ExperimentError(f"{folder / _FILES[1]}: is not the file that was saved: its digest differs")
-        arrays = load_tensors(content)
-        state = {k.removeprefix("head."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("head.")}
-        through = Projection(state["offset"].numpy(), state["components"].numpy())
-        head = Head(through, [1] * len(arrays["mean"]), record["hidden"])
-        head.load_state_dict(state)
-        training, angle = TrainingConfig(**record["training"]), float(record["spread_rad"])
-        return ClassicalRegressor(head.eval(), arrays["mean"], arrays["scale"], training, arrays["spread_m"], angle)
-    except ExperimentError:
-        raise
-    except (OSError, SafetensorError, LookupError, TypeError, ValueError, AttributeError, RuntimeError) as exc:
-        raise ExperimentError(f"{folder / _FILES[0]}: cannot be used: {type(exc).__name__}: {exc}") from exc

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import grouped_coverage_band
 from conformodal.datasets import SplitKind
-from conformodal.odometry import TARGET_NAMES, Evidence, PoseModel, PoseRadius, RegionTally
+from conformodal.localization import TARGET_NAMES
+from conformodal.odometry import EvidenceKind, PoseModel, PoseRadius, RegionStatistics
 from conformodal.poses import Trajectory, trajectory_errors
 
 ASSUMPTION_HELD = (
@@ -23,7 +24,7 @@ ASSUMPTION_EACH = (
 )
 ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
-    "Landmarks were looked for in some frames only: there are two calibrations, and no exact band for the count."
+    "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
 )
 ASSUMPTION_STRETCHES = (
     "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
@@ -49,40 +50,40 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
 
 
 def coverage_table(
-    tally: RegionTally, model: PoseModel, *, exchangeable: bool, fixed_all: bool = True, seen: bool = False
+    statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, matched_all: bool = True, seen: bool = False
 ) -> dict[str, Any]:
     """Coverage and size of the regions.
 
     Parameters
     ----------
-    tally
+    statistics
         Of the regions of the frames that were answered.
     model
         Gives alpha and the number of calibration frames.
     exchangeable
         Whether these frames are exchangeable with the calibration frames: the test part of an ``interleaved``
         split.
-    fixed_all
-        Whether landmarks were looked for in all of them. Otherwise there were two calibrations, each of which keeps
+    matched_all
+        Whether local features were matched in all of them. Otherwise there were two calibrations, each of which keeps
         its promise. A band is stated for frames that are exchangeable and have one calibration.
     seen
         Whether they are of the training or the calibration part.
     """
-    inside, finite = tally.inside, ~tally.unbounded.any(axis=1)
+    inside, finite = statistics.inside, ~statistics.unbounded.any(axis=1)
     rules = model.rules
-    kinds = [(kind, rule, int((tally.kinds == kind).sum())) for kind, rule in rules.of.items()]
+    kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
     met = [(rule.n_units, count) for _, rule, count in kinds if count]
-    met += [(0, int((tally.kinds == Evidence.UNKNOWN).sum()))]  # always covered
-    by_frame = rules.softmax.groups_ is None
-    # the softmax alone is calibrated on the frames of the other kinds too, so that counts are not independent
-    one_law = exchangeable and by_frame and (fixed_all or rules.pooled is None)
-    calibration = model.calibration_of(with_fixes=fixed_all)
+    met += [(0, int((statistics.kinds == EvidenceKind.UNKNOWN).sum()))]  # always covered
+    by_frame = rules.overall.groups_ is None
+    # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
+    one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
+    calibration = model.calibration_of(local=matched_all)
     targets: dict[str, Any] = {}
     for j, name in enumerate(TARGET_NAMES):
         row: dict[str, Any] = {
             "coverage": float(inside[:, j].mean()),
-            "mean_length": float(tally.length[finite, j].mean()) if finite.any() else None,
-            "mean_intervals": float(tally.n_intervals[:, j].mean()),
+            "mean_length": float(statistics.length[finite, j].mean()) if finite.any() else None,
+            "mean_intervals": float(statistics.n_intervals[:, j].mean()),
         }
         if one_law and calibration.joint != "max":
             low, high = grouped_coverage_band(met, calibration.alpha_per_target)
@@ -104,22 +105,22 @@ def coverage_table(
         "alpha_per_target": float(calibration.alpha_per_target),
         "score": calibration.score.name,
         "n_calibration": model.n_calibration,
-        "n_evaluated": len(tally),
-        "whole_space": bool(tally.unbounded[tally.kinds != Evidence.UNKNOWN].any()),
+        "n_evaluated": len(statistics),
+        "whole_space": bool(statistics.unbounded[statistics.kinds != EvidenceKind.UNKNOWN].any()),
         "abstained": float((~finite).mean()),
         "by_evidence": {
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
-                "joint_coverage": float(held[tally.kinds == kind].mean()) if count else None,
+                "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
             }
             for kind, rule, count in kinds
         },
         "targets": targets,
         "joint_coverage": float(held.mean()),
         "joint_band_99": None if band is None else list(band),
-        "median_position_volume_m3": _finite(np.median(tally.length[:, :3].prod(axis=1))),
-        "regions_from": _regions_from(model, fixed_all=fixed_all),
+        "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
+        "regions_from": _regions_from(model, matched_all=matched_all),
         "assumption": assumption,
     }
 
@@ -169,12 +170,11 @@ def is_exchangeable(model: PoseModel, part: str | None) -> bool:
     return part == "test" and model.split.kind is SplitKind.INTERLEAVED
 
 
-def _regions_from(model: PoseModel, *, fixed_all: bool) -> str:
+def _regions_from(model: PoseModel, *, matched_all: bool) -> str:
     """What the regions rest on, for people."""
-    if model.region_landmarks is None:
-        return "the image's softmax"
-    where = "" if fixed_all else " in those frames where they were looked for"
-    return f"the image's softmax, and landmarks that it was calibrated with{where}"
+    names = " + ".join(source.name for source in model.localizer.sources)
+    where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
+    return f"one belief from {names}{where}"
 
 
 def _finite(value: np.floating[Any] | float) -> float | None:

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.odometry import TrainingData
 from conformodal.poses import Trajectory, normalise_quat
 from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
-
-IntArray = npt.NDArray[np.int64]
-FloatArray = npt.NDArray[np.float64]
 
 _LEAST_SCALE = 1e-6  # of a target that does not vary
 
@@ -73,7 +71,7 @@ def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_values(
-    data: TrainingData, rows: IntArray, standard: FloatArray, config: TrainingConfig, *, thumbnail: bool = False
+    data: TrainingData, rows: IntArray, standard: FloatArray, config: TrainingConfig, *, whole: bool = False
 ) -> Head:
     """Fit one output a target to squared errors.
 
@@ -87,9 +85,9 @@ def fit_values(
         (n, 7) standardised targets of all frames.
     config
         Settings.
-    thumbnail
-        Whether to look at the thumbnail too.
+    whole
+        Whether it sees the global descriptor too.
     """
-    through = data.projection(rows, config.components, thumbnail=thumbnail)
+    through = data.projection(rows, config.components, whole=whole)
     outputs = [1] * standard.shape[1]
     return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, config, projection=through)

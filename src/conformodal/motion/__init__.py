@@ -1,8 +1,7 @@
-"""Motion between frames: corners, flow, two-view geometry, submaps and landmarks (OpenCV, PoseLib)."""
+"""Motion between frames: corners, flow, two-view geometry and submaps (OpenCV, PoseLib)."""
 
 from .essential import EssentialFrontEnd
 from .frontend import FrontEnd, MotionFrontEnd
-from .landmarks import Described, LandmarkMap, Matcher, build_map, describe, match
 from .relative_pose import estimate_relative_motion
 from .submaps import build_submaps
 from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
@@ -12,21 +11,15 @@ from .undistortion import undistort
 __all__ = [
     "CornerTracker",
     "Corners",
-    "Described",
     "EssentialFrontEnd",
     "FrontEnd",
-    "LandmarkMap",
-    "Matcher",
     "MotionFrontEnd",
     "TrackerConfig",
     "TwoView",
     "TwoViewSolver",
-    "build_map",
     "build_submaps",
-    "describe",
     "estimate_relative_motion",
     "grey_image",
-    "match",
     "solve_opencv",
     "solve_poselib",
     "undistort",

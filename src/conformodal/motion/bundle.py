@@ -10,18 +10,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from conformodal.core import MEDIAN_OF_NORM2, BoolArray, FloatArray
 
-_ITERATIONS = 20
-_DAMPINGS = 6  # tried in one iteration
-_ENOUGH = 1e-5  # relative decrease of the cost that ends the search
-_CAUCHY = 2.0  # residuals beyond so many spreads lose their pull
-_NEAREST = 1e-3  # depth in front of a camera, as a share of the anchor's
-_MEDIAN_OF_NORM2 = 1.177  # median length of a standard normal vector in the plane
+from .settings import BUNDLE
 
 
 class Bundle(NamedTuple):
@@ -79,9 +72,9 @@ def adjust_bundle(start: Bundle, views: Views, sigma: float) -> tuple[Bundle, Fl
     now, damping = start, 1e-4
     seen_from, residuals = _residuals(now, views, sigma)
     cost = _cost(residuals)
-    for _ in range(_ITERATIONS):
+    for _ in range(BUNDLE.iterations):
         system = _linearise(now, views, seen_from, residuals, sigma)
-        for _ in range(_DAMPINGS):
+        for _ in range(BUNDLE.dampings):
             after = _step(now, system, damping)
             seen_after, residuals_after = _residuals(after, views, sigma)
             cost_after = _cost(residuals_after)
@@ -91,7 +84,7 @@ def adjust_bundle(start: Bundle, views: Views, sigma: float) -> tuple[Bundle, Fl
             damping *= 10
         else:
             break
-        enough = cost - cost_after <= _ENOUGH * cost
+        enough = cost - cost_after <= BUNDLE.enough * cost
         now, seen_from, residuals, cost = after, seen_after, residuals_after, cost_after
         if enough:
             break
@@ -102,7 +95,7 @@ def adjust_bundle(start: Bundle, views: Views, sigma: float) -> tuple[Bundle, Fl
 
 def residual_spread(lengths: FloatArray) -> float:
     """Spread per axis of residuals in the plane, from the median of their lengths."""
-    return float(np.nanmedian(lengths)) / _MEDIAN_OF_NORM2
+    return float(np.nanmedian(lengths)) / MEDIAN_OF_NORM2
 
 
 class _System(NamedTuple):
@@ -120,21 +113,21 @@ def _residuals(bundle: Bundle, views: Views, sigma: float) -> tuple[FloatArray, 
     rays = np.column_stack((views.anchor, np.ones(len(views.anchor))))
     from_camera = rays[None] - bundle.inverse_depths[None, :, None] * bundle.positions[:, None]
     seen_from = from_camera @ bundle.R_anchor_frame
-    ahead = np.maximum(seen_from[..., 2:], _NEAREST)
+    ahead = np.maximum(seen_from[..., 2:], BUNDLE.nearest)
     return seen_from, np.where(views.seen[..., None], (seen_from[..., :2] / ahead - views.others) / sigma, 0.0)
 
 
 def _cost(residuals: FloatArray) -> float:
-    squares = (residuals**2).sum(axis=2) / (2 * _CAUCHY**2)
+    squares = (residuals**2).sum(axis=2) / (2 * BUNDLE.cauchy**2)
     return float(np.log1p(squares).sum())
 
 
 def _linearise(bundle: Bundle, views: Views, seen_from: FloatArray, residuals: FloatArray, sigma: float) -> _System:
     k, n = views.seen.shape
-    weight = np.where(views.seen, 1 / (1 + (residuals**2).sum(axis=2) / (2 * _CAUCHY**2)), 0.0)
+    weight = np.where(views.seen, 1 / (1 + (residuals**2).sum(axis=2) / (2 * BUNDLE.cauchy**2)), 0.0)
     root = np.sqrt(weight)[..., None]
     x, y, z = (seen_from[..., i] for i in range(3))
-    ahead = np.maximum(z, _NEAREST)
+    ahead = np.maximum(z, BUNDLE.nearest)
     scale = np.sqrt(weight) / (sigma * ahead)
     projected = np.zeros((k, n, 2, 3))  # by the corner's place in the camera's frame
     projected[..., 0, 0] = projected[..., 1, 1] = scale

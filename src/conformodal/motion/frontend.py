@@ -9,14 +9,10 @@ import numpy.typing as npt
 
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
-from .relative_pose import MIN_TRACKS, estimate_relative_motion
+from .relative_pose import estimate_relative_motion
+from .settings import RELATIVE_POSE
 from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
 from .two_view import TwoViewSolver, solve_poselib
-
-# With a smaller share of the marked corners left than this, motion so far is banked and measured afresh from here.
-# The corners that last longest drift most, so a rotation is chained from short stretches rather than measured from the
-# last few corners of a long one.
-_REMARK_BELOW = 0.5
 
 
 class FrontEnd(Protocol):
@@ -84,7 +80,7 @@ class MotionFrontEnd:
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
         """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
         self._advance(image)
-        if len(self.tracker.pairs()[0]) < _REMARK_BELOW * self.tracker.n_at_mark:
+        if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._bank()
 
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
@@ -104,7 +100,7 @@ class MotionFrontEnd:
         self._forget_bank()
         self.tracker.mark()
         self.corners = self.tracker.corners()
-        if first and self.tracker.n_at_mark < MIN_TRACKS:
+        if first and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
         return motion
 

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.poses import PinholeCamera
 
-FloatArray = npt.NDArray[np.float64]
-
-# The share of corners that one plane must explain, to within the tracker's tolerance.
-PLANE_SHARE = 0.97
-# A corner may fall this little behind a candidate camera, in units of the plane's distance, by tracking error alone.
-_BEHIND = -1e-3
+from .settings import RELATIVE_POSE
 
 
 def plane_motions(
@@ -41,14 +36,14 @@ def plane_motions(
     led = np.column_stack((pixels_prev, np.ones(len(pixels_prev)))) @ homography.T
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.linalg.norm(led[:, :2] / led[:, 2:] - pixels_next, axis=1)
-    if not np.mean(off <= tolerance_px) >= PLANE_SHARE:
+    if not np.mean(off <= tolerance_px) >= RELATIVE_POSE.plane_share:
         return []
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, camera.matrix)
     rays = camera.bearings(pixels_prev)
     found: list[tuple[FloatArray, FloatArray]] = []
     for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):
         length = float(np.linalg.norm(t))
-        if length > 1e-9 and (rays @ normal[:, 0] > _BEHIND).all():
+        if length > 1e-9 and (rays @ normal[:, 0] > RELATIVE_POSE.behind).all():
             R_prev_next = np.asarray(R_next_prev, dtype=np.float64).T
             found.append((R_prev_next, -R_prev_next @ t[:, 0] / length))
     return found

@@ -6,23 +6,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from conformodal.core import FloatArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .plane import plane_motions
+from .settings import RELATIVE_POSE
 from .spreads import image_cells, motion_spreads, turning_spread
-from .two_view import MAX_EPIPOLAR_ERROR_PX, TwoViewSolver, solve_poselib
+from .two_view import TwoViewSolver, solve_poselib
 from .undistortion import undistort
-
-FloatArray = npt.NDArray[np.float64]
-
-MIN_TRACKS = 16
-MIN_INLIER_SHARE = 0.5
-# Below this median displacement nothing has moved: the same picture again, or a camera at rest.
-REPEATED_FLOW_PX = 0.05
-# Two motions that a plane allows are two answers if their directions differ by more than this.
-PLANE_AMBIGUITY_RAD = np.radians(5.0)
-# Parallax under this many pixels is lost in the tracker's own error.
-MIN_PARALLAX_PX = 1.0
 
 
 def estimate_relative_motion(
@@ -51,19 +42,23 @@ def estimate_relative_motion(
         With the rotation where it is sound, and the direction only where parallax carries it.
     """
     n = len(pixels_prev)
-    if n < MIN_TRACKS:
-        blank = (n_at_start if n_at_start is not None else n) < MIN_TRACKS
+    if n < RELATIVE_POSE.min_tracks:
+        blank = (n_at_start if n_at_start is not None else n) < RELATIVE_POSE.min_tracks
         return RelativeMotion(MotionStatus.TOO_FEW if blank else MotionStatus.LOST, n_tracks=n)
     pixels_prev, pixels_next = undistort(pixels_prev, camera), undistort(pixels_next, camera)
     pixel = 2.0 / (camera.fx + camera.fy)  # radians
     flow = np.linalg.norm(pixels_next - pixels_prev, axis=1)
-    if np.median(flow) < REPEATED_FLOW_PX:
+    if np.median(flow) < RELATIVE_POSE.repeated_flow_px:
         return RelativeMotion(
-            MotionStatus.REPEATED, np.eye(3), n_tracks=n, n_inliers=n, rotation_sigma_rad=REPEATED_FLOW_PX * pixel
+            MotionStatus.REPEATED,
+            np.eye(3),
+            n_tracks=n,
+            n_inliers=n,
+            rotation_sigma_rad=RELATIVE_POSE.repeated_flow_px * pixel,
         )
 
     rays_prev, rays_next = camera.bearings(pixels_prev), camera.bearings(pixels_next)
-    rotation, rotation_inliers = _rotation_only(rays_prev, rays_next, MIN_PARALLAX_PX * pixel)
+    rotation, rotation_inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
     if rotation_inliers.mean() >= 0.9:  # turning alone explains the pair: no five points can tell a direction
         spread = float(np.median(_angles(rays_prev, rays_next @ rotation.T)))
         return RelativeMotion(
@@ -83,12 +78,16 @@ def estimate_relative_motion(
         )
 
     found = solver(pixels_prev, pixels_next, camera)
-    if found is None or found.inliers.sum() < MIN_TRACKS or found.inliers.mean() < MIN_INLIER_SHARE:
+    if (
+        found is None
+        or found.inliers.sum() < RELATIVE_POSE.min_tracks
+        or found.inliers.mean() < RELATIVE_POSE.min_inlier_share
+    ):
         n_inliers = 0 if found is None else int(found.inliers.sum())
         return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=n_inliers)
     R_prev_next, direction, inliers = found
     parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
-    enough = parallax >= MIN_PARALLAX_PX * pixel
+    enough = parallax >= RELATIVE_POSE.min_parallax_px * pixel
     status = MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX
     rotation_sigma, direction_sigma = motion_spreads(
         rays_prev[inliers],
@@ -99,8 +98,8 @@ def estimate_relative_motion(
         pixel,
     )
     if enough:
-        ways = plane_motions(pixels_prev[inliers], pixels_next[inliers], camera, MAX_EPIPOLAR_ERROR_PX)
-        if len(ways) > 1 and _angles(ways[0][1][None], ways[1][1][None])[0] > PLANE_AMBIGUITY_RAD:
+        ways = plane_motions(pixels_prev[inliers], pixels_next[inliers], camera, RELATIVE_POSE.epipolar_px)
+        if len(ways) > 1 and _angles(ways[0][1][None], ways[1][1][None])[0] > RELATIVE_POSE.plane_ambiguity_rad:
             # the rotation is one of two as well: as wide as they lie apart
             apart = Rotation.from_matrix(ways[0][0].T @ ways[1][0]).magnitude()
             status, enough, rotation_sigma = MotionStatus.PLANE, False, float(np.hypot(rotation_sigma, apart))

@@ -11,22 +11,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import MAD_OF_NORMAL, MEDIAN_OF_NORM2, FloatArray
 from conformodal.poses import PinholeCamera
 
-FloatArray = npt.NDArray[np.float64]
-
-COLUMNS, ROWS = 4, 3
-ROTATION_FACTOR, DIRECTION_FACTOR = 2.4, 3.0
-# no corner is followed better than this
-_LEAST_RESIDUAL_PX = 0.05
-_MAD_OF_NORMAL = 0.6745
+from .settings import MOTION_ERRORS
 
 
 def image_cells(pixels: FloatArray, camera: PinholeCamera) -> npt.NDArray[np.int64]:
     """Cell (n,) of every pixel (n, 2) in a grid of 4 x 3 over the image."""
-    column = np.clip(pixels[:, 0] * COLUMNS // camera.width, 0, COLUMNS - 1)
-    row = np.clip(pixels[:, 1] * ROWS // camera.height, 0, ROWS - 1)
-    return (column * ROWS + row).astype(np.int64)
+    column = np.clip(pixels[:, 0] * MOTION_ERRORS.columns // camera.width, 0, MOTION_ERRORS.columns - 1)
+    row = np.clip(pixels[:, 1] * MOTION_ERRORS.rows // camera.height, 0, MOTION_ERRORS.rows - 1)
+    return (column * MOTION_ERRORS.rows + row).astype(np.int64)
 
 
 def motion_spreads(
@@ -66,7 +61,9 @@ def motion_spreads(
     jacobian = np.concatenate((by_turn, by_direction), axis=1) / size[:, None]
     covariance = _clustered(jacobian[:, None], cells, _residual_size(residual, pixel_rad))
     rotation, direction = np.trace(covariance[:3, :3]) / 3, np.trace(covariance[3:, 3:]) / 2
-    return ROTATION_FACTOR * float(np.sqrt(rotation)), DIRECTION_FACTOR * float(np.sqrt(direction))
+    return MOTION_ERRORS.rotation_factor * float(np.sqrt(rotation)), MOTION_ERRORS.direction_factor * float(
+        np.sqrt(direction)
+    )
 
 
 def turning_spread(
@@ -83,13 +80,12 @@ def turning_spread(
     zero = np.zeros_like(x)
     # a turn w in the previous frame moves a ray by w x ray
     jacobian = np.stack([np.stack(row, axis=1) for row in ((zero, z, -y), (-z, zero, x), (y, -x, zero))], axis=1)
-    # the length of a plane normal vector has its median at 1.177 spreads
-    size = max(float(np.median(off)) / 1.177, _LEAST_RESIDUAL_PX * pixel_rad)
-    return ROTATION_FACTOR * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
+    size = max(float(np.median(off)) / MEDIAN_OF_NORM2, MOTION_ERRORS.least_residual_px * pixel_rad)
+    return MOTION_ERRORS.rotation_factor * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
 
 
 def _residual_size(residual: FloatArray, pixel_rad: float) -> float:
-    return max(float(np.median(np.abs(residual))) / _MAD_OF_NORMAL, _LEAST_RESIDUAL_PX * pixel_rad)
+    return max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, MOTION_ERRORS.least_residual_px * pixel_rad)
 
 
 def _clustered(jacobian: FloatArray, cells: npt.NDArray[np.int64], sigma: float) -> FloatArray:
@@ -98,7 +94,7 @@ def _clustered(jacobian: FloatArray, cells: npt.NDArray[np.int64], sigma: float)
     information = np.einsum("nmi,nmj->ij", jacobian, jacobian)
     if not np.linalg.cond(information) < 1e12:
         return np.full((p, p), np.inf)
-    pulls = np.zeros((COLUMNS * ROWS, *jacobian.shape[1:]))
+    pulls = np.zeros((MOTION_ERRORS.columns * MOTION_ERRORS.rows, *jacobian.shape[1:]))
     np.add.at(pulls, cells, jacobian)
     inverse = np.linalg.inv(information)
     return np.asarray(sigma**2 * inverse @ np.einsum("cmi,cmj->ij", pulls, pulls) @ inverse)

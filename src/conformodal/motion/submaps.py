@@ -11,36 +11,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import poselib
 
+from conformodal.core import BoolArray, FloatArray, IntArray
 from conformodal.poses import MotionStatus, PinholeCamera, Submap
 
 from .bundle import Bundle, Views, adjust_bundle, residual_spread
 from .relative_pose import estimate_relative_motion
+from .settings import SUBMAPS
 from .tracker import Corners
 from .two_view import poselib_camera
 from .undistortion import undistort
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
-
-# A submap ends where fewer of its corners are left: this share of them, and this many.
-MIN_SHARE, MIN_CORNERS = 0.3, 40
-MAX_SPAN = 60  # frames
-MAX_CAMERAS = 9  # the anchor included; frames between these say little more
-MAX_CORNERS = 250
-# Errors in units of what the corners' residuals would make of a position and of a rotation. They are far larger:
-# rolling shutter and the drift of corners are errors in common, see benchmarks/submaps.py.
-POSITION_FACTOR, ROTATION_FACTOR = 4.5, 35.0
-# A submap whose claimed spread is larger than this share of its longest distance says nothing.
-WORST_SIGMA = 0.5
-_SIGMA_PX = 0.5
-_LEAST_RESIDUAL_PX = 0.1
-_AGREE_PX, _MIN_AGREEING = 2.0, 0.6
-_ABSOLUTE = {"max_reproj_error": 3.0, "max_iterations": 200, "min_iterations": 10, "seed": 0}
-_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.5}
 
 
 def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Submap]:
@@ -76,7 +57,7 @@ def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Sub
 def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: PinholeCamera) -> Submap | None:
     """The submap from an anchor to a frame, or to one half as far where that fails, and so on; None if all fail."""
     while last > anchor + 1:
-        frames = np.unique(np.linspace(anchor, last, MAX_CAMERAS).round().astype(np.int64))
+        frames = np.unique(np.linspace(anchor, last, SUBMAPS.max_cameras).round().astype(np.int64))
         submap = _submap([corners[f] for f in frames], frames, camera)
         if submap is not None:
             return submap
@@ -87,9 +68,9 @@ def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: Pinhole
 def _reach(corners: Sequence[Corners], anchor: int) -> int:
     """The last frame that still sees enough of the anchor's corners."""
     ids = corners[anchor].ids
-    enough = max(MIN_SHARE * len(ids), MIN_CORNERS)
+    enough = max(SUBMAPS.min_share * len(ids), SUBMAPS.min_corners)
     last = anchor
-    for t in range(anchor + 1, min(len(corners), anchor + MAX_SPAN)):
+    for t in range(anchor + 1, min(len(corners), anchor + SUBMAPS.max_span)):
         if np.isin(ids, corners[t].ids, assume_unique=True).sum() < enough:
             break
         last = t
@@ -108,19 +89,22 @@ def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera)
     if start is None:
         return None
     pixel = 2.0 / (camera.fx + camera.fy)
-    bundle, residuals = adjust_bundle(start, views, _SIGMA_PX * pixel)
-    agreeing = np.mean(residuals[views.seen] < _AGREE_PX * pixel)
+    bundle, residuals = adjust_bundle(start, views, SUBMAPS.sigma_px * pixel)
+    agreeing = np.mean(residuals[views.seen] < SUBMAPS.agree_px * pixel)
     depths = bundle.inverse_depths
     ahead = depths > 0
-    if agreeing < _MIN_AGREEING or ahead.mean() < _MIN_AGREEING:
+    if agreeing < SUBMAPS.min_agreeing or ahead.mean() < SUBMAPS.min_agreeing:
         return None
-    error, depth = max(residual_spread(residuals), _LEAST_RESIDUAL_PX * pixel), 1 / float(np.median(depths[ahead]))
+    error, depth = (
+        max(residual_spread(residuals), SUBMAPS.least_residual_px * pixel),
+        1 / float(np.median(depths[ahead])),
+    )
     positions = np.concatenate((np.zeros((1, 3)), bundle.positions))
-    sigma = POSITION_FACTOR * error * depth
-    if sigma > WORST_SIGMA * np.linalg.norm(positions, axis=1).max():
+    sigma = SUBMAPS.position_factor * error * depth
+    if sigma > SUBMAPS.worst_sigma * np.linalg.norm(positions, axis=1).max():
         return None
     turned = np.concatenate((np.eye(3)[None], bundle.R_anchor_frame))
-    return Submap(frames, turned, positions, depth, sigma, ROTATION_FACTOR * error)
+    return Submap(frames, turned, positions, depth, sigma, SUBMAPS.rotation_factor * error)
 
 
 class _Matched(NamedTuple):
@@ -139,7 +123,7 @@ def _matched(corners: Sequence[Corners]) -> _Matched:
         _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
         places[k, here], seen[k, here] = other.pixels[there], True
     # those followed longest say most
-    best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[:MAX_CORNERS])
+    best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
     best = best[seen[:, best].any(axis=0)]
     return _Matched(first.pixels[best].astype(np.float64), places[:, best], seen[:, best])
 
@@ -154,18 +138,18 @@ def _first_guess(
     """Depths from the first and the last camera, then the cameras between from the depths."""
     to_last = views.seen[-1]
     inverse = _inverse_depths(views, R_anchor_last, direction)
-    sound = to_last & (inverse > _LEAST_RESIDUAL_PX / camera.fx)
-    if sound.sum() < MIN_CORNERS / 2:
+    sound = to_last & (inverse > SUBMAPS.least_residual_px / camera.fx)
+    if sound.sum() < SUBMAPS.min_corners / 2:
         return None
     model = poselib_camera(camera)
     rays = np.column_stack((views.anchor, np.ones(len(views.anchor))))
     turned, centres = [], []
     for here, seen in zip(pixels[1][:-1], views.seen[:-1], strict=True):
         use = sound & seen
-        if use.sum() < MIN_CORNERS / 2:
+        if use.sum() < SUBMAPS.min_corners / 2:
             return None
         points = rays[use] / inverse[use, None]
-        pose, _ = poselib.estimate_absolute_pose(here[use], points, model, _ABSOLUTE, _REFINEMENT)
+        pose, _ = poselib.estimate_absolute_pose(here[use], points, model, SUBMAPS.ransac, SUBMAPS.refinement)
         R_anchor_frame = np.asarray(pose.R).T
         turned.append(R_anchor_frame)
         centres.append(-R_anchor_frame @ np.asarray(pose.t))

@@ -10,16 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import poselib
 
+from conformodal.core import FloatArray
 from conformodal.poses import PinholeCamera
 
-FloatArray = npt.NDArray[np.float64]
-
-MAX_EPIPOLAR_ERROR_PX = 1.0
-_RANSAC = {"max_epipolar_error": MAX_EPIPOLAR_ERROR_PX, "max_iterations": 1000, "min_iterations": 20, "seed": 0}
-# corners drift by a few tenths of a pixel; a quarter is where the final fit starts to doubt one
-_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
-# In units of the step between the cameras: beyond it OpenCV does not count a point as in front of both.
-_FARTHEST = 1e4
+from .settings import RELATIVE_POSE
 
 
 class TwoView(NamedTuple):
@@ -64,7 +58,9 @@ def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: Pinh
     TwoView, or None where no motion was found
     """
     model = poselib_camera(camera)
-    pose, info = poselib.estimate_relative_pose(pixels_prev, pixels_next, model, model, _RANSAC, _REFINEMENT)
+    pose, info = poselib.estimate_relative_pose(
+        pixels_prev, pixels_next, model, model, RELATIVE_POSE.ransac, RELATIVE_POSE.refinement
+    )
     return _turned_round(np.asarray(pose.R), np.asarray(pose.t), np.asarray(info["inliers"], dtype=np.bool_))
 
 
@@ -73,7 +69,7 @@ def solve_opencv(pixels_prev: FloatArray, pixels_next: FloatArray, camera: Pinho
     intrinsics = camera.matrix
     cv2.setRNGSeed(0)
     found, mask = cv2.findEssentialMat(
-        pixels_prev, pixels_next, intrinsics, cv2.RANSAC, 0.999, MAX_EPIPOLAR_ERROR_PX, 1000
+        pixels_prev, pixels_next, intrinsics, cv2.RANSAC, 0.999, RELATIVE_POSE.epipolar_px, 1000
     )
     if found is None or mask is None:
         return None
@@ -81,7 +77,7 @@ def solve_opencv(pixels_prev: FloatArray, pixels_next: FloatArray, camera: Pinho
     best: tuple[int, FloatArray, FloatArray] | None = None
     for E in np.asarray(found).reshape(-1, 3, 3):  # five points may leave several matrices, one below the other
         n, R, t, *_ = cv2.recoverPose(
-            E, pixels_prev[inliers], pixels_next[inliers], intrinsics, distanceThresh=_FARTHEST
+            E, pixels_prev[inliers], pixels_next[inliers], intrinsics, distanceThresh=RELATIVE_POSE.farthest
         )
         if best is None or n > best[0]:
             best = int(n), np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)

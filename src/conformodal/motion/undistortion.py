@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.poses import PinholeCamera
-
-FloatArray = npt.NDArray[np.float64]
 
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
 

@@ -11,10 +11,26 @@ from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.datasets import SplitKind
+from conformodal.localization import find_source
 from conformodal.vision import FineTuning, TrainingConfig, find_network, pick_device
 
 from .errors import OdometryError
-from .folds import Calibration
+
+SOURCES = ("head", "neighbours", "landmarks")
+
+
+class Calibration(StrEnum):
+    """What the thresholds of a region are calibrated on.
+
+    ``frames``: the calibration part; the promise is about a frame exchangeable with its frames. ``stretches``: training
+    and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is answered
+    by sources that did not see it, and the promise is about a frame drawn at random from a new stretch. ``auto``:
+    frames where the split holds out single frames, else stretches.
+    """
+
+    AUTO = "auto"
+    FRAMES = "frames"
+    STRETCHES = "stretches"
 
 
 class Method(StrEnum):
@@ -49,12 +65,8 @@ class ModelConfig:
     novelty_level
         Images whose p-value of showing a known place is at most this get the whole space; None for 0.015 where frames
         are held out one by one, and 0.1 where stretches are.
-    finders
-        Heads that the search for the pose starts from.
-    local
-        Whether it also starts from what the most similar training frames say.
-    landmarks
-        Whether search and regions also rest on corners of training frames that are seen again.
+    sources
+        Names of pose sources, in the order in which they are fused, see :class:`~conformodal.localization.PoseSource`.
     network
         Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
     fine_tuning
@@ -68,7 +80,7 @@ class ModelConfig:
 
     Raises
     ------
-    ConformalError, OdometryError, VisionError
+    ConformalError, LocalizationError, OdometryError, VisionError
         If a setting cannot be used; before any frame is read.
     """
 
@@ -85,9 +97,7 @@ class ModelConfig:
     used: float | None = None
     calibrate_on: Calibration = Calibration.AUTO
     novelty_level: float | None = None
-    finders: int = 3
-    local: bool = True
-    landmarks: bool = True
+    sources: tuple[str, ...] = SOURCES
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"
@@ -105,8 +115,10 @@ class ModelConfig:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
         if self.novelty_level is not None and not 0 <= self.novelty_level < 1:
             raise OdometryError(f"novelty_level must be at least 0 and below 1, got {self.novelty_level}")
-        if self.finders < (self.method is not Method.PAPER):
-            raise OdometryError(f"finders must be at least 1, got {self.finders}")
+        if not self.sources or len(set(self.sources)) < len(self.sources):
+            raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
+        for name in self.sources:
+            find_source(name)
         if self.method is Method.PAPER:
             wrong = {k: getattr(self, k) for k, v in _PAPER.items() if getattr(self, k) != v}
             if wrong or self.training.components is not None:
@@ -138,9 +150,7 @@ _PAPER: dict[str, Any] = {
     "joint": "none",
     "calibrate_on": Calibration.FRAMES,
     "novelty_level": 0.0,
-    "finders": 0,
-    "local": False,
-    "landmarks": False,
+    "sources": ("head",),
 }
 
 

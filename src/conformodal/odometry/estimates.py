@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import Regions
+from conformodal.core import IntArray
+from conformodal.localization import PoseMeasurement
 from conformodal.motion import Corners
-from conformodal.poses import PoseFix, RelativeMotion, Submap, Trajectory
+from conformodal.poses import RelativeMotion, Submap, Trajectory
 from conformodal.reasoning import Candidates, Observations
 
-from .answers import METHODS
-from .landmarks import Fixes
-from .model import Search
-from .region_rules import Evidence
-
-IntArray = npt.NDArray[np.int64]
+from .model import Localization
+from .paths import METHODS
+from .region_rules import EvidenceKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +44,9 @@ class Estimate:
         Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
     corners
         All corners here, or None without an image.
-    fixes
-        Where landmarks have this frame, place by place; empty where none were recognised or looked for.
+    estimates
+        Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none or local features
+        were not matched.
     known_p
         Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
         tested. The region is the whole space where it is small.
@@ -56,10 +55,8 @@ class Estimate:
     position_spread_m, orientation_spread_rad
         How far off the pose may be, by its own account: spreads of the path's errors; None without an image. They grow
         while the path is bridged by motion alone.
-    features
-        (F,) of the image, or None without one.
-    proba, search
-        Calibrated head's softmaxes, seven arrays (1, K_j), and what the search starts from; None without an image.
+    localization
+        What the model says of this frame alone, with its belief; None without an image.
     reliable
         False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
     """
@@ -72,14 +69,12 @@ class Estimate:
     relative_motion: RelativeMotion | None
     reliable: bool
     problem: str = ""
-    features: npt.NDArray[np.float32] | None = None
-    proba: list[npt.NDArray[Any]] | None = None
-    search: Search | None = None
+    localization: Localization | None = None
     tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
     corners: Corners | None = None
-    fixes: list[PoseFix] = field(default_factory=list)
+    estimates: list[PoseMeasurement] = field(default_factory=list)
     known_p: float | None = None
-    evidence: Evidence | None = None
+    evidence: EvidenceKind | None = None
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
 
@@ -94,35 +89,44 @@ class OdometryRun:
         (m,) indices into the sequence that were answered.
     timestamps_s
         (m,) seconds.
-    regions, candidates, motions
+    localization
+        What the model says of each frame alone: beliefs, regions, novelty.
+    candidates, motions
         One a frame; ``motions[t]`` leads from the frame before.
     submaps
         Of these frames, by their place in `frames`.
-    fixes
-        Where each frame could be by its landmarks; one :class:`Fixes` a frame.
     trajectories
         By method, see :data:`METHODS`.
     answer
         Which of them is the answer.
     unreadable
         Frames that could not be decoded, and why.
-    known_p, kinds
-        (m,) p-values of showing a known place, NaN where images are not tested, and what each region rests on
-        (:class:`Evidence`).
     """
 
     frames: IntArray
     timestamps_s: npt.NDArray[np.float64]
-    regions: Regions
+    localization: Localization
     candidates: list[Candidates]
     motions: list[RelativeMotion | None]
     submaps: list[Submap]
-    fixes: list[Fixes]
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
-    known_p: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    kinds: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     answer: str = METHODS[0]
+
+    @property
+    def regions(self) -> Regions:
+        """Calibrated, one a frame."""
+        return self.localization.regions
+
+    @property
+    def known_p(self) -> npt.NDArray[np.float64]:
+        """(m,) p-values of showing a known place; NaN where images are not tested."""
+        return self.localization.known_p
+
+    @property
+    def kinds(self) -> IntArray:
+        """(m,) what each region rests on, see :class:`EvidenceKind`."""
+        return self.localization.kinds
 
     @property
     def trajectory(self) -> Trajectory:
@@ -133,7 +137,7 @@ class OdometryRun:
     def reliable(self) -> npt.NDArray[np.bool_]:
         """(m,) whether a known place is shown and motion since the frame before could be used, if there is one."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
-        return np.asarray(moving & (self.kinds != Evidence.UNKNOWN))
+        return np.asarray(moving & (self.kinds != EvidenceKind.UNKNOWN))
 
     def observations(self, at: IntArray) -> Observations:
         """What reasoning is given about the frames of one recording, by their places (m,) in `frames`."""

@@ -1,8 +1,7 @@
-"""A trained and calibrated pose model: everything that one image needs to become a region."""
+"""A trained and calibrated pose model: from the evidence of an image to its belief and its region."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,48 +11,58 @@ import numpy.typing as npt
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.datasets import Split
-from conformodal.motion import Described
-from conformodal.poses import PinholeCamera, PoseFix
-from conformodal.reasoning import (
-    Candidates,
-    MotionPrior,
-    SpreadScale,
-    add_fixes,
-    mode_candidates,
-    on_cells,
-    pool_fixes,
+from conformodal.localization import (
+    Beliefs,
+    FrameEvidence,
+    LandmarkSource,
+    Localizer,
+    PlaceNovelty,
+    PoseMeasurement,
+    recognised_only,
 )
-from conformodal.vision import Backbone, Head, predict_proba
+from conformodal.poses import PinholeCamera
+from conformodal.reasoning import Candidates, MotionPrior
+from conformodal.vision import Backbone
 
 from .config import Method
 from .errors import OdometryError
 from .identity import FrameIdentities
-from .known import KnownPlaces
-from .landmarks import Fixes, Landmarks
-from .local import LocalFinder
 from .radius import PoseRadius
-from .region_rules import RegionRules
+from .region_rules import EvidenceKind, RegionRules
 
-_FRAMES_AT_A_TIME = 256  # pooled: seven times some sixteen hundred cells each
+_FRAMES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
-    """What reasoning starts from; nothing is promised of it.
+class Localization:
+    """What the model says of n images, each by itself.
 
     Attributes
     ----------
-    proba
-        Seven arrays (n, K_j): the mean of the finders' softmaxes.
-    strangeness
-        (n,) how little the model has seen that looks like each image, 1 where that is typical; None where nothing says.
-    fixes
-        Of each image, by the training frames most like it; empty where there is no such finder.
+    beliefs
+        From which regions are calibrated, and paths chosen.
+    regions
+        Calibrated.
+    known_p
+        (n,) p-values of "this image shows a place that is known"; NaN where images are not tested.
+    kinds
+        (n,) what each region rests on, see :class:`~conformodal.odometry.EvidenceKind`.
     """
 
-    proba: list[npt.NDArray[np.floating[Any]]]
-    strangeness: npt.NDArray[np.float64] | None
-    fixes: list[list[PoseFix]]
+    beliefs: Beliefs
+    regions: Regions
+    known_p: npt.NDArray[np.float64]
+    kinds: npt.NDArray[np.int64]
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """The hypotheses of each belief."""
+        return [mixture.candidates for mixture in self.beliefs.mixtures]
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether each image shows a place that is known."""
+        return np.asarray(self.kinds != EvidenceKind.UNKNOWN)
 
 
 @dataclass(eq=False)
@@ -62,27 +71,17 @@ class PoseModel:
 
     Attributes
     ----------
-    backbone, head
-        Image to softmax of every target; calibrated, so never trained on the calibration frames.
-    finders
-        The same with other starts, trained on the calibration frames as well. Nothing is promised of them: the search
-        for the pose starts from their mean.
-    local
-        A finder without a network, which the search starts from as well; or None.
-    landmarks
-        A map of corners, which the search starts from as well; or None.
-    region_landmarks
-        A map that the region rests on: it knows nothing of the frames that calibrate; or None.
-    known
-        Places that the region's sources know; None where nothing tells them.
-    bins
-        Bins of the seven targets.
+    backbone
+        Image to features.
+    localizer
+        Evidence to belief, by pose sources that have not seen the calibration frames (or, where stretches calibrate,
+        by sources like those that had not).
+    novelty
+        Test of images against the frames that the sources know; None where nothing tells them.
     rules
-        Calibrated thresholds, by kind of evidence.
-    sign_reference
-        (4,) quaternion against which signs are fixed.
-    prior, scale
-        What reasoning needs to know of motion and of errors.
+        Belief to region: calibrated thresholds, by kind of evidence.
+    prior
+        What reasoning needs to know of motion.
     camera
         Camera of the training images.
     split
@@ -96,17 +95,10 @@ class PoseModel:
     """
 
     backbone: Backbone
-    head: Head
-    finders: tuple[Head, ...]
-    local: LocalFinder | None
-    landmarks: Landmarks | None
-    region_landmarks: Landmarks | None
-    known: KnownPlaces | None
-    bins: QuantileBins
+    localizer: Localizer
+    novelty: PlaceNovelty | None
     rules: RegionRules
-    sign_reference: npt.NDArray[np.float64]
     prior: MotionPrior
-    scale: SpreadScale
     camera: PinholeCamera
     split: Split
     known_frames: FrameIdentities
@@ -119,150 +111,60 @@ class PoseModel:
         return Method(self.configuration.get("method", Method.CONFORMODAL))
 
     @property
+    def bins(self) -> QuantileBins:
+        """Bins of the seven targets."""
+        return self.localizer.bins
+
+    @property
+    def sign_reference(self) -> npt.NDArray[np.float64]:
+        """(4,) quaternion that fixes the signs of quaternions."""
+        return self.localizer.sign_reference
+
+    @property
     def calibration(self) -> SplitConformal:
-        """Calibrated sets from the softmax alone, whatever the image."""
-        return self.rules.softmax
+        """Calibrated sets from beliefs without local features, whatever the image."""
+        return self.rules.overall
 
     @property
     def n_calibration(self) -> int:
         """Calibration frames behind the thresholds."""
         return int(self.calibration.scores_.shape[0])
 
-    def proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
-        """Softmax of the seven targets for features (n, F)."""
-        return predict_proba(self.head, features)
+    @property
+    def looks_at_local_features(self) -> bool:
+        """Whether local features of an image change its answer."""
+        return self.localizer.local and self.rules.matched is not None
 
-    def search(self, features: npt.NDArray[np.float32]) -> Search:
-        """What reasoning starts from, for features (n, F). Not calibrated."""
-        found = [predict_proba(finder, features) for finder in self.finders]
-        mean = [np.mean(blocks, axis=0) for blocks in zip(*found, strict=True)]
-        if self.local is None:
-            return Search(mean, None, [[] for _ in features])
-        answers = self.local.regression.predict(features)
-        return Search(mean, self.local.strangeness(answers), self.local.fixes(answers))
+    @property
+    def landmarks(self) -> LandmarkSource | None:
+        """The source that does PnP on landmarks, if there is one."""
+        return self.localizer.find(LandmarkSource)
 
-    def fixes(self, image: Described) -> Fixes:
-        """Where an image could have been taken by its landmarks; at most one pose a place and map."""
-        search = [] if self.landmarks is None else self.landmarks.fixes(image)
-        if self.region_landmarks is self.landmarks:
-            return Fixes(search, search)
-        return Fixes(search, [] if self.region_landmarks is None else self.region_landmarks.fixes(image))
+    def localize(self, evidence: FrameEvidence) -> Localization:
+        """Beliefs and calibrated regions of n images: the one way from an image to its region."""
+        if not self.looks_at_local_features:  # then nothing calibrates what they add
+            evidence = evidence.without_local_features()
+        beliefs = self.localizer.beliefs(evidence)
+        novelty = self.novelty
+        p = np.full(len(evidence), np.nan) if novelty is None else novelty.p_values(evidence.features)
+        kinds = self.rules.kinds(p, evidence.has_local_features, beliefs.recognised)
+        return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
 
-    def known_p(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        """(n,) p-values of "this image shows a place that is known", for features (n, F); NaN where nothing tells."""
-        return np.full(len(features), np.nan) if self.known is None else self.known.p_values(features)
-
-    def kinds(self, known_p: npt.NDArray[np.float64], fixes: Sequence[Fixes] | None = None) -> npt.NDArray[np.int64]:
-        """(n,) what each region rests on, see :class:`~conformodal.odometry.Evidence`."""
-        return self.rules.kinds(known_p, None if fixes is None else [its.region for its in fixes])
-
-    def calibration_of(self, *, with_fixes: bool) -> SplitConformal:
-        """What is calibrated on all frames, from softmax and landmarks or from the softmax alone."""
-        return self.rules.pooled if with_fixes and self.rules.pooled is not None else self.rules.softmax
-
-    def regions(
-        self,
-        proba: Sequence[npt.NDArray[np.floating[Any]]],
-        fixes: Sequence[Fixes] | None = None,
-        rule: SplitConformal | None = None,
-        *,
-        known_p: npt.NDArray[np.float64] | None = None,
-    ) -> Regions:
-        """Calibrated regions of n images. All of one model's have the same bins.
-
-        Parameters
-        ----------
-        proba
-            From :meth:`proba`.
-        fixes
-            From :meth:`fixes`, of the same images; None where landmarks were not looked for, which is calibrated by
-            itself.
-        rule
-            Thresholds whatever the evidence, in the place of :attr:`rules`.
-        known_p
-            (n,) from :meth:`known_p`; None takes all images for known.
-
-        Raises
-        ------
-        OdometryError
-            If there are not as many fixes or p-values as images.
-        """
-        n, pooled = len(proba[0]), self.rules.pooled
-        p_values = np.ones(n) if known_p is None else np.asarray(known_p)
-        if len(p_values) != n:
-            raise OdometryError(f"{n} images need as many p-values, got {len(p_values)}")
-        if fixes is not None:
-            _check_as_many(fixes, n)
-        kinds = self.kinds(p_values, fixes)
-        limits = self.rules.thresholds(kinds) if rule is None else np.tile(rule.thresholds_, (n, 1))
-        if pooled is not None and fixes is not None:
-            parts = self._pooled(proba, fixes, pooled)
-            return Regions.concatenate([pooled.regions_at(part, limits[rows]) for rows, part in parts])
-        alone = self.rules.softmax.regions_at(list(proba), limits)
-        if pooled is None:
-            return alone
-        masks = [on_cells(np.asarray(mask), self.bins, j) for j, mask in enumerate(alone.masks)]
-        return Regions(pooled.cells, masks, alone.unbounded)
-
-    def scores(
-        self,
-        proba: Sequence[npt.NDArray[np.floating[Any]]],
-        targets: npt.NDArray[np.float64],
-        fixes: Sequence[Fixes] | None = None,
-    ) -> npt.NDArray[np.floating[Any]]:
-        """Nonconformity scores (n, 7) of `targets` (n, 7): a set holds those that are at most its threshold.
-
-        Parameters
-        ----------
-        proba, fixes
-            As for :meth:`regions`.
-        targets
-            See :func:`~conformodal.odometry.pose_targets`.
-
-        Raises
-        ------
-        OdometryError
-            If there are not as many fixes as images.
-        """
-        rule = self.rules.pooled
-        if rule is None or fixes is None:
-            return self.calibration.score_samples(list(proba), targets)
-        parts = self._pooled(proba, fixes, rule)
-        return np.concatenate([rule.score_samples(part, targets[rows]) for rows, part in parts])
-
-    def _pooled(
-        self, proba: Sequence[npt.NDArray[np.floating[Any]]], fixes: Sequence[Fixes], rule: SplitConformal
-    ) -> Iterator[tuple[slice, list[npt.NDArray[np.float64]]]]:
-        """Probabilities of cells, some frames at a time: there are many cells."""
-        cells, n = rule.bins, len(proba[0])
-        _check_as_many(fixes, n)
-        for start in range(0, max(n, 1), _FRAMES_AT_A_TIME):
+    def regions(self, beliefs: Beliefs, thresholds: npt.NDArray[np.floating[Any]]) -> Regions:
+        """Level sets of n beliefs at thresholds (n, 7) of the score. All of one model's have the same bins."""
+        rule, parts = self.rules.overall, []
+        for start in range(0, max(len(beliefs), 1), _FRAMES_AT_A_TIME):
             rows = slice(start, start + _FRAMES_AT_A_TIME)
-            here = [its.region for its in fixes[rows]]
-            yield rows, pool_fixes([p[rows] for p in proba], here, self.bins, cells, self.sign_reference)
+            parts.append(rule.regions_at(self.localizer.marginals(beliefs.part(rows)), thresholds[rows]))
+        return Regions.concatenate(parts)
 
-    def candidates(self, search: Search, fixes: Sequence[Fixes] | None = None) -> list[Candidates]:
-        """Candidate poses of every image, with spreads of the size of their errors.
+    def with_recognised(self, candidates: Candidates, estimates: list[PoseMeasurement]) -> Candidates:
+        """Candidates of an image, from wherever, with the places that were recognised in it."""
+        return self.localizer.update(candidates, [recognised_only(estimates)]).candidates
 
-        Modes of the softmax, weighed against what similar frames say and, if they are given, against fixes by
-        landmarks.
-
-        Raises
-        ------
-        OdometryError
-            If there are not as many fixes as images.
-        """
-        found = mode_candidates(search.proba, self.bins, scale=self.scale, strangeness=search.strangeness)
-        found = [self.with_fixes(here, its) for here, its in zip(found, search.fixes, strict=True)]
-        if fixes is None:
-            return found
-        _check_as_many(fixes, len(found))
-        return [self.with_fixes(here, its.search) for here, its in zip(found, fixes, strict=True)]
-
-    def with_fixes(self, candidates: Candidates, fixes: Sequence[PoseFix]) -> Candidates:
-        """Candidates of one image, from wherever, weighed against its fixes."""
-        volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
-        return add_fixes(candidates, fixes, volume)
+    def calibration_of(self, *, local: bool) -> SplitConformal:
+        """What is calibrated on all frames, on beliefs with local features or without."""
+        return self.rules.matched if local and self.rules.matched is not None else self.rules.overall
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Promise another miscoverage rate, from the stored calibration scores.
@@ -284,7 +186,7 @@ class PoseModel:
         """
         if not 0 <= level < 1:
             raise OdometryError(f"novelty level must be at least 0 and below 1, got {level}")
-        self.rules = replace(self.rules, level=0.0 if self.known is None else self.known.level(level))
+        self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
         """Refuse images of another camera: poses were learnt through this one.
@@ -312,8 +214,3 @@ class PoseModel:
 def _lens(camera: PinholeCamera) -> tuple[float, ...]:
     """All five numbers, whether a file says those that are zero or not."""
     return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))
-
-
-def _check_as_many(fixes: Sequence[Fixes], n_images: int) -> None:
-    if len(fixes) != n_images:
-        raise OdometryError(f"{n_images} images need as many fixes, got {len(fixes)}")

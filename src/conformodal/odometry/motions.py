@@ -1,24 +1,14 @@
-"""What the frames of a whole sequence that are to be answered say without a network: motions, submaps, corners."""
+"""What the frames of a sequence say without a network: relative motions, submaps, local features."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
+from conformodal.core import IntArray, StageProgress
 from conformodal.datasets import ImageError, Sequence
-from conformodal.motion import Corners, Described, FrontEnd, MotionFrontEnd, build_submaps, describe
+from conformodal.localization import LocalFeatures, extract_local_features
+from conformodal.motion import Corners, FrontEnd, MotionFrontEnd, build_submaps
 from conformodal.poses import RelativeMotion, Submap
-
-IntArray = npt.NDArray[np.int64]
-Progress = Callable[[str, int, int], None]
-
-
-def stage_of(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """Progress of one stage: called with what is done and what is to be done in all."""
-    return None if progress is None else lambda done, total: progress(stage, done, total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,23 +23,28 @@ class MotionRecord:
         Frames that could not be decoded, and why.
     submaps
         Of the answered frames; each lies within one recording.
-    described
-        By frame: what landmarks are recognised by.
+    local_features
+        By frame; empty where they were not asked for.
     """
 
     motions: dict[int, RelativeMotion | None]
     unreadable: dict[int, str]
     submaps: list[Submap] = field(default_factory=list)
-    described: dict[int, Described] = field(default_factory=dict)
+    local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+
+    def submaps_of(self, frames: IntArray) -> list[Submap]:
+        """Submaps of `frames` (m,), by their place among these."""
+        places = {frame: k for k, frame in enumerate(frames.tolist())}
+        return [own for submap in self.submaps if (own := submap.renumbered(places)) is not None]
 
 
 def measure_motions(
     sequence: Sequence,
     frames: IntArray,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     *,
     front_end: FrontEnd | None = None,
-    landmarks: bool = True,
+    local: bool = True,
 ) -> MotionRecord:
     """Relative motions and submaps of `frames` of a sequence, followed through all frames between them.
 
@@ -63,8 +58,8 @@ def measure_motions(
         Called with the stage, frames done and frames in all.
     front_end
         Measures them; :class:`~conformodal.motion.MotionFrontEnd` by default.
-    landmarks
-        Whether submaps are built and images described, so that landmarks can be recognised in them.
+    local
+        Whether submaps are built and local features extracted.
     """
     answer = set(frames.tolist())
     front_end = front_end or MotionFrontEnd(sequence.camera)
@@ -86,9 +81,9 @@ def measure_motions(
             continue
         if i in answer:
             found.motions[i] = front_end.measure(image)
-            if landmarks:
+            if local:
                 corners[i] = front_end.corners
-                found.described[i] = describe(image, sequence.camera)
+                found.local_features[i] = extract_local_features(image, sequence.camera)
         else:
             front_end.pass_by(image)
         if progress is not None:

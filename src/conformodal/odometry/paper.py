@@ -2,91 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import QuantileBins, SplitConformal
-from conformodal.conformal.calibration import as_joint
+from conformodal.core import IntArray, StageProgress
 from conformodal.datasets import Sequence
+from conformodal.localization import FrameEvidence
 from conformodal.motion import EssentialFrontEnd
 from conformodal.poses import Trajectory
-from conformodal.reasoning import (
-    Greedy,
-    SpreadScale,
-    fit_motion_prior,
-    greedy,
-    interval_candidates,
-    interval_means,
-    softmax_mean,
-)
-from conformodal.vision import (
-    FeatureCache,
-    fit_head,
-    predict_proba,
-    soft_cross_entropy,
-)
+from conformodal.reasoning import Greedy, greedy, interval_candidates, interval_means
+from conformodal.vision import FeatureCache
 
-from .answers import PAPERS_ANSWER, as_trajectory
-from .config import Method, ModelConfig, record_of
+from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .frame import as_image, as_time
-from .identity import identify
-from .landmarks import Fixes
-from .model import PoseModel, Search
-from .motions import MotionRecord, Progress, measure_motions, stage_of
+from .model import Localization, PoseModel
+from .motions import MotionRecord, measure_motions
+from .paths import PAPERS_METHOD, as_trajectory
 from .reading import chosen_frames, read_frames
-from .region_rules import Evidence, RegionRules
-from .training_data import TrainingData
-
-IntArray = npt.NDArray[np.int64]
-
-
-def train_paper(
-    data: TrainingData,
-    config: ModelConfig,
-    *,
-    checkpoint_dir: Path | None = None,
-    progress: Progress | None = None,
-) -> PoseModel:
-    """Train on the training part, calibrate on the calibration part; see :meth:`ModelConfig.paper`."""
-    train, held_out = data.split.train, data.split.calibration
-    bins = QuantileBins(config.n_bins, config.margin).fit(data.targets[train])
-    labels = np.concatenate(bins.soft_targets(data.targets[train], config.sigma_bins), axis=1)
-    head = fit_head(
-        data.features[train],
-        labels,
-        bins.sizes,
-        soft_cross_entropy,
-        config.training,
-        projection=data.projection(train, None),
-        checkpoint_dir=checkpoint_dir,
-        progress=stage_of(progress, "training"),
-    )
-    calibration = SplitConformal(bins, config.alpha, config.score, as_joint(config.joint))
-    calibration.calibrate(predict_proba(head, data.features[held_out]), data.targets[held_out])
-    n, truth = len(held_out), data.sequence.require_truth()
-    return PoseModel(
-        backbone=data.backbone,
-        head=head,
-        finders=(),
-        local=None,
-        landmarks=None,
-        region_landmarks=None,
-        known=None,
-        bins=bins,
-        rules=RegionRules(calibration, None, np.zeros(n, dtype=bool), np.ones(n), 0.0),
-        sign_reference=data.sign_reference,
-        prior=fit_motion_prior(truth[train], data.sequence.recording[train]),
-        scale=SpreadScale(),
-        camera=data.sequence.camera,
-        split=data.split,
-        known_frames=identify(data.sequence),
-        configuration=record_of(config, data.sequence.name, len(data.sequence), "frames"),
-    )
+from .region_rules import EvidenceKind
 
 
 class PaperOdometry:
@@ -103,8 +39,8 @@ class PaperOdometry:
         If the model is another.
     """
 
-    answer = PAPERS_ANSWER
-    lag, fix_every = 0, 1
+    answer = PAPERS_METHOD
+    lag, match_every = 0, 1
     whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
@@ -131,9 +67,8 @@ class PaperOdometry:
         image = as_image(image, self.model.camera)
         if isinstance(image, str):
             return Estimate(timestamp_s, None, None, None, None, None, False, image)
-        features = self.model.backbone.describe(self.model.backbone.prepare(image)[None]).astype(np.float32)
-        proba = self.model.proba(features)
-        region = self.model.regions(proba)
+        found = _localize(self.model, self.model.backbone.features_of(image))
+        proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
         path = self._path.push(interval_means(proba, region)[0], motion, timestamp_s)
         self._last_s = timestamp_s
@@ -148,12 +83,10 @@ class PaperOdometry:
             motion,
             reliable,
             "" if reliable or motion is None else str(motion.status),
-            features[0],
-            proba,
-            Search(proba, None, [[]]),
+            found,
             self._front_end.tracks,
             self._front_end.corners,
-            evidence=Evidence.SOFTMAX,
+            evidence=EvidenceKind.GLOBAL,
             position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
             orientation_spread_rad=float(path.orientation_spreads_rad[0]),
         )
@@ -175,7 +108,7 @@ class PaperOdometry:
         *,
         cache: FeatureCache | None = None,
         motions: MotionRecord | None = None,
-        progress: Progress | None = None,
+        progress: StageProgress | None = None,
     ) -> OdometryRun:
         """Work out regions and the trajectory of a sequence, see :meth:`VisualOdometry.process`.
 
@@ -187,10 +120,10 @@ class PaperOdometry:
         if motions is None:
             motions = paper_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
         usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
-        proba = self.model.proba(features)
-        regions, times = self.model.regions(proba), sequence.timestamps_s[usable]
+        localization = _localize(self.model, features)
+        proba, regions = localization.beliefs.proba, localization.regions
+        times = sequence.timestamps_s[usable]
         intervals, found = interval_means(proba, regions), [motions.motions[i] for i in usable.tolist()]
-        mean = softmax_mean(proba, self.model.bins)
         positions, quats = np.empty((usable.size, 3)), np.empty((usable.size, 4))
         for number in np.unique(sequence.recording[usable]):
             at = np.flatnonzero(sequence.recording[usable] == number)
@@ -199,35 +132,37 @@ class PaperOdometry:
         return OdometryRun(
             frames=usable,
             timestamps_s=times,
-            regions=regions,
+            localization=localization,
             candidates=interval_candidates(proba, regions),
             motions=found,
             submaps=[],
-            fixes=[Fixes() for _ in usable],
-            trajectories={
-                self.answer: Trajectory(times, positions, quats),
-                "softmax_mean": Trajectory(times, mean[:, :3], mean[:, 3:]),
-            },
+            trajectories={self.answer: Trajectory(times, positions, quats)},
             unreadable=motions.unreadable,
-            known_p=np.full(usable.size, np.nan),
-            kinds=np.full(usable.size, Evidence.SOFTMAX, dtype=np.int64),
             answer=self.answer,
         )
 
 
-def paper_motions(sequence: Sequence, frames: IntArray, progress: Progress | None = None) -> MotionRecord:
+def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localization:
+    """Regions of n images as the paper has them: sets of bins, whatever the image."""
+    beliefs = model.localizer.beliefs(FrameEvidence(features))
+    n = len(features)
+    kinds = np.full(n, EvidenceKind.GLOBAL, dtype=np.int64)
+    return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
+
+
+def paper_motions(sequence: Sequence, frames: IntArray, progress: StageProgress | None = None) -> MotionRecord:
     """Relative motions of `frames` as the paper has them; see :func:`~conformodal.odometry.measure_motions`."""
-    return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), landmarks=False)
+    return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
 
 
-def odometry_of(model: PoseModel, fix_every: int = 1) -> VisualOdometry | PaperOdometry:
+def odometry_of(model: PoseModel, match_every: int = 1) -> VisualOdometry | PaperOdometry:
     """What runs a model, by its method.
 
     Parameters
     ----------
     model
         Trained and calibrated.
-    fix_every
-        See :class:`VisualOdometry`; the paper's system has no landmarks to look for.
+    match_every
+        See :class:`VisualOdometry`; the paper's system looks at no local features.
     """
-    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, fix_every=fix_every)
+    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, match_every=match_every)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import IntArray, StageProgress, stage_of
 from conformodal.datasets import Sequence
 from conformodal.vision import FeatureCache, extract_features
 
 from .errors import OdometryError
 from .frame import as_frames
 from .model import PoseModel
-from .motions import MotionRecord, Progress, stage_of
-
-IntArray = npt.NDArray[np.int64]
+from .motions import MotionRecord
 
 
 def chosen_frames(model: PoseModel, sequence: Sequence, frames: IntArray | None) -> IntArray:
@@ -34,7 +33,7 @@ def read_frames(
     frames: IntArray | None,
     motions: MotionRecord,
     cache: FeatureCache | None,
-    progress: Progress | None,
+    progress: StageProgress | None,
 ) -> tuple[IntArray, npt.NDArray[np.float32]]:
     """Indices (m,) of the frames that can be read, and their features (m, F).
 

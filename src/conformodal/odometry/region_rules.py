@@ -1,8 +1,7 @@
-"""Thresholds of a region by the kind of evidence that it rests on (Mondrian calibration, Vovk et al. 2003)."""
+"""Thresholds of a region by the kind of its evidence (Mondrian calibration, Vovk et al. 2003)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
@@ -13,92 +12,85 @@ import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal
 from conformodal.conformal.checks import Alpha
-from conformodal.poses import PoseFix
+from conformodal.core import BoolArray
 
 FloatArray = npt.NDArray[np.floating[Any]]
-BoolArray = npt.NDArray[np.bool_]
-
-TRUSTED = 0.9  # a pose by landmarks that is right with this probability is one
 
 
-class Evidence(IntEnum):
-    """Kinds of evidence; regions of each have thresholds of their own."""
+class EvidenceKind(IntEnum):
+    """What a region rests on; each kind has thresholds of its own."""
 
-    SOFTMAX = 0  # landmarks were not looked for
-    UNMATCHED = 1  # landmarks were looked for, and none are trusted
-    LANDMARKS = 2  # some are
-    UNKNOWN = 3  # the image is like none that is known: the region is the whole space
+    GLOBAL = 0  # the image as a whole: local features were not matched
+    UNMATCHED = 1  # local features were matched, and no place was recognised
+    LANDMARKS = 2  # a place was recognised
+    UNKNOWN = 3  # the image is novel: the region is the whole space
 
 
 @dataclass(frozen=True, eq=False)
 class RegionRules:
     """Calibration scores of n frames, and thresholds from them.
 
-    Each kind of evidence is calibrated on the calibration frames with that kind of evidence. Where frames calibrate,
-    the promise holds in each kind, exactly. Where stretches do, it holds in each kind as far as the sources of the
-    folds tell kinds as those of all frames do. A kind that too few calibration frames have gets the whole space.
+    Each kind of evidence is calibrated on the calibration frames of that kind. Where frames calibrate, the promise
+    holds in each kind, exactly. Where stretches do, it holds in each kind as far as the sources of the folds tell kinds
+    as those of all frames do. A kind that too few calibration frames have gets the whole space.
 
     Attributes
     ----------
-    softmax
-        Calibrated on all frames, from the softmax alone.
-    pooled
-        Calibrated on all frames, from softmax and landmarks, over finer cells; None without landmarks.
+    overall
+        Calibrated on beliefs without local features, on all frames.
     matched
-        (n,) whether landmarks were trusted in each of them.
+        Calibrated on beliefs with local features, on all frames; None where no source looks at them.
+    recognised
+        (n,) whether a place was recognised in each of them.
     known_p
-        (n,) p-values of each, see :class:`~conformodal.odometry.KnownPlaces`.
+        (n,) p-values of each, see :class:`~conformodal.localization.PlaceNovelty`.
     level
-        Images with a p-value of at most this are :attr:`Evidence.UNKNOWN`; so are calibration frames.
+        Images with a p-value of at most this are :attr:`EvidenceKind.UNKNOWN`; so are calibration frames.
     """
 
-    softmax: SplitConformal
-    pooled: SplitConformal | None
-    matched: BoolArray
+    overall: SplitConformal
+    matched: SplitConformal | None
+    recognised: BoolArray
     known_p: npt.NDArray[np.float64]
     level: float
 
     @cached_property
-    def of(self) -> dict[Evidence, SplitConformal]:
+    def of(self) -> dict[EvidenceKind, SplitConformal]:
         """The calibrated rule of each kind but the last."""
         known = self.known_p > self.level
-        rules = {Evidence.SOFTMAX: _part(self.softmax, known)}
-        if self.pooled is not None:
-            rules[Evidence.UNMATCHED] = _part(self.pooled, known & ~self.matched)
-            rules[Evidence.LANDMARKS] = _part(self.pooled, known & self.matched)
+        rules = {EvidenceKind.GLOBAL: _part(self.overall, known)}
+        if self.matched is not None:
+            rules[EvidenceKind.UNMATCHED] = _part(self.matched, known & ~self.recognised)
+            rules[EvidenceKind.LANDMARKS] = _part(self.matched, known & self.recognised)
         return rules
 
     def kinds(
-        self, known_p: npt.NDArray[np.float64], fixes: Sequence[Sequence[PoseFix]] | None
+        self, known_p: npt.NDArray[np.float64], looked: BoolArray, recognised: BoolArray
     ) -> npt.NDArray[np.int64]:
-        """(m,) kinds of evidence of new images, from their p-values (NaN: not tested) and poses by landmarks."""
-        if fixes is None or self.pooled is None:
-            kinds = np.full(len(known_p), Evidence.SOFTMAX, dtype=np.int64)
-        else:
-            kinds = np.where(trusted(fixes), Evidence.LANDMARKS, Evidence.UNMATCHED)
-        return np.where(known_p <= self.level, Evidence.UNKNOWN, kinds)
+        """(m,) kinds of evidence of new images.
+
+        Parameters
+        ----------
+        known_p
+            (m,) their p-values; NaN where images are not tested.
+        looked, recognised
+            (m,) whether local features were extracted, and whether a place was recognised by them.
+        """
+        matched = np.where(recognised, EvidenceKind.LANDMARKS, EvidenceKind.UNMATCHED)
+        kinds = np.where(looked & (self.matched is not None), matched, EvidenceKind.GLOBAL)
+        return np.where(known_p <= self.level, EvidenceKind.UNKNOWN, kinds).astype(np.int64)
 
     def thresholds(self, kinds: npt.NDArray[np.int64]) -> FloatArray:
         """(m, 7) thresholds of images with these kinds of evidence."""
-        limits = np.full((len(kinds), self.softmax.bins.n_targets), np.inf)
+        limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
         for kind, rule in self.of.items():
             limits[kinds == kind] = rule.thresholds_
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:
         """The same calibration at another miscoverage rate."""
-        pooled = None if self.pooled is None else self.pooled.at(alpha)
-        return replace(self, softmax=self.softmax.at(alpha), pooled=pooled)
-
-
-def trusted(fixes: Sequence[Sequence[PoseFix]]) -> BoolArray:
-    """Whether any of each image's poses by landmarks is trusted."""
-    return np.array([bool(trusted_only(its)) for its in fixes], dtype=bool)
-
-
-def trusted_only(fixes: Sequence[PoseFix]) -> list[PoseFix]:
-    """Those of an image's poses by landmarks that are trusted."""
-    return [fix for fix in fixes if fix.trust >= TRUSTED]
+        matched = None if self.matched is None else self.matched.at(alpha)
+        return replace(self, overall=self.overall.at(alpha), matched=matched)
 
 
 def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:

@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha
+from conformodal.core import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache
 
-from .answers import METHODS
 from .errors import OdometryError
 from .estimates import OdometryRun
 from .estimator import VisualOdometry
 from .identity import identify
 from .model import PoseModel
-from .motions import Progress
+from .paths import METHODS
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
 from .sizing import METRES_PER_RAD, Sizing, check_metres_per_rad, depth_or_default, recording_size
 
@@ -36,7 +36,7 @@ def calibrate_selection(
     metres_per_rad: float | None = None,
     *,
     cache: FeatureCache | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> PoseRadius:
     """Answer whole recordings with known poses, and turn the errors into a radius.
 

@@ -15,11 +15,10 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core import FloatArray
 from conformodal.poses import Trajectory
 
 from .errors import OdometryError
-
-FloatArray = npt.NDArray[np.float64]
 
 # A pose d metres off moves the view of things at a depth of z metres as much as one turned by d / z radians. Rooms
 # are some two metres deep; a model that knows the depth of its own scene uses that.

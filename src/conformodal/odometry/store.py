@@ -15,31 +15,26 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal._files import write_whole
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
+from conformodal.core.files import write_whole
 from conformodal.datasets import Split, SplitKind
-from conformodal.motion import LandmarkMap
+from conformodal.localization import Localizer, PlaceNovelty, PoseSource, SourceState, find_source
 from conformodal.poses import PinholeCamera
-from conformodal.reasoning import MotionPrior, SpreadScale, fix_cells
-from conformodal.vision import Backbone, BackboneConfig, Head, LocalRegression, LocalSettings, Projection
+from conformodal.reasoning import MotionPrior
+from conformodal.vision import Backbone, BackboneConfig
 
 from .errors import ModelFileError
-from .fix_scale import FixScale
 from .identity import FrameIdentities
-from .known import KnownPlaces
-from .landmarks import Landmarks
-from .local import LocalFinder
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 from .region_rules import RegionRules
 from .sizing import Sizing
 
-FORMAT = "conformodal-model-11"
+FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _ATTEMPTS = 2
 _DAMAGE = (
@@ -52,8 +47,6 @@ _DAMAGE = (
     ArithmeticError,
     RuntimeError,  # torch, and JSON nested without end
 )
-_LOCAL_NUMBERS = ("typical", "limit")
-_MAP_ARRAYS = ("T_pose_cam", "poses_se3", "thumbnails", "starts", "points_xyz", "descriptors", "corrections")
 _PARTS = ("train", "calibration", "test")
 _IDENTITIES = ("files", "pixels", "poses")
 _PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
@@ -62,56 +55,42 @@ _PRIOR_DEPTHS = ("depth_m", "depth_spread")
 
 def save_model(model: PoseModel, folder: Path) -> None:
     """Write a model into a folder, created if missing; a model that was there is whole until the new one is."""
-    heads = {"head": model.head, **{f"finder{k}": finder for k, finder in enumerate(model.finders)}}
+    rules, localizer = model.rules, model.localizer
+    states = {source.name: source.state() for source in localizer.sources}
     arrays: dict[str, npt.NDArray[Any]] = {
-        f"{name}.{k}": v.numpy() for name, head in heads.items() for k, v in head.state_dict().items()
+        f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
     }
     if model.backbone.tuned is not None:  # otherwise its package has them
         arrays |= {f"backbone.{k}": v for k, v in model.backbone.weights().items()}
-    arrays |= {f"bins.{j}": e for j, e in enumerate(model.bins.edges_)}
+    arrays |= {f"bins.{j}": e for j, e in enumerate(localizer.bins.edges_)}
+    arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
-    arrays["calibration.scores"] = model.calibration.scores_
-    arrays |= {"calibration.matched": model.rules.matched, "calibration.known_p": model.rules.known_p}
-    if model.calibration.groups_ is not None:
-        arrays["calibration.groups"] = model.calibration.groups_
-    if model.rules.pooled is not None:
-        arrays["calibration.pooled_scores"] = model.rules.pooled.scores_
-    if model.known is not None:
-        arrays |= {"known.references": model.known.test.references, "known.groups": model.known.test.groups}
-    if model.calibration.joint == "max":
-        arrays["calibration.shift"], arrays["calibration.scale"] = (
-            model.calibration.rule.loc_,
-            model.calibration.rule.scale_,
-        )
-    arrays["sign_reference"] = model.sign_reference
-    if model.local is not None:
-        own = model.local.regression
-        arrays |= {"local.offset": own.projection.offset, "local.components": own.projection.components}
-        arrays |= {"local.references": own.references, "local.targets": own.targets}
-        arrays["local.target_scale"] = own.target_scale
-    shared = model.region_landmarks is model.landmarks  # what is the same map is stored once
-    maps = {"landmarks": model.landmarks, "region_landmarks": None if shared else model.region_landmarks}
-    for name, known in maps.items():
-        if known is not None:
-            arrays |= {f"{name}.{k}": getattr(known.map, k) for k in _MAP_ARRAYS}
+    arrays |= {"calibration.overall": rules.overall.scores_, "calibration.known_p": rules.known_p}
+    arrays["calibration.recognised"] = rules.recognised
+    if rules.overall.groups_ is not None:
+        arrays["calibration.groups"] = rules.overall.groups_
+    if rules.matched is not None:
+        arrays["calibration.matched"] = rules.matched.scores_
+    if model.novelty is not None:
+        test = model.novelty.test
+        arrays |= {"novelty.references": test.references, "novelty.groups": test.groups}
+    if rules.overall.joint == "max":
+        arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
+    arrays["sign_reference"] = localizer.sign_reference
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
         "backbone_fingerprint": model.backbone.fingerprint,
-        "head": {"hidden": model.head.output.in_features, "outputs": model.head.outputs, "finders": len(model.finders)},
-        "local": _local_record(model.local),
-        **{name: _landmarks_record(known) for name, known in maps.items()},
+        "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
         "calibration": {
-            "alpha": str(model.calibration.alpha),
-            "score": model.calibration.score.name,
-            "joint": model.calibration.joint,
-            "novelty_level": model.rules.level,
-            "region_landmarks_shared": shared,
+            "alpha": str(rules.overall.alpha),
+            "score": rules.overall.score.name,
+            "joint": rules.overall.joint,
+            "novelty_level": rules.level,
         },
         "prior": _finite(asdict(model.prior)),
-        "scale": asdict(model.scale),
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "configuration": model.configuration,
@@ -181,43 +160,42 @@ def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path:
             f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "
             "made it, or train again"
         )
-    names = ["head", *(f"finder{k}" for k in range(record["head"]["finders"]))]
-    head, *finders = (_head(name, record["head"], arrays) for name in names)
-    bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(head.outputs))])
-    how = record["calibration"]
-    landmarks = _landmarks("landmarks", record, arrays)
-    scale = record["scale"]
-    kind, seed = SplitKind(record["split"]["kind"]), record["split"]["seed"]
+    bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
+    sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
+    how, split = record["calibration"], record["split"]
     return PoseModel(
         backbone=backbone,
-        head=head,
-        finders=tuple(finders),
-        local=_local(record["local"], arrays),
-        landmarks=landmarks,
-        region_landmarks=(
-            landmarks if how["region_landmarks_shared"] else _landmarks("region_landmarks", record, arrays)
-        ),
-        known=_known(arrays),
-        bins=bins,
-        rules=_rules(bins, how, arrays),
-        sign_reference=arrays["sign_reference"],
+        localizer=Localizer(sources, bins, arrays["sign_reference"]),
+        novelty=_novelty(arrays),
+        rules=_rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays),
         prior=_prior(record["prior"]),
-        scale=SpreadScale(tuple(scale["position"]), scale["orientation"], scale["growth"]),
         camera=_camera(record["camera"]),
-        split=Split(kind, seed, **{part: arrays[f"split.{part}"] for part in _PARTS}),
+        split=Split(SplitKind(split["kind"]), split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
     )
 
 
-def _rules(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> RegionRules:
-    pooled = None
-    if "calibration.pooled_scores" in arrays:
-        pooled = _calibration(fix_cells(bins), how, arrays, "calibration.pooled_scores")
-    softmax = _calibration(bins, how, arrays, "calibration.scores")
-    matched, known_p = arrays["calibration.matched"], arrays["calibration.known_p"]
-    return RegionRules(softmax, pooled, matched, known_p, float(how["novelty_level"]))
+def _numbered(arrays: dict[str, npt.NDArray[Any]], name: str) -> list[npt.NDArray[Any]]:
+    """The arrays ``NAME.0``, ``NAME.1``, ..."""
+    n = sum(key.startswith(f"{name}.") for key in arrays)
+    return [arrays[f"{name}.{j}"] for j in range(n)]
+
+
+def _source(name: str, settings: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> PoseSource:
+    start = f"source.{name}."
+    its = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+    return find_source(name).from_state(SourceState(its, settings))
+
+
+def _rules(cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> RegionRules:
+    matched = None
+    if "calibration.matched" in arrays:
+        matched = _calibration(cells, how, arrays, "calibration.matched")
+    overall = _calibration(cells, how, arrays, "calibration.overall")
+    recognised, known_p = arrays["calibration.recognised"], arrays["calibration.known_p"]
+    return RegionRules(overall, matched, recognised, known_p, float(how["novelty_level"]))
 
 
 def _calibration(
@@ -229,54 +207,10 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
 
 
-def _known(arrays: dict[str, npt.NDArray[Any]]) -> KnownPlaces | None:
-    if "known.references" not in arrays:
+def _novelty(arrays: dict[str, npt.NDArray[Any]]) -> PlaceNovelty | None:
+    if "novelty.references" not in arrays:
         return None
-    return KnownPlaces(NoveltyTest(arrays["known.references"], arrays["known.groups"]))
-
-
-def _head(name: str, shape: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Head:
-    start = f"{name}."
-    state = {k.removeprefix(start): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(start)}
-    head = Head(Projection(state["offset"].numpy(), state["components"].numpy()), shape["outputs"], shape["hidden"])
-    head.load_state_dict(state)
-    return head.eval()
-
-
-def _local_record(local: LocalFinder | None) -> dict[str, Any] | None:
-    if local is None:
-        return None
-    numbers = {k: getattr(local, k) for k in _LOCAL_NUMBERS}
-    return {"settings": asdict(local.regression.settings), "scale": asdict(local.scale), **numbers}
-
-
-def _local(record: dict[str, Any] | None, arrays: dict[str, npt.NDArray[Any]]) -> LocalFinder | None:
-    if record is None:
-        return None
-    its = {k.removeprefix("local."): v for k, v in arrays.items() if k.startswith("local.")}
-    through = Projection(its["offset"], its["components"])
-    settings = LocalSettings(**record["settings"])
-    regression = LocalRegression(through, its["references"], its["targets"], its["target_scale"], settings)
-    return LocalFinder(regression, scale=_fix_scale(record["scale"]), **{k: record[k] for k in _LOCAL_NUMBERS})
-
-
-def _landmarks_record(landmarks: Landmarks | None) -> dict[str, Any] | None:
-    if landmarks is None:
-        return None
-    own = landmarks.map
-    return {"camera": asdict(own.camera), "depth_m": own.depth_m, "scale": asdict(landmarks.scale)}
-
-
-def _landmarks(name: str, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Landmarks | None:
-    if record[name] is None:
-        return None
-    its = {k: arrays[f"{name}.{k}"] for k in _MAP_ARRAYS}
-    own = LandmarkMap(camera=_camera(record[name]["camera"]), depth_m=record[name]["depth_m"], **its)
-    return Landmarks(own, _fix_scale(record[name]["scale"]))
-
-
-def _fix_scale(record: dict[str, Any]) -> FixScale:
-    return FixScale(**{**record, "trust_slopes": tuple(record["trust_slopes"])})
+    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]))
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:

@@ -8,21 +8,18 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.conformal import Regions
 from conformodal.datasets.streams import Frame, SourceError
 from conformodal.motion import Corners, build_submaps
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning import Candidates, IntervalMeans, Observations, interval_means, softmax_mean
+from conformodal.reasoning import Candidates, Observations
 
-from .answers import OtherMethods, answers
 from .estimates import Estimate
 from .estimator import VisualOdometry
 from .paper import PaperOdometry
-from .region_rules import Evidence
-from .tally import RegionTally
-from .writer import ResultsWriter
+from .paths import whole_paths
+from .region_rules import EvidenceKind
+from .results import RegionStatistics, ResultsWriter
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
@@ -36,18 +33,15 @@ class _Pending:
 
     timestamp_s: float
     candidates: Candidates
-    paper: IntervalMeans
-    mean: npt.NDArray[np.float64]
     motion: RelativeMotion | None
-    features: npt.NDArray[np.float32] | None
     corners: Corners
 
 
 class StreamRunner:
     """Takes frames one by one and writes what a model makes of them.
 
-    Regions and the fixed-lag answers are written as frames come. The answers of whole paths (smoothed, Viterbi,
-    greedy) follow for a window of frames at a time; sources of no more than 2000 frames are one window.
+    Regions and the fixed-lag path are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
+    frames at a time; sources of no more than 2000 frames are one window.
 
     Parameters
     ----------
@@ -55,8 +49,6 @@ class StreamRunner:
         Of the model; reset here.
     writer
         Where results go.
-    others
-        Methods to compare with, which get the same features and motions; None for none.
     truth
         Of the whole data set, to measure coverage with; or None.
     window, overlap
@@ -64,8 +56,9 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable, n_fixed, n_unknown
-        Frames so far; the last two: those in which landmarks were recognised, and those that show no known place.
+    n_answered, n_unreliable, n_localized, n_unknown
+        Frames so far; the last two: those with an absolute pose estimate from landmarks,
+        and those that show no known place.
     answered
         Their places in the data set, if the truth is known.
     by_recording
@@ -82,22 +75,21 @@ class StreamRunner:
         self,
         odometry: VisualOdometry | PaperOdometry,
         writer: ResultsWriter,
-        others: OtherMethods | None = None,
         *,
         truth: Trajectory | None = None,
         window: int = WINDOW,
         overlap: int = OVERLAP,
     ) -> None:
-        self.odometry, self.writer, self.others = odometry, writer, others
+        self.odometry, self.writer = odometry, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_fixed = self.n_unknown = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
         self._truth = truth
-        self._tallies: list[RegionTally] = []
+        self._statistics: list[RegionStatistics] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._lagging: Trajectory | None = None
@@ -108,9 +100,9 @@ class StreamRunner:
         odometry.reset()
 
     @property
-    def tally(self) -> RegionTally:
+    def statistics(self) -> RegionStatistics:
         """Of the regions of all answered frames, if the truth is known and there are any."""
-        return RegionTally.concatenate(self._tallies)
+        return RegionStatistics.concatenate(self._statistics)
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
@@ -138,10 +130,10 @@ class StreamRunner:
                 self.odometry.pass_by(frame.image)
             return None
         estimate = self.odometry.step(frame.image, frame.timestamp_s)
-        if estimate.region is None or estimate.candidates is None or estimate.features is None:
+        if estimate.region is None:
             self._note(frame, frame.problem or estimate.problem)
-            return estimate
-        self._take(frame, estimate, estimate.region, estimate.candidates, estimate.features)
+        else:
+            self._take(frame, estimate)
         return estimate
 
     def finish(self) -> None:
@@ -154,46 +146,39 @@ class StreamRunner:
         if len(self.problems) < _PROBLEMS_KEPT:
             self.problems[frame.name] = problem
 
-    def _take(
-        self,
-        frame: Frame,
-        estimate: Estimate,
-        region: Regions,
-        candidates: Candidates,
-        features: npt.NDArray[np.float32],
-    ) -> None:
-        model, motion = self.odometry.model, estimate.relative_motion
+    def _take(self, frame: Frame, estimate: Estimate) -> None:
+        model, motion, region, revised = (
+            self.odometry.model,
+            estimate.relative_motion,
+            estimate.region,
+            estimate.revised,
+        )
+        assert region is not None
+        assert revised is not None
+        assert estimate.candidates is not None
+        assert estimate.corners is not None
+        assert estimate.evidence is not None
         self.n_answered += 1
         self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
-        self.n_fixed += bool(estimate.fixes)
+        self.n_localized += bool(estimate.estimates)
         if motion is not None:
             self.motion[str(motion.status)] += 1
-        assert estimate.evidence is not None
-        self.n_unknown += estimate.evidence is Evidence.UNKNOWN
+        self.n_unknown += estimate.evidence is EvidenceKind.UNKNOWN
         said = estimate.known_p, estimate.evidence
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
         if self._truth is not None:
             here = self._truth[frame.index : frame.index + 1]
-            self._tallies.append(RegionTally.of(region, here, model.sign_reference, np.array([estimate.evidence])))
+            kind = np.array([estimate.evidence])
+            self._statistics.append(RegionStatistics.of(region, here, model.sign_reference, kind))
             self.answered.append(frame.index)
-        revised = estimate.revised
-        assert revised is not None
-        assert estimate.search is not None
-        mean = softmax_mean(estimate.search.proba, model.bins)[0]
         if not self.odometry.whole_paths:  # each answer is the last word
             self.writer.poses(self.odometry.answer, revised)
-            self.writer.poses("softmax_mean", Trajectory(revised.timestamps_s, mean[None, :3], mean[None, 3:]))
-            if self.others is None:
-                return
-        elif len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
+            return
+        if len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
             self.writer.poses("online", revised[:1])
-        self._lagging = revised if self.odometry.whole_paths else None
-        assert estimate.proba is not None
-        assert estimate.corners is not None
-        paper = interval_means(estimate.proba, model.calibration.predict(estimate.proba))[0]
-        kept = None if self.others is None else features
-        self._pending.append(_Pending(frame.timestamp_s, candidates, paper, mean, motion, kept, estimate.corners))
+        self._lagging = revised
+        self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, motion, estimate.corners))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
@@ -223,13 +208,7 @@ class StreamRunner:
         times = np.array([p.timestamp_s for p in pending])
         submaps = build_submaps([p.corners for p in pending], camera)
         seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
-        found = {}
-        if self.odometry.whole_paths:
-            found = answers(seen, [p.paper for p in pending], np.array([p.mean for p in pending]), prior)
-        if self.others is not None:
-            features = np.array([p.features for p in pending], dtype=np.float32)
-            found |= self.others(features, seen, prior)
-        for name, trajectory in found.items():
+        for name, trajectory in whole_paths(seen, prior).items():
             self.writer.poses(name, trajectory[wanted])
 
     def _settle(self) -> None:

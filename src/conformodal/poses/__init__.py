@@ -5,7 +5,6 @@ from .camera import PinholeCamera
 from .drift import KittiDrift, kitti_drift, relative_errors
 from .errors import PoseError, TrajectoryFileError
 from .euroc import read_euroc, write_euroc
-from .fix import PoseFix
 from .kitti import read_kitti, write_kitti
 from .metrics import associate, orientation_errors_deg, position_errors_m, recall, trajectory_errors
 from .relative import MotionStatus, RelativeMotion
@@ -28,7 +27,6 @@ __all__ = [
     "MotionStatus",
     "PinholeCamera",
     "PoseError",
-    "PoseFix",
     "RelativeMotion",
     "Submap",
     "Trajectory",

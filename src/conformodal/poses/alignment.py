@@ -5,14 +5,13 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+
+from conformodal.core import FloatArray
 
 from .errors import PoseError
 from .metrics import check_same_length
 from .trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Alignment(StrEnum):

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from conformodal.core import FloatArray
+
 from .errors import PoseError
 from .metrics import check_same_length
 from .trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 KITTI_EVERY = 10  # frames between the starts of stretches

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .text import FloatArray, drop_faults, number, pose_faults, read_rows, trajectory_of, whole_number
+from conformodal.core import FloatArray
+
+from .text import drop_faults, number, pose_faults, read_rows, trajectory_of, whole_number
 from .trajectory import Trajectory
 
 _HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
+
 from .errors import TrajectoryFileError
-from .text import FloatArray, drop_faults, matrix_faults, number, read_rows, table_of, trajectory_of
+from .text import drop_faults, matrix_faults, number, read_rows, table_of, trajectory_of
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0

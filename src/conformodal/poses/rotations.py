@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from .errors import PoseError
+from conformodal.core import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+from .errors import PoseError
 
 # Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
 ORTHONORMAL_TOLERANCE = 1e-3

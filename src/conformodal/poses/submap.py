@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from conformodal.core import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,12 @@ from math import isfinite
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray
 
 from .errors import PoseError, TrajectoryFileError
 from .rotations import rotation_faults
 from .trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 # Farther away than any place, in metres: squares of larger numbers overflow.
 MOST_M = 1e9

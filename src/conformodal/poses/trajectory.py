@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
+
 from .errors import PoseError
 from .rotations import check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

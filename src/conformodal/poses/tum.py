@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .text import FloatArray, drop_faults, number, pose_faults, read_rows, trajectory_of
+from conformodal.core import FloatArray
+
+from .text import drop_faults, number, pose_faults, read_rows, trajectory_of
 from .trajectory import Trajectory
 
 _HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"

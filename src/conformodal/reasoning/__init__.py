@@ -5,23 +5,14 @@ A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` t
 """
 
 from .bridging import bridge, predict_candidates
-from .candidates import (
-    Candidates,
-    SpreadScale,
-    interval_candidates,
-    mode_candidates,
-    softmax_mean,
-)
+from .candidates import Candidates, interval_candidates, mode_candidates, softmax_mean
 from .errors import ReasoningError
-from .fixes import add_fixes
 from .greedy import Greedy, IntervalMeans, greedy, interval_means
 from .observations import Observations, PosePath, Reasoner
 from .online import LAG, OnlineReasoner, online
 from .orientations import smooth_orientations
-from .pooling import fix_cells, on_cells, pool_fixes
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_positions
-from .spreads import fit_growth, fit_spread_scale
 from .viterbi import Decoder, orientation_cost, position_cost, transition_cost, viterbi
 
 __all__ = [
@@ -36,21 +27,14 @@ __all__ = [
     "PosePath",
     "Reasoner",
     "ReasoningError",
-    "SpreadScale",
-    "add_fixes",
     "bridge",
-    "fit_growth",
     "fit_motion_prior",
-    "fit_spread_scale",
-    "fix_cells",
     "greedy",
     "interval_candidates",
     "interval_means",
     "mode_candidates",
-    "on_cells",
     "online",
     "orientation_cost",
-    "pool_fixes",
     "position_cost",
     "predict_candidates",
     "smooth",

@@ -20,22 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions
+from conformodal.core import FloatArray
 from conformodal.poses import normalise_quat
 
-FloatArray = npt.NDArray[np.float64]
+from .settings import CANDIDATES
 
 POSITION = (0, 1, 2)
 ORIENTATION = (3, 4, 5, 6)
-MAX_CANDIDATES = 48
-MIN_MASS = 1e-4
-# Two peaks are two modes where the probability between them falls below this share of the lower one.
-VALLEY_SHARE = 0.5
-# Softmaxes are rough: peaks fewer bins apart than this are one mode unless next to nothing lies between them. Split at
-# a half, single modes fell apart and lost their tails (benchmarks/ladder.py).
-MODE_BINS, NEAR_VALLEY_SHARE = 6, 0.05
-# Four components chosen one by one need not be a unit quaternion; the further from one, the less they fit together.
-_NORM_SPREAD = 0.1
-
 Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
 
 
@@ -60,38 +51,12 @@ class Candidates:
     log_mass: FloatArray
 
 
-@dataclass(frozen=True)
-class SpreadScale:
-    """Factors that turn spreads of the softmax into spreads of the error; learnt on calibration frames.
-
-    Attributes
-    ----------
-    position, orientation
-        For an image of typical strangeness.
-    growth
-        Power of an image's strangeness that spreads grow with.
-    """
-
-    position: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    orientation: float = 1.0
-    growth: float = 0.0
-
-    def at(self, strangeness: float) -> SpreadScale:
-        """The factors for an image of some strangeness, which is 1 where it is typical."""
-        grown = float(strangeness**self.growth)
-        x, y, z = (factor * grown for factor in self.position)
-        return SpreadScale((x, y, z), self.orientation * grown)
-
-
 def mode_candidates(
     proba: Probabilities,
     bins: QuantileBins,
     *,
-    scale: SpreadScale | None = None,
-    strangeness: FloatArray | None = None,
-    mode_bins: int = MODE_BINS,
-    min_mass: float = MIN_MASS,
-    max_candidates: int = MAX_CANDIDATES,
+    min_mass: float = CANDIDATES.least_mass,
+    max_candidates: int = CANDIDATES.most,
 ) -> list[Candidates]:
     """Candidates of every frame: the modes of the softmax.
 
@@ -101,12 +66,6 @@ def mode_candidates(
         Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
     bins
         Bins of the seven targets.
-    scale
-        From :func:`fit_spread_scale`; None leaves spreads as the softmax has them.
-    strangeness
-        (n,) what `scale` grows with; None where nothing is known of it.
-    mode_bins
-        Peaks fewer bins apart are one mode, unless the probability between them nearly vanishes.
     min_mass
         Combinations less probable than this are dropped (never the most probable one).
     max_candidates
@@ -115,15 +74,13 @@ def mode_candidates(
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
-        pieces = [_pieces(p, _basins(p, mode_bins), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        here = scale or SpreadScale()
-        here = here if strangeness is None else here.at(strangeness[i])
-        found.append(_combine(pieces, here, np.log(min_mass), max_candidates))
+        pieces = [_pieces(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
+        found.append(_combine(pieces, np.log(min_mass), max_candidates))
     return found
 
 
 def interval_candidates(
-    proba: Probabilities, regions: Regions, *, max_candidates: int = MAX_CANDIDATES
+    proba: Probabilities, regions: Regions, *, max_candidates: int = CANDIDATES.most
 ) -> list[Candidates]:
     """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
@@ -131,7 +88,7 @@ def interval_candidates(
     all cuboids, as the paper does.
     """
     pieces = interval_pieces(proba, regions)
-    return [_combine(here, SpreadScale(), -np.inf, max_candidates) for here in pieces]
+    return [_combine(here, -np.inf, max_candidates) for here in pieces]
 
 
 def interval_pieces(proba: Probabilities, regions: Regions) -> list[list[Pieces]]:
@@ -189,7 +146,7 @@ def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> Pi
     return Pieces(np.array(means), np.array(spreads), np.log(masses))
 
 
-def _basins(p: FloatArray, mode_bins: int) -> list[tuple[int, int]]:
+def _basins(p: FloatArray) -> list[tuple[int, int]]:
     """Cut all bins at the lowest between peaks that stand clear of it."""
     cuts = [0]
     peak_at = valley_at = 0
@@ -197,8 +154,7 @@ def _basins(p: FloatArray, mode_bins: int) -> list[tuple[int, int]]:
         if p[k] < p[valley_at]:
             valley_at = k
             continue
-        share = NEAR_VALLEY_SHARE if k - peak_at < mode_bins else VALLEY_SHARE
-        if p[valley_at] < share * min(p[peak_at], p[k]):
+        if p[valley_at] < CANDIDATES.valley_share * min(p[peak_at], p[k]):
             cuts.append(valley_at)
             peak_at = valley_at = k
         elif p[k] > p[peak_at]:
@@ -219,15 +175,15 @@ def _product(targets: list[Pieces], limit: int) -> Pieces:
     return Pieces(mean, spread, log_mass)
 
 
-def _combine(pieces: list[Pieces], scale: SpreadScale, min_log_mass: float, limit: int) -> Candidates:
+def _combine(pieces: list[Pieces], min_log_mass: float, limit: int) -> Candidates:
     quats = _product([pieces[j] for j in ORIENTATION], limit)
     norm = np.linalg.norm(quats.mean, axis=1)
     sound = norm > 1e-6
     if sound.any():
         unit = normalise_quat(quats.mean[sound])
         # a quaternion moves half as far as the rotation turns
-        turn = 2 * np.sqrt(np.mean(quats.spread[sound] ** 2, axis=1)) * scale.orientation
-        turn_mass = (quats.log_mass - 0.5 * ((norm - 1) / _NORM_SPREAD) ** 2)[sound]
+        turn = 2 * np.sqrt(np.mean(quats.spread[sound] ** 2, axis=1))
+        turn_mass = (quats.log_mass - 0.5 * ((norm - 1) / CANDIDATES.norm_sigma) ** 2)[sound]
     else:  # components that cancel say nothing
         unit, turn, turn_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
     places = _product([pieces[j] for j in POSITION], limit)
@@ -235,4 +191,4 @@ def _combine(pieces: list[Pieces], scale: SpreadScale, min_log_mass: float, limi
     best = np.argsort(-mass, axis=None, kind="stable")[:limit]
     best = best[mass.flat[best] >= min(min_log_mass, mass.flat[best[0]])]
     at, facing = np.unravel_index(best, mass.shape)
-    return Candidates(places.mean[at], places.spread[at] * scale.position, unit[facing], turn[facing], mass[at, facing])
+    return Candidates(places.mean[at], places.spread[at], unit[facing], turn[facing], mass[at, facing])

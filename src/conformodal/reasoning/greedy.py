@@ -13,13 +13,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import Regions
+from conformodal.core import FloatArray
 from conformodal.poses import RelativeMotion
 
 from .candidates import interval_pieces
 from .errors import ReasoningError
 from .observations import PosePath
-
-FloatArray = npt.NDArray[np.float64]
 
 _LEAST_NORM = 1e-6
 

@@ -9,14 +9,12 @@ from typing import Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.poses import RelativeMotion, Submap
 
 from .candidates import Candidates
 from .errors import ReasoningError
 from .prior import MotionPrior
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,20 +10,18 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.poses import RelativeMotion
 
 from .candidates import Candidates
 from .errors import ReasoningError
 from .observations import Observations, PosePath
 from .prior import MotionPrior
+from .settings import SEARCH
 from .viterbi import best_step, survivors, transition_cost, way_back
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
-LAG = 10
+LAG = SEARCH.lag
 
 
 @dataclass

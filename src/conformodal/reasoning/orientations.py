@@ -10,14 +10,11 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
+from conformodal.core import FloatArray, cauchy
 from conformodal.poses import RelativeMotion, Submap
 
 from .prior import MotionPrior
-from .robust import cauchy
-
-FloatArray = npt.NDArray[np.float64]
-
-_ITERATIONS = 12
+from .settings import SMOOTHER
 
 
 def smooth_orientations(
@@ -53,7 +50,7 @@ def smooth_orientations(
     rows = np.arange(n_links + 1)
     ends = sparse.bsr_array((np.tile(np.eye(3), (n_links, 1, 1)), end, rows), shape=(3 * n_links, 3 * n))
     now = own
-    for _ in range(_ITERATIONS):
+    for _ in range(SMOOTHER.iterations):
         r_own = (own.inv() * now).as_rotvec() / spreads_rad[:, None]
         between = now[start].inv() * now[end]
         r_link = (link.inv() * between).as_rotvec() / sigma[:, None]

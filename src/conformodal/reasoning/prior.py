@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.poses import Trajectory, angle_between_quats
 
 from .errors import ReasoningError
-
-FloatArray = npt.NDArray[np.float64]
 
 _DECIMATIONS = (1, 2, 4, 8, 16)
 

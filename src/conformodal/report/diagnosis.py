@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from conformodal._files import replacing
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
+from conformodal.core.files import replacing
 
 _BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets.streams import Frame
-from conformodal.odometry import Estimate, Evidence
+from conformodal.odometry import Estimate, EvidenceKind
 from conformodal.poses import Trajectory
 
 _MOST_CUBOIDS = 256
@@ -79,7 +79,7 @@ class LiveView:
         if estimate.region is None or estimate.pose is None or estimate.candidates is None:
             return
         here = estimate.pose.positions_xyz[0]
-        unknown = estimate.evidence is Evidence.UNKNOWN
+        unknown = estimate.evidence is EvidenceKind.UNKNOWN
         self._log("world/region", rr.Clear(recursive=False) if unknown else self._cuboids(estimate, here))
         if estimate.known_p is not None:
             self._log("plots/known_p", rr.Scalars(estimate.known_p))

@@ -14,9 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from conformodal.core import FloatArray
+
 from .figures import COLOURS
 
-FloatArray = npt.NDArray[np.float64]
 _OUTSIDE = "#BBBBBB"  # bins that are not in the set
 _LEAST_SHOWN, _BELOW_THRESHOLD = 1e-4, 30.0  # where bars begin
 _STRIP = 0.025  # height of the intervals along the bottom, as a share of the panel's

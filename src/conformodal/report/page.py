@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from conformodal._files import write_whole
+from conformodal.core.files import write_whole
 from conformodal.odometry import Method
 
 from .templating import render_page

@@ -14,8 +14,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from scipy.stats import spearmanr
 
-from conformodal._files import replacing, write_whole
 from conformodal.conformal import coverage_band
+from conformodal.core.files import replacing, write_whole
 
 from .figures import COLOURS, as_label, as_svg
 from .stored import StoredRun

@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader
 
-from conformodal._files import write_whole
+from conformodal.core.files import write_whole
 
 
 def render_page(path: Path, template: str, **content: Any) -> None:

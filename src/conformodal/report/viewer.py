@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.odometry import iter_region_records
-from conformodal.odometry.records import REGIONS, TRAJECTORY, TRUTH
+from conformodal.odometry.results.records import REGIONS, TRAJECTORY, TRUTH
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m, read_tum
 
 MOST_FRAMES = 1000

@@ -5,14 +5,11 @@ from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .finetuning import FineTuning, fine_tune
 from .heads import Head, predict_proba, predict_values
-from .local import LocalAnswers, LocalRegression, LocalSettings
-from .local_fit import LOCAL_CHOICES, LeftOut, fit_local
 from .networks import NETWORKS, find_network
 from .projection import Projection, fit_projection
 from .training import TrainingConfig, fit_head, mean_squared_error, soft_cross_entropy
 
 __all__ = [
-    "LOCAL_CHOICES",
     "NETWORKS",
     "Backbone",
     "BackboneConfig",
@@ -20,10 +17,6 @@ __all__ = [
     "FeatureViews",
     "FineTuning",
     "Head",
-    "LeftOut",
-    "LocalAnswers",
-    "LocalRegression",
-    "LocalSettings",
     "Projection",
     "TrainingConfig",
     "VisionError",
@@ -34,7 +27,6 @@ __all__ = [
     "find_network",
     "fine_tune",
     "fit_head",
-    "fit_local",
     "fit_projection",
     "mean_squared_error",
     "pick_device",

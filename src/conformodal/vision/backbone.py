@@ -206,6 +206,10 @@ class Backbone(nn.Module):
         pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
         return np.concatenate((found, pictures), axis=1).astype(np.float16)
 
+    def features_of(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
+        return self.describe(self.prepare(image)[None]).astype(np.float32)
+
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""
         x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import Progress
 from conformodal.datasets import ImageError, PixelNoise, read_image
 
 from .backbone import Backbone
 from .keeping import keep_arrays, kept_arrays
 
 _BATCH = 16
-Progress = Callable[[int, int], None]
 
 
 def default_cache_dir() -> Path:

@@ -13,13 +13,13 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset
 
+from conformodal.core import Progress
 from conformodal.datasets import ImageError, read_image
 
 from .backbone import Backbone
 from .errors import VisionError
 from .features import FeatureCache
 from .keeping import keep_arrays, kept_arrays
-from .training import Progress
 
 
 @dataclass(frozen=True)

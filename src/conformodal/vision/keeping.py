@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal._files import write_whole
+from conformodal.core.files import write_whole
 
 _DIGEST = "digest"
 Arrays = Mapping[str, npt.NDArray[Any]]

@@ -20,11 +20,12 @@ import torch
 from lightning.pytorch.callbacks import Callback
 from torch.utils.data import DataLoader, TensorDataset
 
-from conformodal._files import FolderInUseError, locked
+from conformodal.core import Progress
+from conformodal.core.files import FolderInUseError, locked
 
 from .heads import Head
 from .states import KeepState, kept_state
-from .training import Loss, Progress, TrainingConfig
+from .training import Loss, TrainingConfig
 
 _CHECKPOINT_EVERY_EPOCHS = 10
 

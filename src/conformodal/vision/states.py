@@ -10,7 +10,7 @@ import lightning
 import torch
 from lightning.pytorch.callbacks import Callback
 
-from conformodal._files import replacing
+from conformodal.core.files import replacing
 
 FILE = "last.ckpt"
 _RANDOM = "random_states"

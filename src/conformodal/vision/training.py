@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from conformodal.core import Progress
+
 from .errors import VisionError
 from .heads import Head
 from .projection import Projection, fit_projection
 
-Progress = Callable[[int, int], None]
 Loss = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
 
 

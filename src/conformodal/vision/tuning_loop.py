@@ -10,11 +10,12 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
+from conformodal.core import Progress
+
 from .augmentation import augment
 from .backbone import Backbone
 from .finetuning import FineTuning
 from .loop import fit_module
-from .training import Progress
 
 _HEAD_RATE = 10.0
 _WEIGHT_DECAY = 1e-2

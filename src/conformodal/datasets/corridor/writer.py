@@ -17,7 +17,7 @@ from .world import CorridorWorld
 
 
 def write_corridor(
-    folder: Path,
+    folder: Path | str,
     *,
     n_modules: int = 5,
     n_laps: int = 2,
@@ -43,7 +43,7 @@ def write_corridor(
     world = CorridorWorld(n_modules, seed=seed)
     renderer = Renderer(world)
     poses = drone_path(world, n_laps, seed).poses_se3
-    return write_flight(folder / "seq-01", renderer, poses, noise_seed=seed * 1_000_003, progress=progress)
+    return write_flight(Path(folder) / "seq-01", renderer, poses, noise_seed=seed * 1_000_003, progress=progress)
 
 
 def write_flight(

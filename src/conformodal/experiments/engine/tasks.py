@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from conformodal._files import write_whole
+from conformodal.core.files import write_whole
 
 from ..errors import ExperimentError
 from .engines import Engine, Progress, Result, Task, Work

@@ -72,7 +72,7 @@ def _config(method: Method, split: SplitKind, n_bins: int, training: TrainingCon
     settings: dict[str, Any] = {"split": split, "n_bins": n_bins, "alpha": ALPHA, "training": training}
     if method is Method.PAPER:
         return ModelConfig.paper(**settings)
-    return ModelConfig(**settings, score="lac", joint="none", landmarks=False)
+    return ModelConfig(**settings, score="lac", joint="none", sources=("head",))
 
 
 def _has(place: Path, settings: dict[str, Any]) -> bool:

@@ -5,12 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from conformodal.localization import HeadSource
+from conformodal.odometry import PoseModel
 from conformodal.vision import Head
 
 
 def n_numbers(head: Head) -> int:
     """Trained numbers of a head."""
     return sum(p.numel() for p in head.parameters())
+
+
+def head_of(model: PoseModel) -> Head:
+    """The softmax head of a model that has one."""
+    source = model.localizer.find(HeadSource)
+    assert source is not None
+    return source.head
+
+
+def n_stored(model: PoseModel) -> int:
+    """Numbers that the model's sources store."""
+    return sum(v.size for source in model.localizer.sources for k, v in source.state().arrays.items() if k != "frames")
 
 
 def ms_a_frame(answer: Callable[[], object], n_frames: int) -> float:

@@ -1,4 +1,4 @@
-"""What landmarks are worth: they alone, ours without them, and the opponent with them."""
+"""What landmarks are worth: they alone, ours without them, and the baseline with them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.localization import FrameEvidence
 from conformodal.odometry import OdometryRun, PoseModel, as_trajectory
 from conformodal.poses import Trajectory, concatenate, normalise_quat
-from conformodal.reasoning import Candidates, Observations, smooth, viterbi
+from conformodal.reasoning import Candidates, Observations, smooth, softmax_mean, viterbi
 
 from ..classical import ClassicalRegressor
 
@@ -24,14 +25,15 @@ def landmark_rows(
 ) -> dict[str, Trajectory]:
     """Trajectories over the frames of a run, which may hold several recordings.
 
-    ``landmarks``: each frame's most trusted fix, and our softmax mean where it has none. ``no_landmarks``: ours without
-    fixes. ``classical_landmarks``: the classical regressor's answers and the fixes, through our search and smoother.
+    ``landmarks``: each frame's most probable estimate by landmarks, and the softmax mean where it has none.
+    ``no_landmarks``: ours without local features. ``classical_landmarks``: the classical regressor's answers and the
+    landmarks' estimates, through our search and smoother.
     """
-    single = [
-        model.with_fixes(own, its.search) for own, its in zip(_answers(classical, features), run.fixes, strict=True)
-    ]
-    choices = {"no_landmarks": model.candidates(model.search(features)), "classical_landmarks": single}
-    found = {"landmarks": _fixes_alone(run)}
+    estimates = run.localization.beliefs.estimates
+    answers = _answers(classical, features)
+    single = [model.localizer.update(own, [its]).candidates for own, its in zip(answers, estimates, strict=True)]
+    choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "classical_landmarks": single}
+    found = {"landmarks": _landmarks_alone(run, model)}
     pieces = [np.flatnonzero(recording == number) for number in np.unique(recording)]
     for name, candidates in choices.items():
         seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
@@ -50,11 +52,12 @@ def _answers(classical: ClassicalRegressor, features: npt.NDArray[np.float32]) -
     return [Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1)) for v in values]
 
 
-def _fixes_alone(run: OdometryRun) -> Trajectory:
-    mean = run.trajectories["softmax_mean"]
-    positions, quats = mean.positions_xyz.copy(), mean.orientations_quat_wxyz.copy()
-    for t, fixes in enumerate(run.fixes):
-        if fixes.search:
-            best = max(fixes.search, key=lambda fix: (fix.trust, fix.n_inliers))
+def _landmarks_alone(run: OdometryRun, model: PoseModel) -> Trajectory:
+    beliefs = run.localization.beliefs
+    mean = softmax_mean(beliefs.proba, model.bins)
+    positions, quats = mean[:, :3].copy(), mean[:, 3:].copy()
+    for t, estimates in enumerate(beliefs.estimates):
+        if estimates:
+            best = max(estimates, key=lambda one: (one.inlier_probability, one.n_inliers))
             positions[t], quats[t] = best.position_xyz, best.orientation_quat_wxyz
     return Trajectory(run.timestamps_s, positions, quats)

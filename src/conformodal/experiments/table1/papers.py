@@ -21,14 +21,15 @@ from conformodal.odometry import (
 )
 from conformodal.poses import trajectory_errors
 from conformodal.reasoning import greedy, interval_means
-from conformodal.vision import FeatureCache, extract_features
+from conformodal.vision import FeatureCache, extract_features, predict_proba
 
-from ..classical import opponents_training, train_classical
+from ..classical import baseline_training, train_classical
+from ..comparison import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import TrainingTask, config_of, run_name
-from .costs import ms_a_frame, n_numbers
+from .costs import head_of, ms_a_frame, n_numbers
 from .motions import MotionMemory
-from .regions import region_numbers
+from .regions import paper_numbers
 
 
 class PaperWorker:
@@ -49,9 +50,9 @@ class PaperWorker:
         times.append(time.perf_counter())
         plain = train_plain(data, config.training)
         times.append(time.perf_counter())
-        classical = train_classical(data, opponents_training(config.training))
+        classical = train_classical(data, baseline_training(config.training))
         times.append(time.perf_counter())
-        heads = {"greedy": model.head, "plain": plain.head, "classical": classical.head}
+        heads = {"greedy": head_of(model), "plain": plain.head, "classical": classical.head}
         cost = {
             name: {"train_s": after - before, "n_parameters": n_numbers(head)}
             for (name, head), before, after in zip(heads.items(), times, times[1:], strict=False)
@@ -78,6 +79,7 @@ class PaperWorker:
         truth = self.sequence.require_truth()[run.frames]
         paths = [self.sequence.image_paths[i] for i in run.frames]
         features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
+        run.trajectories |= comparison_paths(run, model, self.sequence.recording[run.frames])
         for name, regressor in regressors.items():
             run.trajectories[name] = regressor.trajectory(features, run.timestamps_s)
         if self.runs is not None and task.seed == 0:
@@ -87,8 +89,8 @@ class PaperWorker:
             write_metrics(place, record)  # says whose answer it is
 
         def answer() -> None:
-            proba = model.proba(features)
-            greedy(interval_means(proba, model.regions(proba)), run.motions, run.timestamps_s)
+            proba = predict_proba(head_of(model), features)
+            greedy(interval_means(proba, model.calibration.predict(proba)), run.motions, run.timestamps_s)
 
         answer_ms = {}
         if not sigma:  # noise costs nothing
@@ -97,7 +99,7 @@ class PaperWorker:
                 answer_ms[name] = ms_a_frame(partial(regressor.predict, features), len(features))
         return {
             "errors": {name: trajectory_errors(t, truth) for name, t in run.trajectories.items()},
-            "region": {k: v for k, v in region_numbers(run, model, features, truth).items() if k != "alone"},
+            "region": paper_numbers(run, model, truth),
             "answer_ms": answer_ms,
             "n_unreliable": int((~run.reliable).sum()),
         }

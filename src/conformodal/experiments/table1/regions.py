@@ -8,44 +8,67 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import Regions, SplitConformal
-from conformodal.odometry import Fixes, OdometryRun, PoseModel, pose_targets
+from conformodal.core import FloatArray
+from conformodal.localization import Beliefs, FrameEvidence, pose_targets
+from conformodal.odometry import OdometryRun, PoseModel
+from conformodal.odometry.learning.calibrating import score_beliefs
 from conformodal.poses import Trajectory
 
 from .conditions import ALPHA
 from .sizes import rank_correlation
 
 RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-FloatArray = npt.NDArray[np.float64]
 
 
 def region_numbers(
     run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], truth: Trajectory
 ) -> dict[str, Any]:
-    """Coverage and size of the answer's regions and, under ``alone``, of those from the image's softmax only."""
-    proba, targets = model.proba(features), pose_targets(truth, model.sign_reference)
-    plain = model.regions(proba, known_p=run.known_p)
+    """Coverage and size of the answer's regions and, under ``alone``, of those without local features."""
+    plain, targets = model.localize(FrameEvidence(features)), pose_targets(truth, model.sign_reference)
     error = position_error(run, truth)
     return {
-        **_numbers(run.regions, model, proba, run.fixes, targets, error),
-        "alone": _numbers(plain, model, proba, None, targets, error),
+        **_numbers(run.regions, model, run.localization.beliefs, targets, error, local=True),
+        "alone": _numbers(plain.regions, model, plain.beliefs, targets, error, local=False),
         "n_calibration": model.n_calibration,
         "n_test": len(targets),
     }
 
 
+def paper_numbers(run: OdometryRun, model: PoseModel, truth: Trajectory) -> dict[str, Any]:
+    """The same of the paper's sets of bins, calibrated target by target."""
+    rule, targets = model.calibration, pose_targets(truth, model.sign_reference)
+    scores = rule.score_samples(run.localization.beliefs.proba, targets)
+    error = position_error(run, truth)
+    numbers = _summary(run.regions, run.regions, rule, scores, model, targets, error)
+    return {**numbers, "n_calibration": model.n_calibration, "n_test": len(targets)}
+
+
 def _numbers(
     regions: Regions,
     model: PoseModel,
-    proba: list[npt.NDArray[np.floating[Any]]],
-    fixes: list[Fixes] | None,
+    beliefs: Beliefs,
+    targets: FloatArray,
+    error: FloatArray,
+    *,
+    local: bool,
+) -> dict[str, Any]:
+    """Of the whole pose at alpha, and of each target at alpha as in the paper."""
+    rule = model.calibration_of(local=local)
+    single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
+    each = model.regions(beliefs, np.tile(single.thresholds_, (len(beliefs), 1)))
+    scores = score_beliefs(rule, model.localizer, beliefs, targets)
+    return _summary(regions, each, single, scores, model, targets, error)
+
+
+def _summary(
+    regions: Regions,
+    each: Regions,
+    single: SplitConformal,
+    scores: npt.NDArray[np.floating[Any]],
+    model: PoseModel,
     targets: FloatArray,
     error: FloatArray,
 ) -> dict[str, Any]:
-    """Of the whole pose at alpha, and of each target at alpha as in the paper."""
-    rule = model.calibration_of(with_fixes=fixes is not None)
-    single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
-    each = model.regions(proba, fixes, single)
-    scores = model.scores(proba, targets, fixes)
     rank = rank_correlation(position_size(regions, model), error)
     return {
         "joint_coverage": float(regions.contains(targets, joint=True).mean()),

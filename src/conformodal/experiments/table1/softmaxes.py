@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import Regions
 from conformodal.datasets import Sequence
-from conformodal.odometry import PoseModel, load_model
+from conformodal.localization import FrameEvidence, cells_per_bin
+from conformodal.odometry import Method, PoseModel, load_model
 from conformodal.vision import FeatureCache, extract_features
 
 from ..errors import ExperimentError
@@ -69,6 +70,12 @@ class Softmaxes:
         if -1 in frames:
             raise ExperimentError(f"{place}: its frame {names[frames.index(-1)]} is no test frame of {sequence.name}")
         paths = [sequence.image_paths[i] for i in frames]
-        proba = model.proba(extract_features(paths, model.backbone, cache))
-        least = 1 - model.calibration.thresholds_
-        return cls(model, np.array(frames, dtype=np.int64), proba, model.regions(proba), least)
+        rule, beliefs = (
+            model.calibration,
+            model.localizer.beliefs(FrameEvidence(extract_features(paths, model.backbone, cache))),
+        )
+        least, rows = 1 - rule.thresholds_, np.array(frames, dtype=np.int64)
+        if model.method is Method.PAPER:
+            return cls(model, rows, beliefs.proba, rule.predict(beliefs.proba), least)
+        regions = model.regions(beliefs, np.tile(rule.thresholds_, (len(beliefs), 1)))
+        return cls(model, rows, beliefs.proba, regions, least * cells_per_bin(model.bins))

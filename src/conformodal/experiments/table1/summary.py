@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from conformodal._files import replacing, write_whole
+from conformodal.core.files import replacing, write_whole
 from conformodal.odometry import Method
 
 from ..errors import ExperimentError

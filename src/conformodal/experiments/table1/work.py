@@ -12,16 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import PixelNoise, Sequence
-from conformodal.motion import Described
+from conformodal.localization import FrameEvidence, LocalFeatures, pose_targets
 from conformodal.odometry import (
     Method,
     OdometryRun,
     PoseModel,
-    Scene,
     TrainingData,
     VisualOdometry,
-    learn_scene,
-    pose_targets,
     prepare_training_data,
     train_model,
     write_run,
@@ -42,16 +39,15 @@ from ..baselines import (
     quantile_regression,
     with_thumbnail,
 )
-from ..classical import ClassicalRegressor, opponents_training, train_classical
+from ..classical import ClassicalRegressor, baseline_training, train_classical
+from ..comparison import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import ALPHA, TrainingTask, config_of, run_name
-from .costs import ms_a_frame, n_numbers
+from .costs import ms_a_frame, n_numbers, n_stored
 from .landmarks import landmark_rows
 from .motions import MotionMemory
 from .papers import PaperWorker
 from .regions import in_deviations, position_error, position_size, region_numbers
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Table1Worker:
@@ -74,8 +70,6 @@ class Table1Worker:
         self.runs = runs
         self._paper = PaperWorker(sequence, cache, runs)
         self._motions = MotionMemory()
-        # trainings on the same frames share the scene, whatever their network
-        self._scenes: dict[tuple[Any, ...], tuple[Scene, float]] = {}
 
     def __call__(self, task: TrainingTask) -> dict[str, Any]:
         """Errors, coverage and cost, by noise; JSON."""
@@ -84,12 +78,11 @@ class Table1Worker:
         config = config_of(task)
         training = config.training
         data = prepare_training_data(self.sequence, config, self.cache)
-        scene, scene_s = self._scene(task, data)  # others of this split may have learnt it: it counts once for each
         started = time.perf_counter()
-        model = train_model(data, config, scene=scene)
-        conformal_s = time.perf_counter() - started + scene_s
+        model = train_model(data, config)
+        conformal_s = time.perf_counter() - started
         started = time.perf_counter()
-        classical = train_classical(data, opponents_training(training))
+        classical = train_classical(data, baseline_training(training))
         classical_s = time.perf_counter() - started
         started = time.perf_counter()
         plain = train_plain(data, training)
@@ -106,17 +99,7 @@ class Table1Worker:
             "local_regression": local_regression(problem),
         }
         cost = {name: {"train_s": b.train_s, "n_parameters": b.n_parameters} for name, b in baselines.items()}
-        cost["smoothed"] = {
-            "train_s": conformal_s,
-            "n_parameters": sum(n_numbers(head) for head in {id(h): h for h in (model.head, *model.finders)}.values())
-            + (0 if model.local is None else model.local.regression.size)
-            + (0 if model.landmarks is None else model.landmarks.map.size)
-            + (
-                0
-                if model.region_landmarks is None or model.region_landmarks is model.landmarks
-                else model.region_landmarks.map.size
-            ),
-        }
+        cost["smoothed"] = {"train_s": conformal_s, "n_parameters": n_stored(model)}
         cost["classical"] = {"train_s": classical_s, "n_parameters": n_numbers(classical.head)}
         cost["plain"] = {"train_s": plain_s, "n_parameters": n_numbers(plain.head)}
         trained = _Trained(task, data, model, classical, plain, baselines, quantiles)
@@ -138,14 +121,15 @@ class Table1Worker:
         features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
         found = {
             **run.trajectories,
+            **comparison_paths(run, model, recording),
             "plain": trained.plain.trajectory(features, run.timestamps_s),
             **classical.trajectories(features, run, recording, model.prior),
             **landmark_rows(model, features, run, recording, classical),
         }
         answer_ms = {}
         if not sigma:  # noise costs nothing
-            described = [motions.described[i] for i in run.frames.tolist()]
-            answer_ms = _answer_times(trained, features, described, run, recording)
+            local = [motions.local_features[i] for i in run.frames.tolist()]
+            answer_ms = _answer_times(trained, features, local, run, recording)
         for name, baseline in trained.baselines.items():
             values = baseline.answer(features)
             found[name] = Trajectory(run.timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
@@ -166,15 +150,6 @@ class Table1Worker:
             "n_unreliable": int(np.sum(~run.reliable)),
         }
 
-    def _scene(self, task: TrainingTask, data: TrainingData) -> tuple[Scene, float]:
-        """The scene, and the seconds that it took when it was learnt."""
-        key = (task.split, task.seed, task.used)
-        if key not in self._scenes:
-            started = time.perf_counter()
-            scene = learn_scene(self.sequence, data.split)
-            self._scenes = {key: (scene, time.perf_counter() - started)}
-        return self._scenes[key]
-
 
 @dataclass(frozen=True, eq=False)
 class _Trained:
@@ -190,13 +165,13 @@ class _Trained:
 def _answer_times(
     trained: _Trained,
     features: npt.NDArray[np.float32],
-    described: list[Described],
+    local: list[LocalFeatures],
     run: OdometryRun,
     recording: npt.NDArray[np.int64],
 ) -> dict[str, float]:
     """Milliseconds a frame of every method's answers, once the features are there."""
     started = time.perf_counter()
-    _answer(trained.model, features, described, run, recording)  # once: all of it has just been done before
+    _answer(trained.model, features, local, run, recording)  # once: all of it has just been done before
     found = {"smoothed": 1e3 * (time.perf_counter() - started) / len(features)}
     regressors = {"classical": trained.classical.predict, "plain": trained.plain.predict}
     answers = {**regressors, **{k: b.answer for k, b in trained.baselines.items()}}
@@ -206,14 +181,12 @@ def _answer_times(
 def _answer(
     model: PoseModel,
     features: npt.NDArray[np.float32],
-    described: list[Described],
+    local: list[LocalFeatures],
     run: OdometryRun,
     recording: npt.NDArray[np.int64],
 ) -> None:
-    """All that leads from features, corners and motions to regions and the smoothed answer, and nothing else."""
-    fixes = [model.fixes(image) for image in described]
-    model.regions(model.proba(features), fixes)
-    candidates = model.candidates(model.search(features), fixes)
+    """All that leads from features, local features and motions to regions and the smoothed answer, and nothing else."""
+    candidates = model.localize(FrameEvidence(features, local)).candidates
     for number in np.unique(recording):
         at = np.flatnonzero(recording == number)
         seen = replace(run.observations(at), candidates=[candidates[t] for t in at])

@@ -1,0 +1,37 @@
+"""A reasoner of one's own: of each frame the candidate nearest to where the camera was before.
+
+python examples/custom_reasoner.py
+"""
+
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from conformodal.datasets import read_sevenscenes
+from conformodal.datasets.corridor import write_corridor
+from conformodal.odometry import ModelConfig, VisualOdometry, as_trajectory, prepare_training_data, train_model
+from conformodal.poses import trajectory_errors
+from conformodal.reasoning import MotionPrior, Observations, PosePath
+from conformodal.vision import FeatureCache, TrainingConfig
+
+
+def nearest(seen: Observations, prior: MotionPrior) -> PosePath:
+    """A reasoner is a function from observations and a motion prior to a path."""
+    chosen = [int(np.argmax(seen.candidates[0].log_mass))]
+    for before, here in zip(seen.candidates, seen.candidates[1:], strict=False):
+        apart = np.linalg.norm(here.positions_xyz - before.positions_xyz[chosen[-1]], axis=1)
+        chosen.append(int(np.argmin(apart)))
+    return PosePath.choose(seen.candidates, seen.timestamps_s, chosen)
+
+
+if __name__ == "__main__":
+    with TemporaryDirectory() as folder:
+        sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+        config = ModelConfig(alpha=0.2, sources=("head", "neighbours"), training=TrainingConfig(epochs=20))
+        model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
+        run = VisualOdometry(model).process(sequence, model.split.test)
+        truth = sequence.require_truth()[run.frames]
+        seen = run.observations(np.arange(len(run.frames)))
+        paths = {"nearest": as_trajectory(nearest(seen, model.prior)), "viterbi": run.trajectories["viterbi"]}
+        for name, path in paths.items():
+            print(f"{name}: {trajectory_errors(path, truth)['rmse_m']:.3f} m")

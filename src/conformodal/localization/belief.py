@@ -1,0 +1,131 @@
+"""What an image says about its pose: one belief, from which its region is calibrated and its path is chosen.
+
+A belief is a mixture: the softmax, and absolute pose estimates, each with the probability of being right. Its marginal
+densities over fine cells are what a region is calibrated from; its hypotheses are the candidates of the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import QuantileBins
+from conformodal.core import FloatArray
+
+from .fusion import Mixture
+from .measurement import PoseMeasurement
+from .settings import BELIEF
+
+Kind = TypeVar("Kind", bound=np.generic)
+
+_LEAST_ANGLE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """Of n images.
+
+    Attributes
+    ----------
+    proba
+        Seven arrays (n, K_j): the softmax over the bins.
+    mixtures
+        Pose hypotheses of each.
+    estimates
+        Absolute pose estimates from local features, of each.
+    """
+
+    proba: list[npt.NDArray[np.floating[Any]]]
+    mixtures: Sequence[Mixture]
+    estimates: Sequence[Sequence[PoseMeasurement]]
+
+    def __len__(self) -> int:
+        return len(self.mixtures)
+
+    @property
+    def recognised(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether a place was recognised by local features."""
+        return np.array([bool(recognised_only(its)) for its in self.estimates], dtype=np.bool_)
+
+    def part(self, rows: slice) -> Beliefs:
+        """Some of the images."""
+        return Beliefs([p[rows] for p in self.proba], self.mixtures[rows], self.estimates[rows])
+
+    def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
+        """Seven arrays (n, cells) of probabilities, rows of which sum to one.
+
+        Parameters
+        ----------
+        bins, cells
+            Bins of the softmax, and their :func:`belief_cells`.
+        sign_reference
+            (4,) quaternion that fixes the signs of quaternions.
+        """
+        found = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins, j) for j, p in enumerate(self.proba)]
+        for i, mixture in enumerate(self.mixtures):
+            mass = np.exp(mixture.candidates.log_mass)
+            mass /= mass.sum()
+            counted = mixture.measured & (mass > BELIEF.negligible)
+            if not counted.any():
+                continue
+            weights = mass[counted]
+            places, sigmas = _as_targets(mixture, counted, sign_reference)
+            for j, edges in enumerate(cells.edges_):
+                away = (edges - places[:, j, None]) / sigmas[:, j, None]
+                inside = np.maximum(np.diff(_student_cdf(away), axis=1), 0)  # far away, rounding makes some negative
+                found[j][i] = found[j][i] * (1 - weights.sum()) + weights @ inside
+        return [pool / pool.sum(axis=1, keepdims=True) for pool in found]
+
+
+def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
+    """Those of an image's estimates that are probably inliers."""
+    return [one for one in estimates if one.inlier_probability >= BELIEF.recognised]
+
+
+def belief_cells(bins: QuantileBins) -> QuantileBins:
+    """Cells within the bins and, as wide as their mean, beyond them; edges of bins are edges of cells."""
+    edges = []
+    for fine, n in zip(bins.refine(cells_per_bin(bins)).edges_, _cells_beyond(bins), strict=True):
+        steps = (fine[-1] - fine[0]) / (fine.size - 1) * np.arange(1, n + 1)
+        edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
+    return QuantileBins.from_edges(edges)
+
+
+def on_cells(values: npt.NDArray[Kind], bins: QuantileBins, target: int) -> npt.NDArray[Kind]:
+    """Values of bins (n, K) repeated for every cell in them, (n, cells); 0 beyond the bins."""
+    beyond = _cells_beyond(bins)[target]
+    return np.pad(np.repeat(values, cells_per_bin(bins), axis=1), ((0, 0), (beyond, beyond)))
+
+
+def cells_per_bin(bins: QuantileBins) -> int:
+    """Cells that each bin is cut into."""
+    return max(1, -(-BELIEF.cells // max(bins.sizes)))
+
+
+def _cells_beyond(bins: QuantileBins) -> list[int]:
+    return [round(BELIEF.beyond * cells_per_bin(bins) * k) for k in bins.sizes]
+
+
+def _student_cdf(x: FloatArray) -> FloatArray:
+    """Student's t with three degrees of freedom: errors of many standard deviations are more common than normal."""
+    scaled = x / np.sqrt(3)
+    return np.asarray(0.5 + (scaled / (1 + scaled**2) + np.arctan(scaled)) / np.pi)
+
+
+def _as_targets(
+    mixture: Mixture, rows: npt.NDArray[np.bool_], sign_reference: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Hypotheses as targets and their standard deviations, (m, 7) each."""
+    its = mixture.candidates
+    quats = its.orientations_quat_wxyz[rows]
+    quats = np.where((quats @ sign_reference < 0)[:, None], -quats, quats)
+    # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
+    angle = its.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _LEAST_ANGLE))
+    return (
+        np.concatenate((its.positions_xyz[rows], quats), axis=1),
+        np.concatenate((its.position_spreads[rows], angle), axis=1),
+    )

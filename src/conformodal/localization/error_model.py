@@ -1,0 +1,148 @@
+"""How large the errors of absolute pose estimates are, and how often one is an outlier.
+
+Both are learnt from frames with known poses that were hidden from the source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import theilslopes
+from sklearn.linear_model import LogisticRegression
+
+from conformodal.core import MEDIAN_OF_NORM3, TAIL_OF_NORM3, FloatArray
+
+from .measurement import PoseMeasurement
+from .settings import ERROR_MODEL
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Standard deviations and inlier probabilities of a source's estimates.
+
+    Attributes
+    ----------
+    position, position_growth, position_distance
+        Standard deviation in metres: the first, times the predicted sigma to the power of the second, times the
+        distance from the nearest known frame to the power of the third.
+    rotation, rotation_growth, rotation_distance
+        The same in radians.
+    log_odds, slopes
+        Log odds of an inlier: the first, plus the others times the logarithms of the support of an estimate.
+    """
+
+    position: float
+    position_growth: float
+    position_distance: float
+    rotation: float
+    rotation_growth: float
+    rotation_distance: float
+    log_odds: float
+    slopes: tuple[float, ...]
+
+    def apply(self, estimate: PoseMeasurement, *support: float) -> PoseMeasurement:
+        """The estimate with standard deviations of the size of its errors; its own are the predicted ones."""
+        odds = self.log_odds + float(np.dot(self.slopes, np.log(support)))
+        away = max(estimate.distance_to_known, ERROR_MODEL.least_distance)
+        return replace(
+            estimate,
+            sigma_m=self.position * estimate.sigma_m**self.position_growth * away**self.position_distance,
+            sigma_rad=self.rotation * estimate.sigma_rad**self.rotation_growth * away**self.rotation_distance,
+            inlier_probability=float(1 / (1 + np.exp(-odds))),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """For a record."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> Self:
+        """From :meth:`as_json`."""
+        return cls(**{**record, "slopes": tuple(record["slopes"])})
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutErrors:
+    """Errors of m estimates, with what was predicted of them.
+
+    Attributes
+    ----------
+    error_m, sigma_m, error_rad, sigma_rad
+        (m,) errors and predicted standard deviations.
+    distance
+        (m,) distances from the nearest known frame, scene depths plus radians; 0 where they are not measured.
+    support
+        (m, e) positive numbers that grow with the probability of an inlier.
+    weights
+        (m,) of each in learning that probability.
+    """
+
+    error_m: FloatArray
+    sigma_m: FloatArray
+    error_rad: FloatArray
+    sigma_rad: FloatArray
+    distance: FloatArray
+    support: FloatArray
+    weights: FloatArray
+
+
+def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | None:
+    """Learn the model; None from fewer than twenty estimates near the truth.
+
+    Parameters
+    ----------
+    errors
+        Of estimates to which the true pose was hidden.
+    same_place_m
+        An estimate further off is of another place: its error does not count among errors of measurement.
+    """
+    near = (errors.error_m < same_place_m) & (errors.error_rad < ERROR_MODEL.same_orientation_rad)
+    if near.sum() < ERROR_MODEL.least_estimates:
+        return None
+    distance = np.maximum(errors.distance, ERROR_MODEL.least_distance)
+    position = _power_law(errors.error_m[near], errors.sigma_m[near], distance[near])
+    rotation = _power_law(errors.error_rad[near], errors.sigma_rad[near], distance[near])
+    sigma = position[0] * errors.sigma_m ** position[1] * distance ** position[2]
+    inlier = near & (errors.error_m < ERROR_MODEL.outlier * sigma)
+    return ErrorModel(*position, *rotation, *_inlier_odds(np.log(errors.support), inlier, errors.weights))
+
+
+def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> tuple[float, float, float]:
+    """Factor, power of the predicted sigma, power of the distance; the distance first, which explains more."""
+    by_distance = _growth(errors, distance)
+    left = errors / distance**by_distance
+    growth = _growth(left, sigmas)
+    left = left / sigmas**growth
+    factor = max(float(np.median(left)) / MEDIAN_OF_NORM3, float(np.quantile(left, 0.95)) / TAIL_OF_NORM3, 1e-6)
+    return factor, growth, by_distance
+
+
+def _growth(errors: FloatArray, cause: FloatArray) -> float:
+    """The power of a cause (n,) with which errors (n,) grow, 0 to 2: the median slope of the logarithms."""
+    there = (errors > 0) & (cause > 0)
+    x, y = np.log(cause[there]), np.log(errors[there])
+    if len(x) < 2 or np.ptp(x) == 0:
+        return 0.0
+    return float(np.clip(theilslopes(y, x)[0], 0, ERROR_MODEL.max_growth))
+
+
+def _inlier_odds(
+    log_support: FloatArray, inlier: npt.NDArray[np.bool_], weights: FloatArray
+) -> tuple[float, tuple[float, ...]]:
+    """Offset and slopes of the log odds; one inlier and one outlier are added, so that neither is ever certain."""
+    middle = np.median(log_support, axis=0)
+    x = np.concatenate((log_support, [middle, middle]))
+    inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
+    kept = list(range(x.shape[1]))
+    while kept:
+        found = LogisticRegression().fit(x[:, kept], inlier, sample_weight=weights)
+        if (found.coef_[0] >= 0).all():
+            slopes = np.zeros(x.shape[1])
+            slopes[kept] = found.coef_[0]
+            return float(found.intercept_[0]), tuple(slopes.tolist())
+        # support never lowers the probability of an inlier: a negative slope comes from too few outliers
+        kept.pop(int(np.argmin(found.coef_[0])))
+    return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]

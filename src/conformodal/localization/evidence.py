@@ -1,0 +1,53 @@
+"""What is looked at in an image: features of the network, and local features where they were extracted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import LocalizationError
+from .local_features import LocalFeatures
+
+
+@dataclass(frozen=True, eq=False)
+class FrameEvidence:
+    """Of n images, all that pose sources may look at.
+
+    Attributes
+    ----------
+    features
+        (n, F) of the network, see :class:`~conformodal.vision.Backbone`.
+    local_features
+        Of each image; None where they were not extracted.
+
+    Raises
+    ------
+    LocalizationError
+        If there are not as many local features as images.
+    """
+
+    features: npt.NDArray[np.float32]
+    local_features: Sequence[LocalFeatures | None] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.local_features) not in (0, len(self.features)):
+            raise LocalizationError(
+                f"{len(self.features)} images need as many local features, or none, got {len(self.local_features)}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    @property
+    def has_local_features(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether local features of each image were extracted."""
+        if not self.local_features:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.array([found is not None for found in self.local_features], dtype=np.bool_)
+
+    def without_local_features(self) -> FrameEvidence:
+        """The same images, as if their local features had not been extracted."""
+        return FrameEvidence(self.features)

@@ -1,0 +1,138 @@
+"""From what the sources say of one image to a mixture of pose hypotheses: a linear opinion pool (Stone 1961).
+
+Sources of one image are not independent, so probabilities are added and never multiplied: an estimate counts as much
+as it is probably an inlier, the softmax as much as all estimates are probably outliers. Where estimates of two sources
+agree, the product of their normal densities refines the later one, without a gain of probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
+
+from conformodal.core import FloatArray
+from conformodal.reasoning import Candidates
+from conformodal.reasoning.settings import CANDIDATES
+
+from .measurement import PoseMeasurement
+from .settings import BELIEF
+
+_ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation vectors
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Pose hypotheses of one image.
+
+    Attributes
+    ----------
+    candidates
+        Most probable first.
+    measured
+        (m,) whether a hypothesis is an absolute pose estimate; the others are modes of the softmax.
+    """
+
+    candidates: Candidates
+    measured: npt.NDArray[np.bool_]
+
+    @property
+    def unmeasured_mass(self) -> float:
+        """Probability that no estimate is right."""
+        mass = np.exp(self.candidates.log_mass)
+        return float(mass[~self.measured].sum() / mass.sum())
+
+
+def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]], volume_m3: float) -> Mixture:
+    """The mixture of one image.
+
+    Parameters
+    ----------
+    modes
+        Of the softmax.
+    answers
+        Estimates source by source; of one source's, at most one is right.
+    volume_m3
+        Of all positions that are possible.
+    """
+    mixture = Mixture(modes, np.zeros(len(modes.log_mass), dtype=np.bool_))
+    anywhere = float(-np.log(volume_m3 * _ROTATIONS))
+    for estimates in answers:
+        if estimates:
+            mixture = _with(mixture, estimates, anywhere)
+    return mixture
+
+
+def inlier_odds(estimates: Sequence[PoseMeasurement]) -> tuple[float, FloatArray]:
+    """Log probabilities that none of one source's estimates is right, and that each is."""
+    probability = np.clip(
+        [e.inlier_probability for e in estimates], BELIEF.least_probability, 1 - BELIEF.least_probability
+    )
+    odds = probability / (1 - probability)
+    total = 1 + odds.sum()
+    return float(-np.log(total)), np.asarray(np.log(odds / total))
+
+
+def _with(mixture: Mixture, estimates: Sequence[PoseMeasurement], anywhere: float) -> Mixture:
+    """The mixture when one more source has answered."""
+    none, log_right = inlier_odds(estimates)
+    before = mixture.candidates
+    log_mass = before.log_mass - logsumexp(before.log_mass)
+    parts, marks = [replace(before, log_mass=log_mass + none)], [mixture.measured]
+    earlier = _take(replace(before, log_mass=log_mass + np.log1p(-BELIEF.alone)), np.flatnonzero(mixture.measured))
+    for estimate, right in zip(estimates, log_right, strict=True):
+        refined, overlap = _product(earlier, estimate)
+        agreement = np.append(earlier.log_mass + overlap, np.log(BELIEF.alone) + anywhere)
+        shares = right + agreement - logsumexp(agreement)
+        parts += [replace(refined, log_mass=shares[:-1]), _single(estimate, shares[-1])]
+        marks.append(np.ones(len(shares), dtype=np.bool_))
+    return _most_probable(parts, np.concatenate(marks))
+
+
+def _product(old: Candidates, estimate: PoseMeasurement) -> tuple[Candidates, FloatArray]:
+    """Products of normal densities, and the logarithms of their overlap."""
+    own, its = old.position_spreads**2, estimate.sigma_m**2
+    share = its / (own + its)
+    off = (old.positions_xyz - estimate.position_xyz) ** 2 / (own + its)
+    overlap = -0.5 * (off + np.log(2 * np.pi * (own + its))).sum(axis=1)
+    own_angle, its_angle = old.orientation_spreads_rad**2, estimate.sigma_rad**2
+    total = own_angle + its_angle
+    centre = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True)
+    apart = (centre.inv() * Rotation.from_quat(old.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
+    between = centre * Rotation.from_rotvec((its_angle / total)[:, None] * apart)
+    overlap -= 0.5 * ((apart**2).sum(axis=1) / total + 3 * np.log(2 * np.pi * total))
+    product = replace(
+        old,
+        positions_xyz=share * old.positions_xyz + (1 - share) * estimate.position_xyz,
+        position_spreads=np.sqrt(own * share),
+        orientations_quat_wxyz=between.as_quat(scalar_first=True).reshape(-1, 4),
+        orientation_spreads_rad=np.sqrt(own_angle * its_angle / total),
+    )
+    return product, overlap
+
+
+def _single(estimate: PoseMeasurement, log_mass: float) -> Candidates:
+    return Candidates(
+        estimate.position_xyz[None],
+        np.full((1, 3), estimate.sigma_m),
+        estimate.orientation_quat_wxyz[None],
+        np.array([estimate.sigma_rad]),
+        np.array([log_mass]),
+    )
+
+
+def _take(candidates: Candidates, rows: npt.NDArray[np.int64]) -> Candidates:
+    return Candidates(*(getattr(candidates, f.name)[rows] for f in fields(Candidates)))
+
+
+def _most_probable(parts: Sequence[Candidates], measured: npt.NDArray[np.bool_]) -> Mixture:
+    """All hypotheses, most probable first, without the improbable ones."""
+    joined = Candidates(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Candidates)))
+    log_mass = joined.log_mass - logsumexp(joined.log_mass)
+    order = np.argsort(-log_mass, kind="stable")[: CANDIDATES.most]
+    order = order[log_mass[order] >= min(np.log(CANDIDATES.least_mass), log_mass[order[0]])]
+    return Mixture(_take(replace(joined, log_mass=log_mass), order), measured[order])

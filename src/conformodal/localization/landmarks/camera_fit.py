@@ -1,0 +1,101 @@
+"""The camera as the poses know it: focal length, and where the camera is on the rig whose poses are given.
+
+Poses of a data set often are those of another sensor (7-Scenes gives the depth camera's), and focal lengths nominal.
+Both bend a map. Matches between frames with known poses must lie on each other's epipolar lines: seven unknowns are
+found from thousands of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from conformodal.core import FloatArray, IntArray
+from conformodal.poses import PinholeCamera
+
+from ..settings import CAMERA_FIT
+
+
+class Matches(NamedTuple):
+    """Corners seen by two frames.
+
+    Attributes
+    ----------
+    frames
+        (m, 2) which frames.
+    pixels
+        (m, 2, 2) undistorted, in the one and in the other.
+    """
+
+    frames: IntArray
+    pixels: FloatArray
+
+
+class Mounted(NamedTuple):
+    """A camera without distortion, and ``T_pose_cam`` (4, 4) from its frame to the one whose poses are given."""
+
+    camera: PinholeCamera
+    T_pose_cam: FloatArray
+
+
+def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
+    """The camera that brings matches nearest to their epipolar lines.
+
+    Half of the matches are fitted, the other half must agree, and the camera must be near the given one: otherwise it
+    stays as it was given.
+
+    Parameters
+    ----------
+    matches
+        Some of them may be wrong.
+    poses_se3
+        (n, 4, 4) of the frames.
+    camera
+        As the data set has it.
+    depth_m
+        Of the scene.
+    """
+    given = Mounted(replace(camera, distortion=()), np.eye(4))
+    if len(matches.frames) < CAMERA_FIT.least:
+        return given
+    order = np.random.default_rng(0).permutation(len(matches.frames))[: CAMERA_FIT.most]
+    fitted, checked = (Matches(matches.frames[half], matches.pixels[half]) for half in np.array_split(order, 2))
+    spreads = np.array(
+        [CAMERA_FIT.sigma_log_focal, *[CAMERA_FIT.sigma_mount_rad] * 3, *[CAMERA_FIT.sigma_mount_depths * depth_m] * 3]
+    )
+
+    def residuals(unknowns: FloatArray) -> FloatArray:
+        errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
+        return np.concatenate((errors / CAMERA_FIT.scale_px, unknowns))
+
+    found = least_squares(residuals, np.zeros(7), loss="cauchy", max_nfev=30)
+    better = _mounted(given, found.x * spreads)
+    before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
+    return better if after < before and np.abs(found.x).max() < CAMERA_FIT.most_sigmas else given
+
+
+def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:
+    factor = float(np.exp(unknowns[0]))
+    T_pose_cam = np.eye(4)
+    T_pose_cam[:3, :3], T_pose_cam[:3, 3] = Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:]
+    camera = given.camera
+    return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam)
+
+
+def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArray) -> FloatArray:
+    """Signed first-order distances (m,) from the epipolar constraint, in pixels (Sampson)."""
+    camera = mounted.camera
+    poses = poses_se3 @ mounted.T_pose_cam
+    (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
+    plane = camera.on_plane(matches.pixels)
+    rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
+    baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
+    line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))
+    line_i = np.einsum("mba,mbc,mc->ma", Ri, Rj, np.cross(rays[:, 1], baseline))
+    squares = line_j[:, 0] ** 2 + line_j[:, 1] ** 2 + line_i[:, 0] ** 2 + line_i[:, 1] ** 2
+    distance = (line_j * rays[:, 1]).sum(axis=1) / np.sqrt(np.maximum(squares, 1e-18))
+    return np.asarray(distance * (camera.fx + camera.fy) / 2)

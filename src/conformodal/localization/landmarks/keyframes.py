@@ -1,0 +1,206 @@
+"""Keyframes with their landmarks: place recognition by global descriptors, then PnP on matched local features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import poselib
+from scipy.spatial.transform import Rotation
+
+from conformodal.core import MEDIAN_OF_NORM2, BoolArray, FloatArray, IntArray
+from conformodal.motion.two_view import poselib_camera
+from conformodal.poses import PinholeCamera
+
+from ..local_features import LocalFeatures, match, product
+from ..measurement import PoseMeasurement
+from ..settings import PNP, RETRIEVAL
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Keyframes: frames with known poses, whose corners have places in the world.
+
+    Attributes
+    ----------
+    camera
+        Without distortion; fitted, see :func:`~conformodal.localization.landmarks.camera_fit.fit_camera`.
+    T_pose_cam
+        (4, 4) from the camera's frame to the one whose poses are given.
+    poses_se3
+        (n, 4, 4) of the keyframes, as given.
+    global_descriptors
+        (n, 768), see :class:`~conformodal.localization.LocalFeatures`.
+    starts
+        (n + 1,) landmarks of keyframe i are ``starts[i]`` to ``starts[i + 1]``.
+    points_xyz, descriptors
+        (N, 3) metres, world; (N, 32).
+    depth_m
+        Median depth of the scene.
+    corrections
+        (n, 6) the error of each keyframe's own pose estimate when its landmarks are left out: metres and a rotation
+        vector, world; NaN where there is no estimate. Rolling shutters, clocks and reference poses make neighbouring
+        errors alike, so that the weighted mean of neighbours is subtracted from an estimate; their scatter is part of
+        its standard deviation.
+    """
+
+    camera: PinholeCamera
+    T_pose_cam: FloatArray
+    poses_se3: FloatArray
+    global_descriptors: npt.NDArray[np.float16]
+    starts: IntArray
+    points_xyz: npt.NDArray[np.float32]
+    descriptors: npt.NDArray[np.uint8]
+    depth_m: float
+    corrections: FloatArray
+
+    @cached_property
+    def _descriptors(self) -> npt.NDArray[np.float32]:
+        return self.global_descriptors.astype(np.float32)  # products of halves are slow
+
+    @property
+    def size(self) -> int:
+        """Stored numbers of four bytes."""
+        stored = (self.global_descriptors, self.points_xyz, self.descriptors, self.poses_se3, self.corrections)
+        return sum(array.nbytes for array in stored) // 4
+
+    def corrected(self, corrections: FloatArray) -> Self:
+        """The same map with other corrections."""
+        return replace(self, corrections=corrections)
+
+    def localize(
+        self, image: LocalFeatures, hidden: BoolArray | None = None, most: int = RETRIEVAL.clusters
+    ) -> list[PoseMeasurement]:
+        """Absolute pose estimates of an image: one PnP hypothesis per retrieval cluster.
+
+        Standard deviations come from the reprojection residuals and from the scatter of the corrections. They are
+        proportional to the errors; the factor is learnt by
+        :class:`~conformodal.localization.error_model.ErrorModel`.
+
+        Parameters
+        ----------
+        image
+            From :func:`~conformodal.localization.extract_local_features`.
+        hidden
+            (n,) keyframes to leave out.
+        most
+            Clusters to match, in order of similarity.
+        """
+        shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
+        found = (self._solve(image, near, shown) for near in self._retrieve(image.global_descriptor, shown)[:most])
+        return [estimate for estimate in found if estimate is not None]
+
+    def _retrieve(self, descriptor: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
+        """Keyframes similar to an image, clustered by position; the most similar cluster first."""
+        alike = product(self._descriptors, descriptor).astype(np.float64)
+        alike[~shown | (np.diff(self.starts) < PNP.min_inliers)] = -np.inf
+        order = np.argsort(-alike, kind="stable")[: RETRIEVAL.retrieved]
+        order = order[np.isfinite(alike[order])]
+        found: list[IntArray] = []
+        while order.size and len(found) < RETRIEVAL.clusters:
+            if found and 1 - alike[order[0]] > RETRIEVAL.max_distance_ratio * (1 - alike[found[0][0]]):
+                break
+            apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
+            here = apart < RETRIEVAL.radius * self.depth_m
+            found.append(order[here][: RETRIEVAL.others if found else RETRIEVAL.first])
+            order = order[~here]
+        return found
+
+    def _solve(self, image: LocalFeatures, near: IntArray, shown: BoolArray) -> PoseMeasurement | None:
+        corners, points = self._matched(image, near)
+        pixels = image.pixels[corners]
+        if len(pixels) < PNP.min_inliers:
+            return None
+        pose, info = poselib.estimate_absolute_pose(
+            pixels, points, poselib_camera(self.camera), PNP.ransac, PNP.refinement
+        )
+        inliers = np.asarray(info["inliers"], dtype=np.bool_)
+        if inliers.sum() < PNP.min_inliers:
+            return None
+        R_world_cam = np.asarray(pose.R).T
+        centre = -R_world_cam @ np.asarray(pose.t)
+        sigmas = self._spreads(pixels[inliers], points[inliers], R_world_cam, centre)
+        if sigmas is None:
+            return None
+        T_world_cam = np.eye(4)
+        T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, centre
+        T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
+        off, scatter, apart = self._correction(T_world_pose, shown)
+        sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
+        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
+        position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
+        # a corner matched with several keyframes is one observation, so it counts once
+        agreeing, matched = np.unique(corners[inliers]), np.unique(corners)
+        return PoseMeasurement(
+            position,
+            quat,
+            sigma_m,
+            sigma_rad,
+            n_inliers=len(agreeing),
+            inlier_share=len(agreeing) / len(matched),
+            image_share=self._share_of_image(image.pixels[agreeing]),
+            distance_to_known=apart,
+        )
+
+    def _share_of_image(self, pixels: FloatArray) -> float:
+        """How much of the image pixels (m, 2) are spread over: an even spread covers it all."""
+        if len(pixels) < 3:
+            return 0.0
+        area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
+        return float(area / (self.camera.width * self.camera.height))
+
+    def _matched(self, image: LocalFeatures, near: IntArray) -> tuple[IntArray, FloatArray]:
+        """Rows of the image's corners, (m,), and the landmarks that they look like, (m, 3)."""
+        corners, points = [np.empty(0, np.int64)], [np.empty((0, 3))]
+        for frame in near.tolist():
+            mine = slice(self.starts[frame], self.starts[frame + 1])
+            pairs = match(image.descriptors, self.descriptors[mine])
+            corners.append(pairs[:, 0])
+            points.append(self.points_xyz[mine][pairs[:, 1]].astype(np.float64))
+        return np.concatenate(corners), np.concatenate(points)
+
+    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """By how much fixes nearby are off.
+
+        Returns the mean (6,), its spread between keyframes an axis, (2,) in m and rad, and how far the nearest keyframe
+        is, in units of the depth and radians.
+        """
+        apart = np.linalg.norm(self.poses_se3[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
+        apart += np.arccos(np.clip(self.poses_se3[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
+        away = float(apart[shown].min())
+        known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
+        if known.size == 0:
+            return np.zeros(6), np.zeros(2), away
+        nearest = known[np.argsort(apart[known], kind="stable")[: PNP.corrected_by]]
+        found, weights = self.corrections[nearest], 1 / (apart[nearest] + PNP.least_distance)
+        mean = np.average(found, axis=0, weights=weights)
+        variance = np.average((found - mean) ** 2, axis=0, weights=weights)
+        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
+
+    def _spreads(
+        self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray
+    ) -> tuple[float, float] | None:
+        """Spreads of position (metres) and rotation (radians) that the residuals make, per axis."""
+        local = (points - centre) @ R_world_cam
+        depth = local[:, 2]
+        if not (depth > 1e-6).all():
+            return None
+        plane = local[:, :2] / depth[:, None]
+        off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
+        least = 2 * PNP.least_residual_px / (self.camera.fx + self.camera.fy)
+        residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth
+        by_point[:, :, 2] = -plane / depth[:, None]
+        x, y, z = local.T
+        zero = np.zeros_like(x)
+        cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
+        slopes = np.concatenate((-by_point, by_point @ cross), axis=2).reshape(-1, 6)
+        information = slopes.T @ slopes / residual**2
+        if np.linalg.cond(information) > 1e12:
+            return None
+        variance = np.diag(np.linalg.inv(information))
+        return float(np.sqrt(variance[:3].mean())), float(np.sqrt(variance[3:].mean()))

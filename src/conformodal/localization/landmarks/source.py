@@ -1,0 +1,201 @@
+"""The pose source that does PnP on landmarks, and what it learns of its own errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conformodal.core import FloatArray, IntArray, Progress
+from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
+
+from ..data import SourceData
+from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
+from ..evidence import FrameEvidence
+from ..local_features import LocalFeatures, Matcher
+from ..measurement import PoseMeasurement
+from ..settings import ERROR_MODEL, MAPPING, PNP
+from ..source import SourceAnswer, SourceState, register_source
+from .keyframes import LandmarkMap
+from .mapping import build_map
+from .overlap import view_overlap
+
+_ARRAYS = ("T_pose_cam", "poses_se3", "global_descriptors", "starts", "points_xyz", "descriptors", "corrections")
+
+
+@register_source
+@dataclass(frozen=True, eq=False)
+class LandmarkSource:
+    """A map of landmarks, and the errors of its estimates.
+
+    Attributes
+    ----------
+    map
+        Of the frames that it was fitted on, or 1000 of them.
+    frames
+        (m,) those frames.
+    errors
+        Learnt from frames that were hidden.
+    """
+
+    name: ClassVar[str] = "landmarks"
+    local: ClassVar[bool] = True
+
+    map: LandmarkMap
+    frames: IntArray
+    errors: ErrorModel
+
+    @property
+    def summary(self) -> dict[str, float]:
+        """Numbers for the record."""
+        return {
+            "n_keyframes": len(self.map.poses_se3),
+            "n_landmarks": len(self.map.points_xyz),
+            "focal_px": round(self.map.camera.fx, 2),
+        }
+
+    @classmethod
+    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+        """Map the frames; None where depths are not known, or too few frames can be localised."""
+        if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
+            return None
+        pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
+        chosen = frames[
+            np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAPPING.max_keyframes)).round().astype(int))
+        ]
+        return cls.of(
+            data.local_features(chosen),
+            data.sequence.require_truth()[chosen],
+            (pieces[chosen], data.stretches[chosen]),
+            data.sequence.camera,
+            data.depth_m,
+            frames,
+            data.stage("landmarks"),
+            data.matcher,
+        )
+
+    @classmethod
+    def of(
+        cls,
+        features: Sequence[LocalFeatures],
+        truth: Trajectory,
+        groups: Sequence[IntArray],
+        camera: PinholeCamera,
+        depth_m: float,
+        frames: IntArray,
+        progress: Progress | None = None,
+        matcher: Matcher | None = None,
+    ) -> Self | None:
+        """Map n images with known poses, and learn from themselves how large the errors are.
+
+        Parameters
+        ----------
+        features, truth
+            Of n images.
+        groups
+            Vectors (n,): images of one group are hidden together when one of them is left out; pieces and stretches.
+        camera, depth_m
+            See :func:`build_map`.
+        frames
+            That the images are of.
+        progress
+            Called with what is done and what is to be done.
+        matcher
+            See :func:`build_map`.
+        """
+        n = len(features)
+        left_out = np.unique(np.linspace(0, n - 1, min(n, MAPPING.left_out)).round().astype(np.int64))
+        total = 2 * n + len(left_out)
+
+        def done(before: int) -> Progress | None:
+            return None if progress is None else lambda count, _: progress(before + count, total)
+
+        plain = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
+        corrected = plain.corrected(_corrections(plain, features, truth, done(n)))
+        errors = _fit_errors(corrected, features, truth, groups, left_out, done(2 * n))
+        return None if errors is None else cls(corrected, frames, errors)
+
+    def answer(self, evidence: FrameEvidence) -> SourceAnswer:
+        """One estimate per retrieval cluster; none of images whose local features were not extracted."""
+        if not evidence.local_features:
+            return SourceAnswer(measurements=[[] for _ in evidence.features])
+        return SourceAnswer(measurements=[[] if f is None else self.localize(f) for f in evidence.local_features])
+
+    def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
+        """Estimates of one image whose standard deviation is below half the scene's depth."""
+        found = (self.errors.apply(one, *_support(one)) for one in self.map.localize(image))
+        return [one for one in found if one.sigma_m < PNP.same_place * self.map.depth_m]
+
+    def state(self) -> SourceState:
+        """The map's arrays and camera, and the errors."""
+        arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
+        settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": self.errors.as_json()}
+        return SourceState(arrays, settings)
+
+    @classmethod
+    def from_state(cls, state: SourceState) -> Self:
+        """The source that was stored."""
+        settings = state.settings
+        camera = PinholeCamera(**{**settings["camera"], "distortion": tuple(settings["camera"]["distortion"])})
+        its = {k: state.arrays[k] for k in _ARRAYS}
+        own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
+        return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]))
+
+
+def _corrections(
+    plain: LandmarkMap, features: Sequence[LocalFeatures], truth: Trajectory, progress: Progress | None
+) -> FloatArray:
+    """Errors (n, 6) of the keyframes' own estimates, each with itself left out; NaN for outliers."""
+    found = np.full((len(features), 6), np.nan)
+    for i, image in enumerate(features):
+        hidden = np.zeros(len(features), dtype=bool)
+        hidden[i] = True
+        for one in plain.localize(image, hidden, most=1):
+            off = one.position_xyz - truth.positions_xyz[i]
+            estimated, true = (
+                Rotation.from_quat(q, scalar_first=True)
+                for q in (one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i])
+            )
+            if np.linalg.norm(off) < PNP.correctable * plain.depth_m:
+                found[i] = np.concatenate((off, (estimated * true.inv()).as_rotvec()))
+        if progress is not None:
+            progress(i + 1, len(features))
+    return found
+
+
+def _fit_errors(
+    landmarks: LandmarkMap,
+    features: Sequence[LocalFeatures],
+    truth: Trajectory,
+    groups: Sequence[IntArray],
+    left_out: IntArray,
+    progress: Progress | None,
+) -> ErrorModel | None:
+    """Localise frames while less and less of what they see is mapped: without their piece, stretch, surroundings."""
+    rows = []
+    for k, i in enumerate(left_out.tolist()):
+        overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)
+        hidings = [(group == group[i], 1.0) for group in groups]
+        hidings += [(overlap > share, MAPPING.hidden_weight) for share in MAPPING.hidden_overlaps]
+        for hidden, weight in hidings:
+            for one in landmarks.localize(features[i], hidden):
+                off = float(np.linalg.norm(one.position_xyz - truth.positions_xyz[i]))
+                angle = float(angle_between_quats(one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i]))
+                predicted = (off, one.sigma_m, angle, one.sigma_rad, one.distance_to_known)
+                rows.append((*predicted, weight, *_support(one)))
+        if progress is not None:
+            progress(k + 1, len(left_out))
+    if len(rows) < ERROR_MODEL.least_estimates:
+        return None
+    table = np.array(rows)
+    off, sigma_m, angle, sigma_rad, distance, weights = table[:, :6].T
+    errors = HeldOutErrors(off, sigma_m, angle, sigma_rad, distance, table[:, 6:], weights)
+    return fit_error_model(errors, PNP.same_place * landmarks.depth_m)
+
+
+def _support(one: PoseMeasurement) -> tuple[float, float, float]:
+    """Distinct inliers, their share of the matched corners, and the share of the image that they cover."""
+    return float(max(one.n_inliers, 1)), max(one.inlier_share, 1e-3), max(one.image_share, 1e-3)

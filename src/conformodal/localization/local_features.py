@@ -1,0 +1,105 @@
+"""Local features of an image, ORB (Rublee et al. 2011), and its global descriptor for retrieval."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import ThreadpoolController
+
+from conformodal.core import FloatArray, IntArray
+from conformodal.datasets import thumbnail
+from conformodal.motion import grey_image, undistort
+from conformodal.poses import PinholeCamera
+
+from .settings import LOCAL_FEATURES
+
+DESCRIPTOR_BYTES = 32
+_N_BITS = 8 * DESCRIPTOR_BYTES
+_SIGNS_OF_BYTE = 2 * np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).astype(np.float32) - 1
+
+
+class LocalFeatures(NamedTuple):
+    """Corners of an image with their descriptors, and its global descriptor.
+
+    Attributes
+    ----------
+    pixels
+        (n, 2) corners, without the lens's distortion.
+    descriptors
+        (n, 32) bytes.
+    global_descriptor
+        (768,) see :func:`~conformodal.datasets.thumbnail`.
+    """
+
+    pixels: FloatArray
+    descriptors: npt.NDArray[np.uint8]
+    global_descriptor: npt.NDArray[np.float32]
+
+
+def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> LocalFeatures:
+    """Local features and global descriptor of an image (height, width[, 3])."""
+    grey = grey_image(image)
+    picture = thumbnail(grey)
+    enlarged = -(-LOCAL_FEATURES.least_width_px // grey.shape[1])
+    if enlarged > 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), LOCAL_FEATURES.blur_px), np.uint8)
+    corners, descriptors = cv2.ORB.create(
+        LOCAL_FEATURES.max_corners, 1.2, LOCAL_FEATURES.levels, edgeThreshold=16, fastThreshold=5
+    ).detectAndCompute(grey, None)
+    if descriptors is None:
+        return LocalFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture)
+    # pixel centres are whole numbers, so that enlarging moves them by half a pixel
+    pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
+    return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture)
+
+
+def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:
+    """Mutually unambiguous matches (m, 2) between rows of two sets of descriptors, by Lowe's ratio test."""
+    if len(descriptors) == 0 or len(others) < 2:
+        return np.empty((0, 2), np.int64)
+    alike = product(_signs(descriptors), _signs(others).T)
+    every = np.arange(len(alike))
+    nearest = alike.argmax(axis=1)
+    first = alike[every, nearest]
+    alike[every, nearest] = -np.inf
+    distance, second = _N_BITS - first, _N_BITS - alike.max(axis=1)
+    rows = np.flatnonzero(distance < LOCAL_FEATURES.ratio * second)
+    rows = rows[np.argsort(distance[rows], kind="stable")]
+    _, best = np.unique(nearest[rows], return_index=True)
+    rows = rows[best]
+    return np.column_stack((rows, nearest[rows])).astype(np.int64)
+
+
+class Matcher:
+    """Matches between pairs of images, kept: the maps of several folds share images."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
+
+    def __call__(self, one: LocalFeatures, other: LocalFeatures) -> IntArray:
+        """As :func:`match` of their descriptors."""
+        key = id(one), id(other)  # which stay theirs, since the images are kept too
+        if key not in self._known:
+            self._known[key] = one, other, match(one.descriptors, other.descriptors)
+        return self._known[key][2]
+
+
+def product(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """``a @ b`` in one thread: those of linear algebra spin on, and slow a network beside them several times."""
+    with _threads().limit(limits=1, user_api="blas"):
+        return a @ b
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _signs(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Bits as -1 and 1: one product says how many differ, faster than counting them."""
+    return np.take(_SIGNS_OF_BYTE, descriptors, axis=0).reshape(len(descriptors), _N_BITS)

@@ -1,0 +1,114 @@
+"""Pose sources that learnt from the same frames, and the one belief that they give about an image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import QuantileBins
+from conformodal.core import FloatArray, IntArray
+from conformodal.reasoning import Candidates, mode_candidates
+
+from .belief import Beliefs, belief_cells
+from .data import SourceData
+from .errors import LocalizationError
+from .evidence import FrameEvidence
+from .fusion import Mixture, fuse
+from .measurement import PoseMeasurement
+from .source import PoseSource, SourceAnswer, find_source
+
+Source = TypeVar("Source", bound=PoseSource)
+
+
+@dataclass(frozen=True, eq=False)
+class Localizer:
+    """From evidence to beliefs.
+
+    Attributes
+    ----------
+    sources
+        In the order in which they are fused: where two disagree, a later one's inlier takes precedence.
+    bins
+        Of the seven targets.
+    sign_reference
+        (4,) quaternion that fixes the signs of quaternions.
+
+    Raises
+    ------
+    LocalizationError
+        If there is no source, or two have one name.
+    """
+
+    sources: tuple[PoseSource, ...]
+    bins: QuantileBins
+    sign_reference: FloatArray
+
+    def __post_init__(self) -> None:
+        names = [source.name for source in self.sources]
+        if not names or len(set(names)) < len(names):
+            raise LocalizationError(f"a localizer needs sources of different names, at least one, got {names}")
+
+    @classmethod
+    def fit(cls, data: SourceData, frames: IntArray, names: Sequence[str]) -> Self:
+        """Fit sources on `frames` (m,), which alone they look at; a source that these do not allow is left out.
+
+        Raises
+        ------
+        LocalizationError
+            If a name is unknown, or no source can be fitted.
+        """
+        found = [find_source(name).fit(data, frames) for name in names]
+        sources = tuple(source for source in found if source is not None)
+        return cls(sources, data.bins_of(frames), data.sign_reference)
+
+    @property
+    def frames(self) -> IntArray:
+        """Frames of the training data that any source has seen, increasing."""
+        return np.unique(np.concatenate([source.frames for source in self.sources]))
+
+    @property
+    def local(self) -> bool:
+        """Whether a source looks at local features."""
+        return any(source.local for source in self.sources)
+
+    @cached_property
+    def cells(self) -> QuantileBins:
+        """Cells of the beliefs' marginals."""
+        return belief_cells(self.bins)
+
+    def find(self, kind: type[Source]) -> Source | None:
+        """The source of a kind, or None."""
+        return next((source for source in self.sources if isinstance(source, kind)), None)
+
+    def beliefs(self, evidence: FrameEvidence) -> Beliefs:
+        """What n images say about their poses."""
+        answers = [source.answer(evidence) for source in self.sources]
+        proba = self._density(answers, len(evidence))
+        measured = [answer.measurements for answer in answers if answer.measurements]
+        modes = mode_candidates(proba, self.bins)
+        mixtures = [self.update(own, [its[i] for its in measured]) for i, own in enumerate(modes)]
+        local = [a.measurements for a, s in zip(answers, self.sources, strict=True) if s.local and a.measurements]
+        return Beliefs(proba, mixtures, [[one for its in local for one in its[i]] for i in range(len(evidence))])
+
+    def update(self, modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mixture:
+        """Candidates of one image, from wherever, and absolute pose estimates of it, source by source."""
+        volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
+        return fuse(modes, answers, volume)
+
+    def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
+        """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""
+        return beliefs.marginals(self.bins, self.cells, self.sign_reference)
+
+    def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[npt.NDArray[np.floating[Any]]]:
+        """The mean of the sources' softmaxes; where none has one, the training frames' own distribution."""
+        given = [answer.proba for answer in answers if answer.proba is not None]
+        if not given:
+            return [np.full((n, k), 1 / k) for k in self.bins.sizes]
+        if len(given) == 1:
+            return given[0]
+        return [np.mean(blocks, axis=0) for blocks in zip(*given, strict=True)]

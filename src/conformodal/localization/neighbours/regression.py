@@ -1,0 +1,202 @@
+"""Locally linear regression: an answer from the nearest reference samples, place by place.
+
+Among a handful of samples that look alike, targets are nearly linear in features; a ridge regression there is finer
+than any network of the whole (Cleveland 1979). Samples that look alike may come from several places: neighbours are
+told apart by their targets first, and every place gets a regression and an answer of its own, here or there and
+never in between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from conformodal.core import FloatArray
+from conformodal.vision import Projection
+
+from ..errors import LocalizationError
+from ..settings import NEIGHBOURS
+
+_CHUNK = 256  # queries at once: their neighbours' features are copied
+
+
+@dataclass(frozen=True)
+class LocalSettings:
+    """How to regress.
+
+    Attributes
+    ----------
+    components
+        Leading principal components that distances and slopes are taken in.
+    neighbours
+        Samples of one regression.
+    ridge
+        On the slope, in units of the neighbours' own spread.
+    radius
+        Samples this near to each other are one place, in units of the targets' spread; None takes all neighbours for
+        one place.
+    """
+
+    components: int
+    neighbours: int
+    ridge: float
+    radius: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class LocalAnswers:
+    """What the neighbours of each query say.
+
+    Attributes
+    ----------
+    values
+        (m, P, d) targets, one row a place.
+    weights
+        (m, P) that sum to one; places that are not there weigh nothing.
+    novelty
+        (m,) distance from a query to the span of its nearest place, in features: how little its neighbours explain it.
+    """
+
+    values: FloatArray
+    weights: FloatArray
+    novelty: FloatArray
+
+    @property
+    def best(self) -> FloatArray:
+        """(m, d) targets of the heaviest place."""
+        return np.asarray(self.values[np.arange(len(self.values)), self.weights.argmax(axis=1)])
+
+
+@dataclass(frozen=True, eq=False)
+class LocalRegression:
+    """Reference samples, and how to regress among them.
+
+    Attributes
+    ----------
+    projection
+        Of features.
+    references
+        (n, k) projected features.
+    targets
+        (n, d).
+    target_scale
+        (d,) in which distances between targets are measured.
+    settings
+        See :class:`LocalSettings`; its components are at most k.
+
+    Raises
+    ------
+    LocalizationError
+        If shapes do not fit.
+    """
+
+    projection: Projection
+    references: npt.NDArray[np.float32]
+    targets: FloatArray
+    target_scale: FloatArray
+    settings: LocalSettings
+
+    def __post_init__(self) -> None:
+        n, d = self.targets.shape
+        if self.references.ndim != 2 or len(self.references) != n or self.target_scale.shape != (d,):
+            shapes = self.references.shape, self.targets.shape, self.target_scale.shape
+            raise LocalizationError(f"references, targets and scale must be (n, k), (n, d) and (d,), got {shapes}")
+
+    @property
+    def size(self) -> int:
+        """Stored numbers."""
+        return self.references.size + self.targets.size
+
+    def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
+        """Answers to features (m, F)."""
+        centred = features - self.projection.offset
+        return self.predict_projected(_product(centred, self.projection.components))
+
+    def predict_projected(
+        self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
+    ) -> LocalAnswers:
+        """Answers to projected features (m, k); with groups of queries (m,) and references (n,), none sees its own."""
+        parts = []
+        for a in range(0, len(queries), _CHUNK):
+            hidden = None if groups is None else groups[0][a : a + _CHUNK, None] == groups[1][None, :]
+            parts.append(self._answer(queries[a : a + _CHUNK].astype(np.float64), hidden))
+        if not parts:
+            empty = np.empty((0, 1, self.targets.shape[1]))
+            return LocalAnswers(empty, empty[:, :, 0], empty[:, 0, 0])
+        return LocalAnswers(*(np.concatenate(found) for found in zip(*parts, strict=True)))
+
+    def _answer(
+        self, queries: FloatArray, excluded: npt.NDArray[np.bool_] | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        how = self.settings
+        queries, known = queries[:, : how.components], self.references[:, : how.components].astype(np.float64)
+        square = (known**2).sum(axis=1) - 2 * _product(queries, known.T) + (queries**2).sum(axis=1)[:, None]
+        square = np.maximum(square, 0)
+        if excluded is not None:
+            square[excluded] = np.inf
+        crowd = min(how.neighbours * (1 if how.radius is None else NEIGHBOURS.retrieved), len(known))
+        near = np.argpartition(square, crowd - 1, axis=1)[:, :crowd]
+        near = np.take_along_axis(near, np.argsort(np.take_along_axis(square, near, axis=1), axis=1), axis=1)
+        square = np.take_along_axis(square, near, axis=1)
+        there = np.isfinite(square)
+        reach = np.where(there, square, 0)[:, : how.neighbours].max(axis=1, keepdims=True)
+        kernel = np.where(there, np.exp(-NEIGHBOURS.decay * np.where(there, square, 0) / np.maximum(reach, 1e-12)), 0)
+        place = np.zeros_like(near) if how.radius is None else self._places(near, there, how.radius)
+        n_places = 1 if how.radius is None else NEIGHBOURS.places
+        values = np.empty((len(queries), n_places, self.targets.shape[1]))
+        weights = np.zeros((len(queries), n_places))
+        novelty = np.zeros(len(queries))
+        for p in range(n_places):
+            mine = np.where(place == p, kernel, 0)
+            mine[np.cumsum(mine > 0, axis=1) > how.neighbours] = 0
+            weights[:, p] = mine.sum(axis=1)
+            first = np.argsort(mine == 0, axis=1, kind="stable")[:, : how.neighbours]
+            chosen = np.take_along_axis(near, first, axis=1)
+            values[:, p], rest = _ridge(
+                known[chosen], self.targets[chosen], np.take_along_axis(mine, first, axis=1), queries, how.ridge
+            )
+            if p == 0:  # the place of the nearest neighbour
+                novelty = rest
+        total = weights.sum(axis=1, keepdims=True)
+        return values, weights / np.where(total > 0, total, 1), novelty
+
+    def _places(self, near: npt.NDArray[np.int64], there: npt.NDArray[np.bool_], radius: float) -> npt.NDArray[Any]:
+        """(m, crowd) each neighbour's place, below 0 for none: the nearest free neighbour gathers those by it."""
+        where = self.targets[near] / self.target_scale
+        place = np.where(there, -1, -2)
+        for p in range(NEIGHBOURS.places):
+            leader = np.argmax(place == -1, axis=1)
+            far = np.linalg.norm(where - np.take_along_axis(where, leader[:, None, None], axis=1), axis=2)
+            place[(far < radius) & (place == -1)] = p
+        return place
+
+
+def _product(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The matrix product, by torch: frame by frame, NumPy's threads and torch's would wait for each other."""
+    return np.asarray((torch.from_numpy(a) @ torch.from_numpy(b)).numpy())
+
+
+def _ridge(
+    x: FloatArray, y: FloatArray, weights: FloatArray, queries: FloatArray, ridge: float
+) -> tuple[FloatArray, FloatArray]:
+    """Weighted ridge regressions of y (m, N, d) on x (m, N, k) at queries (m, k), and the queries' distances (m,)."""
+    total = weights.sum(axis=1, keepdims=True)
+    share = (weights / np.where(total > 0, total, 1))[:, :, None]
+    centre, middle = (share * x).sum(axis=1), (share * y).sum(axis=1)
+    root = np.sqrt(share)
+    a, b = (x - centre[:, None]) * root, (y - middle[:, None]) * root
+    offset = queries - centre
+    gram = _product(a, a.transpose(0, 2, 1))
+    n = gram.shape[1]
+    spread = np.trace(gram, axis1=1, axis2=2) / n
+    gram[:, np.arange(n), np.arange(n)] += (ridge * spread + 1e-12)[:, None]
+    cross = _product(a, offset[:, :, None])[:, :, 0]
+    right = np.concatenate((b, cross[:, :, None]), axis=2)
+    solved = torch.linalg.solve(torch.from_numpy(gram), torch.from_numpy(right)).numpy()
+    values = middle + np.einsum("mn,mnd->md", cross, solved[:, :, :-1])
+    rest = (offset**2).sum(axis=1) - (cross * solved[:, :, -1]).sum(axis=1)
+    return values, np.sqrt(np.maximum(rest, 0))

@@ -1,0 +1,156 @@
+"""A pose source without a network of its own: local regression among the most similar training frames."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core import FloatArray, IntArray
+from conformodal.poses import angle_between_quats, normalise_quat
+from conformodal.vision import Projection, feature_views
+
+from ..data import SourceData
+from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
+from ..evidence import FrameEvidence
+from ..measurement import PoseMeasurement
+from ..settings import NEIGHBOURS
+from ..source import SourceAnswer, SourceState, register_source
+from ..targets import target_scale
+from .regression import LocalAnswers, LocalRegression, LocalSettings
+from .tuning import LeftOut, fit_local
+
+
+@register_source
+@dataclass(frozen=True, eq=False)
+class NeighbourSource:
+    """A local regression, and the errors that it made of frames that were left out.
+
+    Attributes
+    ----------
+    regression
+        Among the frames that it was fitted on.
+    frames
+        (m,) those frames.
+    typical, limit
+        Median and upper end of the novelty of left-out frames.
+    errors
+        How errors grow with novelty.
+    """
+
+    name: ClassVar[str] = "neighbours"
+    local: ClassVar[bool] = False
+
+    regression: LocalRegression
+    frames: IntArray
+    typical: float
+    limit: float
+    errors: ErrorModel
+
+    @classmethod
+    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+        """Choose the regression's settings by leaving pieces out; None where there is nothing to leave out."""
+        features, targets, pieces = data.features[frames], data.targets[frames], data.pieces[frames]
+        if len(np.unique(pieces)) < 2 or not np.ptp(features, axis=0).any():
+            return None
+        regression, left_out = fit_local(
+            features,
+            targets,
+            target_scale(targets),
+            pieces,
+            views=feature_views(features.shape[1]),
+            progress=data.stage("neighbours"),
+        )
+        return cls.of(regression, left_out, frames)
+
+    @classmethod
+    def of(cls, regression: LocalRegression, left_out: LeftOut, frames: IntArray) -> Self | None:
+        """A source from a regression and its answers about frames left out; None where these are too few.
+
+        Parameters
+        ----------
+        regression, left_out
+            From :func:`~conformodal.localization.fit_local`.
+        frames
+            That it was fitted on.
+        """
+        answers, truth = left_out.answers, regression.targets[left_out.rows]
+        typical = max(float(np.median(answers.novelty)), 1e-9)
+        novelty = _relative(answers, typical)
+        same_place = NEIGHBOURS.same_place * float(regression.target_scale[0])
+        there = answers.weights >= NEIGHBOURS.least_weight
+        values = np.where(there[:, :, None], answers.values, truth[:, None])
+        off = np.linalg.norm(values[:, :, :3] - truth[:, None, :3], axis=2)
+        angle = angle_between_quats(values[:, :, 3:], truth[:, None, 3:])
+        apart = np.where(there, off / same_place + angle, np.inf)
+        nearest = np.arange(len(off)), apart.argmin(axis=1)
+        unmeasured, alike = np.zeros(len(off)), np.ones(len(off))
+        errors = fit_error_model(
+            HeldOutErrors(off[nearest], novelty, angle[nearest], novelty, unmeasured, 1 / novelty[:, None], alike),
+            same_place,
+        )
+        limit = max(float(np.quantile(answers.novelty, NEIGHBOURS.usual)), typical)
+        return None if errors is None else cls(regression, frames, typical, limit, errors)
+
+    def answer(self, evidence: FrameEvidence) -> SourceAnswer:
+        """One estimate for each place that the nearest frames come from."""
+        found = self.regression.predict(evidence.features)
+        novelty = _relative(found, self.typical)
+        rows = zip(found.values, found.weights, novelty.tolist(), strict=True)
+        return SourceAnswer(measurements=[self._measurements(*row) for row in rows])
+
+    def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
+        found, beyond = [], max(novelty * self.typical / self.limit, 1.0)
+        for k in np.flatnonzero(weights >= NEIGHBOURS.least_weight):
+            raw = PoseMeasurement(
+                values[k, :3], normalise_quat(values[k, 3:]), novelty, novelty, self.regression.settings.neighbours
+            )
+            one = self.errors.apply(raw, 1 / novelty)
+            # weights are shares of one answer: more places do not make it likelier that all are wrong
+            odds = (
+                one.inlier_probability / (1 - one.inlier_probability) * beyond**-NEIGHBOURS.distrust * float(weights[k])
+            )
+            found.append(
+                replace(
+                    one,
+                    inlier_probability=odds / (1 + odds),
+                    sigma_m=one.sigma_m * beyond,
+                    sigma_rad=one.sigma_rad * beyond,
+                )
+            )
+        return found
+
+    def state(self) -> SourceState:
+        """Arrays of the regression, and its settings."""
+        own = self.regression
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "frames": self.frames,
+            "offset": own.projection.offset,
+            "components": own.projection.components,
+            "references": own.references,
+            "targets": own.targets,
+            "target_scale": own.target_scale,
+        }
+        numbers = {"typical": self.typical, "limit": self.limit}
+        return SourceState(arrays, {"regression": asdict(own.settings), "errors": self.errors.as_json(), **numbers})
+
+    @classmethod
+    def from_state(cls, state: SourceState) -> Self:
+        """The source that was stored."""
+        its, settings = state.arrays, state.settings
+        regression = LocalRegression(
+            Projection(its["offset"], its["components"]),
+            its["references"],
+            its["targets"],
+            its["target_scale"],
+            LocalSettings(**settings["regression"]),
+        )
+        errors = ErrorModel.from_json(settings["errors"])
+        return cls(regression, its["frames"], float(settings["typical"]), float(settings["limit"]), errors)
+
+
+def _relative(answers: LocalAnswers, typical: float) -> FloatArray:
+    """(n,) novelty in units of what is typical."""
+    return np.maximum(answers.novelty / typical, 1e-3)

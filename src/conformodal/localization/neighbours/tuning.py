@@ -1,0 +1,114 @@
+"""Choosing how to regress locally, by leaving groups of reference samples out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core import FloatArray
+from conformodal.vision import fit_projection
+
+from ..errors import LocalizationError
+from ..settings import NEIGHBOURS
+from .regression import LocalAnswers, LocalRegression, LocalSettings
+
+# Few components far from the references, many close to them.
+LOCAL_CHOICES = tuple(
+    LocalSettings(components, neighbours, ridge, radius)
+    for components, neighbours, ridge, radius in product((16, 64, 256), (10, 20), (0.003, 0.03), (None, 0.5))
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """How a local regression answers to samples whose group it could not see.
+
+    Attributes
+    ----------
+    rows
+        (m,) the samples that were asked.
+    answers
+        To them.
+    """
+
+    rows: npt.NDArray[np.int64]
+    answers: LocalAnswers
+
+
+def fit_local(
+    features: npt.NDArray[np.float32],
+    targets: FloatArray,
+    target_scale: FloatArray,
+    groups: npt.NDArray[np.int64],
+    *,
+    choices: Sequence[LocalSettings] = LOCAL_CHOICES,
+    views: Sequence[slice] = (slice(None),),
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[LocalRegression, LeftOut]:
+    """The settings under which samples are most probable when their group is left out.
+
+    An answer is taken for a multivariate t distribution with one degree of freedom around every place, its scale
+    fitted to the settings: a few samples far off decide nothing.
+
+    Parameters
+    ----------
+    features, targets
+        (n, F) and (n, d) of the reference samples.
+    target_scale
+        (d,), see :class:`~conformodal.localization.LocalRegression`.
+    groups
+        (n,) samples of one group are new together.
+    choices
+        Settings to choose from.
+    views
+        Features that may be looked at, each choice with each view; by default all.
+    progress
+        Called with choices tried and choices in all, of all views.
+
+    Raises
+    ------
+    LocalizationError
+        If there are fewer than two groups, no choices, or features are all the same in every view.
+    """
+    names, group = np.unique(groups, return_inverse=True)
+    if len(names) < 2 or not choices:
+        raise LocalizationError(f"needs two groups and one choice or more, got {len(names)} and {len(choices)}")
+    rows = np.unique(
+        np.linspace(0, len(features) - 1, min(len(features), NEIGHBOURS.left_out)).round().astype(np.int64)
+    )
+    found: list[tuple[float, LocalRegression, LeftOut]] = []
+    for view in views:
+        projection = fit_projection(features, max(how.components for how in choices), view)
+        if projection.components.ndim != 2:  # all the same in this view
+            continue
+        projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
+        for how in choices:
+            if progress is not None:
+                progress(len(found), len(choices) * len(views))
+            regression = LocalRegression(projection, projected, targets, target_scale, how)
+            answers = regression.predict_projected(projected[rows], (group[rows], group))
+            found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
+    if not found:
+        raise LocalizationError("features are all the same")
+    if progress is not None:
+        progress(len(found), len(found))
+    _, regression, left_out = max(found, key=lambda each: each[0])
+    projection, projected = regression.projection, regression.references
+    k = min(regression.settings.components, projected.shape[1])
+    slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
+    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k])), left_out
+
+
+def _log_likelihood(answers: LocalAnswers, targets: FloatArray, scale: FloatArray) -> float:
+    d = targets.shape[1]
+    miss = (((answers.values - targets[:, None]) / scale) ** 2).sum(axis=2)
+    nearest = np.where(answers.weights > 0, miss, np.inf).min(axis=1)
+    square = max(float(np.median(nearest)), 1e-12)
+    for _ in range(20):  # the likeliest scale, by fixed point
+        square = max((d + 1) / d * float(np.mean(nearest / (1 + nearest / square))), 1e-12)
+    density = (answers.weights * (1 + miss / square) ** (-(d + 1) / 2)).sum(axis=1)
+    return float(np.mean(np.log(density + 1e-300)) - d / 2 * np.log(square))

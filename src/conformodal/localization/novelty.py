@@ -1,0 +1,54 @@
+"""Does an image show a known place? A conformal novelty test on the network's features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import NoveltyTest
+from conformodal.core import FloatArray
+from conformodal.vision import coarse_features
+
+# Default levels: the probability that an image of a known place is taken for unknown, chosen with
+# benchmarks/novelty.py. With K stretches no p-value is below 1 / (K + 1), so a lower level would reject nothing.
+LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceNovelty:
+    """Global descriptors of the frames that the sources learnt from, and their novelty scores when left out.
+
+    Attributes
+    ----------
+    test
+        Its null hypothesis: the image is like frames (or stretches, or recordings) of the training data that were left
+        out. Its law is exact where these and the new image's are exchangeable, and the network was not trained on
+        them.
+    """
+
+    test: NoveltyTest
+
+    @classmethod
+    def fit(cls, features: npt.NDArray[np.float32], pieces: npt.NDArray[np.int64]) -> Self | None:
+        """From features (n, F) of frames, and labels (n,) of what is left out together; None for fewer than two."""
+        if len(np.unique(pieces)) < 2:
+            return None
+        return cls(NoveltyTest(coarse_features(features).astype(np.float16), pieces))
+
+    def p_values(self, features: npt.NDArray[np.float32]) -> FloatArray:
+        """(n,) p-values of features (n, F); small ones speak for a place that is not known."""
+        return self.test.p_values(self.test.scores(coarse_features(features)))
+
+    def level(self, asked: float | None) -> float:
+        """The level that is asked for. A level below the least possible p-value flags no image as unknown.
+
+        None asks for 0.015 where single frames were left out, and for 0.1 where stretches or recordings were, but at
+        least for the least p-value that so few pieces can give.
+        """
+        if asked is not None:
+            return asked
+        by_frame = bool((self.test.weights_ == 1).all())
+        return max(LEVEL_FRAMES if by_frame else LEVEL_STRETCHES, self.test.least_p)

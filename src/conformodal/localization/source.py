@@ -1,0 +1,117 @@
+"""The one interface of everything that can say where an image was taken.
+
+A pose source learns from named frames, answers about images, and is stored as arrays and JSON. It names the frames it
+has seen: a region's promise rests on calibration frames that no source has seen. A new source is a class with the four
+methods of :class:`PoseSource`, made known with :func:`register_source`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core import IntArray
+
+from .data import SourceData
+from .errors import LocalizationError
+from .evidence import FrameEvidence
+from .measurement import PoseMeasurement
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class SourceAnswer:
+    """What a source says of n images: probabilities of bins, absolute pose estimates, or both.
+
+    Attributes
+    ----------
+    proba
+        Seven arrays (n, K_j) over the source's bins, see :attr:`SourceData.bins_of`; None for a source that has none.
+    measurements
+        Of each image. Of several of one image, at most one is right.
+    """
+
+    proba: list[FloatArray] | None = None
+    measurements: Sequence[Sequence[PoseMeasurement]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class SourceState:
+    """A source as it is stored: arrays, and settings that are JSON."""
+
+    arrays: dict[str, npt.NDArray[Any]]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+class PoseSource(Protocol):
+    """Something that learnt from frames with known poses, and says where other images were taken.
+
+    Attributes
+    ----------
+    name
+        By which models and the command line know it.
+    local
+        Whether it looks at local features; its answers are left out where these were not extracted.
+    frames
+        (m,) the training data's frames that it has seen, increasing.
+    """
+
+    name: ClassVar[str]
+    local: ClassVar[bool]
+
+    @property
+    def frames(self) -> IntArray:
+        """Frames that it has seen."""
+        ...
+
+    @classmethod
+    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+        """Learn from `frames` (m,) of the data and look at no other; None where they do not allow it."""
+        ...
+
+    def answer(self, evidence: FrameEvidence) -> SourceAnswer:
+        """What it says of n images."""
+        ...
+
+    def state(self) -> SourceState:
+        """What :meth:`from_state` makes it again from."""
+        ...
+
+    @classmethod
+    def from_state(cls, state: SourceState) -> Self:
+        """The source that was stored."""
+        ...
+
+
+_KINDS: dict[str, type[PoseSource]] = {}
+
+
+def register_source(kind: type[PoseSource]) -> type[PoseSource]:
+    """Make a kind of source known by its name; also usable as a decorator.
+
+    Raises
+    ------
+    LocalizationError
+        If another kind has that name.
+    """
+    if _KINDS.setdefault(kind.name, kind) is not kind:
+        raise LocalizationError(f"there is a pose source {kind.name!r} already: {_KINDS[kind.name].__qualname__}")
+    return kind
+
+
+def find_source(name: str) -> type[PoseSource]:
+    """The kind of source with a name.
+
+    Raises
+    ------
+    LocalizationError
+        If there is none.
+    """
+    if name not in _KINDS:
+        raise LocalizationError(f"pose source must be one of {', '.join(_KINDS)}, got {name!r}")
+    return _KINDS[name]

@@ -1,0 +1,132 @@
+"""Calibrating regions: scores of frames by localizers that did not see them, and thresholds from these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
+from conformodal.conformal.calibration import Joint, as_joint
+from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.scores import is_per_unit
+from conformodal.core import IntArray
+from conformodal.localization import (
+    TARGET_NAMES,
+    Beliefs,
+    FrameEvidence,
+    Localizer,
+    PlaceNovelty,
+    SourceData,
+    belief_cells,
+)
+
+from ..config import ModelConfig
+from ..region_rules import RegionRules
+from .folds import Fold, Folds
+
+FloatArray = npt.NDArray[np.floating[Any]]
+_FRAMES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
+
+
+@dataclass(frozen=True, eq=False)
+class FoldLocalizer:
+    """A fold, and the localizer that learnt from its training frames alone."""
+
+    fold: Fold
+    localizer: Localizer
+
+
+def score_beliefs(
+    rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: npt.NDArray[np.float64]
+) -> FloatArray:
+    """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images."""
+    parts = [slice(a, a + _FRAMES_AT_A_TIME) for a in range(0, len(beliefs), _FRAMES_AT_A_TIME)]
+    found = [rule.score_samples(localizer.marginals(beliefs.part(at)), targets[at]) for at in parts]
+    return np.concatenate(found) if found else np.empty((0, targets.shape[1]))
+
+
+def calibrate_regions(
+    data: SourceData, folds: Folds, parts: Sequence[FoldLocalizer], novelty: PlaceNovelty | None, config: ModelConfig
+) -> RegionRules:
+    """Thresholds for each kind of evidence.
+
+    Parameters
+    ----------
+    data, folds, config
+        As in training.
+    parts
+        One a fold.
+    novelty
+        Of images beside the frames that the region's sources know; None where it cannot be told.
+    """
+    held_out = folds.held_out
+    units = None if folds.units is None else folds.units[held_out]
+    joint = choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
+    # scores per unit of the target are compared in units of its spread, which no calibration frame chose
+    spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
+
+    def rule(cells: QuantileBins) -> SplitConformal:
+        made = SplitConformal(cells, config.alpha, config.score, joint)
+        made.rule.keep_scale()
+        if is_per_unit(made.score):
+            made.rule.scale_ = 1 / spread
+        return made
+
+    overall: list[FloatArray] = []
+    matched: list[FloatArray] = []
+    recognised: list[npt.NDArray[np.bool_]] = []
+    for part in parts:
+        frames, localizer = part.fold.held_out, part.localizer
+        targets, own = data.targets[frames], rule(localizer.cells)
+        images = FrameEvidence(data.features[frames])
+        overall.append(score_beliefs(own, localizer, localizer.beliefs(images), targets))
+        if localizer.local:
+            beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
+            matched.append(score_beliefs(own, localizer, beliefs, targets))
+            recognised.append(beliefs.recognised)
+    # a fold without landmarks leaves nothing to calibrate them on
+    local = len(matched) == len(parts)
+    cells = belief_cells(data.bins_of(folds.region_frames))
+    return RegionRules(
+        overall=rule(cells).calibrate_scores(np.concatenate(overall), units),
+        matched=rule(cells).calibrate_scores(np.concatenate(matched), units) if local else None,
+        recognised=np.concatenate(recognised) if local else np.zeros(len(held_out), dtype=bool),
+        known_p=np.ones(len(held_out)) if novelty is None else _p_values(novelty, folds, data),
+        level=0.0 if novelty is None else novelty.level(config.novelty_level),
+    )
+
+
+def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, config: ModelConfig) -> RegionRules:
+    """The paper's calibration (section 2): bins of the softmax, each target at alpha, whatever the image."""
+    proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
+    rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
+    n = len(held_out)
+    return RegionRules(rule.calibrate(proba, data.targets[held_out]), None, np.zeros(n, dtype=bool), np.ones(n), 0.0)
+
+
+def choose_joint(config: ModelConfig, n_units: int) -> Joint:
+    """What is asked for; one threshold for the whole pose where there are too few frames for one each.
+
+    Parameters
+    ----------
+    config
+        Says alpha and what is asked for.
+    n_units
+        Frames that calibrate, or stretches where these do.
+    """
+    joint, rate = as_joint(config.joint), as_alpha(config.alpha)
+    enough = conformal_rank(n_units, rate / len(TARGET_NAMES)) <= n_units
+    if joint == "bonferroni" and not enough and conformal_rank(n_units, rate) <= n_units:
+        return "max"
+    return joint
+
+
+def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> npt.NDArray[np.float64]:
+    """Of the frames that calibrate, each without its own piece."""
+    if len(folds.folds) == 1:
+        return novelty.p_values(data.features[folds.held_out])
+    return novelty.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.held_out)]

@@ -1,0 +1,114 @@
+"""Training and calibrating a pose model on a sequence with poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from conformodal.conformal import QuantileBins
+from conformodal.core import StageProgress, stage_of
+from conformodal.datasets import Sequence, make_split
+from conformodal.localization import Localizer, PlaceNovelty, pose_targets
+from conformodal.poses import sign_reference
+from conformodal.reasoning import MotionPrior, fit_motion_prior
+from conformodal.vision import Backbone, BackboneConfig, FeatureCache, extract_features, fine_tune, pick_device
+
+from ..config import Method, ModelConfig, record_of
+from ..identity import identify
+from ..model import PoseModel
+from .calibrating import FoldLocalizer, calibrate_regions, paper_rules
+from .folds import make_folds
+from .training_data import TrainingData
+
+
+def prepare_training_data(
+    sequence: Sequence, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
+) -> TrainingData:
+    """Cut a sequence into parts and compute the features of all its frames.
+
+    Raises
+    ------
+    PoseError
+        If the sequence has no poses.
+    SplitError
+        If a part would be empty, or the sequence has not the recordings or lists that the split needs.
+    ImageError
+        If an image cannot be read; names the file.
+    """
+    truth = sequence.require_truth()
+    split = make_split(
+        sequence.recording,
+        config.split,
+        seed=config.seed,
+        test=config.test,
+        calibration=config.calibration,
+        used=config.used,
+        given_test=sequence.given_test,
+    )
+    size = sequence.camera.width, sequence.camera.height
+    backbone = Backbone(BackboneConfig.for_images(*size, config.network, whole=config.method is Method.PAPER))
+    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
+    targets = pose_targets(truth, reference)
+    backbone.to(pick_device(config.device))
+    if config.fine_tuning is not None:
+        bins = QuantileBins(config.n_bins, config.margin).fit(targets[split.train])
+        backbone = fine_tune(
+            backbone,
+            [sequence.image_paths[i] for i in split.train],
+            np.concatenate(bins.soft_targets(targets[split.train], config.sigma_bins), axis=1),
+            bins.sizes,
+            config.fine_tuning,
+            cache,
+            stage_of(progress, "fine-tuning"),
+        )
+    stage = stage_of(progress, "features")
+    features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
+    return TrainingData(sequence, split, backbone, features, targets, reference)
+
+
+def train_model(
+    data: TrainingData,
+    config: ModelConfig,
+    *,
+    checkpoint_dir: Path | None = None,
+    progress: StageProgress | None = None,
+) -> PoseModel:
+    """Train on the training part and calibrate; the test part is not touched.
+
+    Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
+    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them.
+    """
+    folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
+    sources = data.for_sources(config, checkpoint_dir, progress)
+    parts = [FoldLocalizer(fold, Localizer.fit(sources, fold.train, config.sources)) for fold in folds.folds]
+    single = len(parts) == 1 and np.array_equal(parts[0].fold.train, folds.region_frames)
+    localizer = parts[0].localizer if single else Localizer.fit(sources, folds.region_frames, config.sources)
+    if config.method is Method.PAPER:  # which has no test for novelty
+        novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
+    else:
+        novelty = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
+        rules = calibrate_regions(sources, folds, parts, novelty, config)
+    return PoseModel(
+        backbone=data.backbone,
+        localizer=localizer,
+        novelty=novelty,
+        rules=rules,
+        prior=_motion_prior(data, config),
+        camera=data.sequence.camera,
+        split=data.split,
+        known_frames=identify(data.sequence),
+        configuration=record_of(
+            config, data.sequence.name, len(data.sequence), "frames" if folds.units is None else "stretches"
+        ),
+    )
+
+
+def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
+    truth, train = data.sequence.require_truth(), data.split.train
+    prior = fit_motion_prior(truth[train], data.sequence.recording[train])
+    if config.method is Method.PAPER:
+        return prior
+    depth, spread = data.depths
+    return replace(prior, depth_m=depth, depth_spread=spread)

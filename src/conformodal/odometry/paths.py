@@ -1,0 +1,21 @@
+"""Paths through the beliefs about one recording, by the method that chose them."""
+
+from __future__ import annotations
+
+from conformodal.poses import Trajectory
+from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth, viterbi
+
+# The answer first.
+METHODS = ("smoothed", "viterbi", "online")
+PAPERS_METHOD = "greedy"
+
+
+def whole_paths(seen: Observations, prior: MotionPrior) -> dict[str, Trajectory]:
+    """The paths that need all frames of a recording: the most probable one, and that one smoothed."""
+    best = viterbi(seen, prior)
+    return {"smoothed": as_trajectory(smooth(best, seen, prior)), "viterbi": as_trajectory(best)}
+
+
+def as_trajectory(path: PosePath) -> Trajectory:
+    """The poses of a path."""
+    return Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)

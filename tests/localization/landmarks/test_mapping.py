@@ -1,0 +1,174 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.localization import Matcher, local_features
+from conformodal.localization.landmarks import build_map
+from conformodal.localization.landmarks.camera_fit import Matches, fit_camera
+from conformodal.localization.settings import MAPPING, PNP
+from conformodal.localization.landmarks.triangulation import Rays, triangulate
+from conformodal.localization.local_features import match
+
+
+def errors(estimate, pose):
+    turned = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True).inv() * Rotation.from_matrix(pose[:3, :3])
+    return np.linalg.norm(estimate.position_xyz - pose[:3, 3]), turned.magnitude()
+
+
+def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    off = []
+    for i in range(1, len(world.poses_se3), 2):
+        (estimate,) = landmarks.localize(world.see(world.poses_se3[i], seed=500 + i, wrong=0.3))
+        off.append(errors(estimate, world.poses_se3[i]))
+        assert estimate.n_inliers > 100
+    assert np.median(off, axis=0) == pytest.approx(0, abs=0.004)  # metres and radians
+    assert np.max(off, axis=0) == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "turn", "place"), [(0.88, (0.01, -0.02, 0.015), (0.03, -0.02, 0.05)), (1.0, (0, 0, 0), (0, 0, 0))]
+)
+def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, factor, turn, place):
+    world = world_of(factor=factor, turn=turn, place=place)
+    landmarks = build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m)
+    assert landmarks.camera.fx == pytest.approx(factor * stated_camera.fx, rel=0.01)
+    assert Rotation.from_matrix(landmarks.T_pose_cam[:3, :3]).as_rotvec() == pytest.approx(turn, abs=0.003)
+    assert landmarks.T_pose_cam[:3, 3] == pytest.approx(place, abs=0.02)
+    pose = world.poses_se3[7]
+    pose = np.block([[pose[:3, :3], pose[:3, 3:] + 0.05], [np.zeros((1, 3)), 1]])
+    (estimate,) = landmarks.localize(world.see(pose, seed=99))
+    assert errors(estimate, pose) == pytest.approx((0, 0), abs=0.02)
+
+
+def test_few_matches_leave_the_camera_as_it_was(stated_camera):
+    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)))
+    bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
+    found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
+    assert found.camera == stated_camera  # corners come without distortion
+    np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
+
+
+def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
+    world = world_of(factor=2.2)
+    assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
+
+
+def test_hidden_keyframes_do_not_help(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[20], seed=1000)
+    assert landmarks.localize(image)
+    assert landmarks.localize(image, np.ones(60, dtype=bool)) == []
+    only = np.ones(60, dtype=bool)
+    only[50] = False
+    (estimate,) = landmarks.localize(image, only) or [None]
+    assert estimate is None or estimate.n_inliers < landmarks.localize(image)[0].n_inliers
+
+
+def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, depth_m):
+    world = world_of(n=40)
+    shift = np.array([100.0, 0, 0])
+    far = world.poses_se3.copy()
+    far[:, :3, 3] += shift
+    images = world.local_features()
+    landmarks = build_map([*images, *images], np.concatenate((world.poses_se3, far)), stated_camera, depth_m)
+    estimates = landmarks.localize(world.see(world.poses_se3[11], seed=77))
+    assert len(estimates) == 2
+    near = sorted(estimate.position_xyz[0] for estimate in estimates)
+    assert near[1] - near[0] == pytest.approx(100, abs=0.05)
+
+
+def test_corrections_take_off_what_neighbours_are_off_by(world_of, stated_camera, depth_m):
+    world = world_of()
+    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    (before,) = plain.localize(image)
+    off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
+    (after,) = plain.corrected(np.tile(off, (60, 1))).localize(image)
+    np.testing.assert_allclose(before.position_xyz - after.position_xyz, off[:3], atol=1e-12)
+    turned = Rotation.from_quat([before.orientation_quat_wxyz, after.orientation_quat_wxyz], scalar_first=True)
+    np.testing.assert_allclose((turned[0] * turned[1].inv()).as_rotvec(), off[3:], atol=1e-12)
+    assert (after.sigma_m, after.sigma_rad) == (before.sigma_m, before.sigma_rad)  # all are off alike
+
+
+def test_claims_grow_as_neighbours_are_off_in_other_ways(world_of, stated_camera, depth_m):
+    world = world_of()
+    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    (before,) = plain.localize(image)
+    signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
+    (after,) = plain.corrected(signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
+    mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
+    assert abs(mean) < 0.04
+    assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)
+    turned = (0.05**2 - mean**2) * (0.01 / 0.05) ** 2 / 3
+    assert after.sigma_rad**2 - before.sigma_rad**2 == pytest.approx(turned, rel=1e-6)
+
+
+def test_an_image_of_something_else_gives_no_estimate(world_of, stated_camera, depth_m):
+    world, other = world_of(), world_of(seed=9)
+    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    estimates = landmarks.localize(other.see(other.poses_se3[3]))
+    assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
+
+
+def test_claims_grow_as_corners_get_fewer(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    few = image._replace(pixels=image.pixels[:60], descriptors=image.descriptors[:60])
+    (of_many,), (of_few,) = landmarks.localize(image), landmarks.localize(few)
+    assert of_few.sigma_m > 1.5 * of_many.sigma_m
+    assert of_few.sigma_rad > 1.5 * of_many.sigma_rad
+
+
+def rays_to(points, centres, noise=0.0, seed=0):
+    apart = points[:, None] - centres
+    plane = apart[..., :2] / apart[..., 2:]
+    plane = plane + noise * np.random.default_rng(seed).normal(size=plane.shape)
+    return Rays(plane, np.ones(plane.shape[:2], bool), np.tile(np.eye(3), (len(centres), 1, 1)), centres)
+
+
+def test_points_are_where_their_rays_meet():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0.5, 0.1], [-0.5, 0.2, 0]]))
+    found, sound = triangulate(rays, 0.005)
+    assert sound.all()
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    plane = rays.plane.copy()
+    plane[:, 2] += 0.05  # a match that is wrong in every point
+    found, sound = triangulate(rays._replace(plane=plane), 0.005)
+    np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
+    assert sound.mean() > 0.9
+
+
+def test_points_without_parallax_or_behind_are_not_sound():
+    centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    near = 0.1 / np.tan(1.5 * MAPPING.min_parallax_rad)
+    far = 0.1 / np.tan(0.5 * MAPPING.min_parallax_rad)
+    _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
+    assert sound.tolist() == [True, False]
+    behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
+    assert not triangulate(behind, 0.005)[1].any()
+
+
+def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, stated_camera, depth_m, monkeypatch):
+    world = world_of(n=40)
+    images, part = world.local_features(), slice(None, None, 2)
+    alone = build_map(images[part], world.poses_se3[part], stated_camera, depth_m)
+    asked = []
+    monkeypatch.setattr(local_features, "match", lambda *pair: asked.append(1) or match(*pair))
+    matcher = Matcher()
+    build_map(images, world.poses_se3, stated_camera, depth_m, matcher=matcher)
+    first = len(asked)
+    shared = build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=matcher)
+    second = len(asked) - first
+    np.testing.assert_array_equal(shared.points_xyz, alone.points_xyz)
+    np.testing.assert_array_equal(shared.descriptors, alone.descriptors)
+    asked.clear()
+    build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
+    assert second < 0.9 * len(asked)

@@ -1,0 +1,221 @@
+"""Sources of one belief, on stand-ins that say what they are told."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import QuantileBins
+from conformodal.localization import (
+    FrameEvidence,
+    LocalFeatures,
+    LocalizationError,
+    Localizer,
+    PoseMeasurement,
+    SourceAnswer,
+    SourceData,
+    SourceState,
+    belief_cells,
+    fuse,
+    register_source,
+)
+from conformodal.localization import source as registry
+from conformodal.reasoning import mode_candidates
+
+SIGN = np.array([1.0, 0, 0, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Says of every image what it was told."""
+
+    name: ClassVar[str] = "told"
+    local: ClassVar[bool] = False
+
+    frames: np.ndarray
+    answers: SourceAnswer = field(default_factory=SourceAnswer)
+
+    @classmethod
+    def fit(cls, data: SourceData, frames):
+        return cls(frames)
+
+    def answer(self, evidence):
+        return self.answers
+
+    def state(self):
+        return SourceState({"frames": self.frames})
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(state.arrays["frames"])
+
+
+class Other(Told):
+    name: ClassVar[str] = "other"
+
+
+class Local(Told):
+    name: ClassVar[str] = "local"
+    local: ClassVar[bool] = True
+
+
+class Unable(Told):
+    """What the frames do not allow."""
+
+    name: ClassVar[str] = "unable"
+
+    @classmethod
+    def fit(cls, data, frames):
+        return None
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """The stand-ins are known by name, for one test."""
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    for kind in (Told, Other, Local, Unable):
+        register_source(kind)
+
+
+@pytest.fixture
+def bins():
+    return QuantileBins.from_edges([np.linspace(0, 10, 6)] * 3 + [np.linspace(-1, 1, 6)] * 4)
+
+
+def told(kind=Told, frames=(0,), **says):
+    return kind(np.array(frames), SourceAnswer(**says))
+
+
+def estimate(x, probability=0.9):
+    return PoseMeasurement(np.array([x, 5.0, 5.0]), np.array([0.0, 1, 0, 0]), 0.1, 0.1, 20, probability)
+
+
+def softmax(bins, n, seed=0):
+    rng = np.random.default_rng(seed)
+    return [rng.dirichlet(np.ones(k), n) for k in bins.sizes]
+
+
+def images(n):
+    return FrameEvidence(np.zeros((n, 4), np.float32))
+
+
+def test_there_is_a_source_and_all_have_different_names(bins):
+    with pytest.raises(LocalizationError, match="at least one, got"):
+        Localizer((), bins, SIGN)
+    with pytest.raises(LocalizationError, match="different names.*'told', 'told'"):
+        Localizer((told(), told()), bins, SIGN)
+    assert Localizer((told(), told(Other)), bins, SIGN).sources[1].name == "other"
+
+
+@pytest.mark.usefixtures("known")
+def test_names_that_are_unknown_or_there_twice_are_refused(data_of):
+    data, frames = data_of(30), np.arange(20)
+    with pytest.raises(LocalizationError, match="one of head, .*told.*got 'nobody'"):
+        Localizer.fit(data, frames, ("told", "nobody"))
+    with pytest.raises(LocalizationError, match="different names"):
+        Localizer.fit(data, frames, ("told", "told"))
+
+
+@pytest.mark.usefixtures("known")
+def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
+    data, frames = data_of(30), np.arange(5, 25)
+    found = Localizer.fit(data, frames, ("unable", "other", "told"))
+    assert [source.name for source in found.sources] == ["other", "told"]  # in the order that was asked for
+    np.testing.assert_array_equal(found.frames, frames)
+    for one, other in zip(found.bins.edges_, data.bins_of(frames).edges_, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(found.sign_reference, data.sign_reference)
+    with pytest.raises(LocalizationError, match="at least one"):
+        Localizer.fit(data, frames, ("unable",))
+
+
+def test_frames_are_those_that_any_source_has_seen(bins):
+    both = Localizer((told(frames=[7, 9, 20]), told(Other, frames=[3, 9, 11])), bins, SIGN)
+    assert both.frames.tolist() == [3, 7, 9, 11, 20]
+
+
+def test_sources_are_found_by_their_kind(bins):
+    one, two = told(), told(Local)
+    both = Localizer((one, two), bins, SIGN)
+    assert both.find(Local) is two
+    assert both.find(Unable) is None
+    assert both.local
+    assert not Localizer((one,), bins, SIGN).local
+
+
+def test_without_a_softmax_the_training_frames_own_distribution_stands_in(bins):
+    """Bins of equal mass: each is as probable as any other."""
+    source = told(measurements=[[], [estimate(3.0)]])
+    found = Localizer((source,), bins, SIGN).beliefs(images(2))
+    for p, k in zip(found.proba, bins.sizes, strict=True):
+        np.testing.assert_array_equal(p, np.full((2, k), 1 / k))
+    assert found.mixtures[1].measured.sum() == 1
+
+
+def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
+    a, b = softmax(bins, 3), softmax(bins, 3, seed=1)
+    silent = told(Local, measurements=[[]] * 3)
+    one = Localizer((silent, told(proba=a)), bins, SIGN).beliefs(images(3))
+    for p, q in zip(one.proba, a, strict=True):
+        np.testing.assert_array_equal(p, q)
+    two = Localizer((told(proba=a), silent, told(Other, proba=b)), bins, SIGN).beliefs(images(3))
+    for p, q, r in zip(two.proba, a, b, strict=True):
+        np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
+
+
+def test_each_image_has_the_mixture_of_its_modes_and_of_its_estimates_in_order_of_the_sources(bins):
+    proba = softmax(bins, 3)
+    first = told(measurements=[[estimate(2.0)], [], [estimate(2.0)]])
+    second = told(Other, measurements=[[], [], [estimate(8.0)]])
+    localizer = Localizer((told(Local, proba=proba), first, second), bins, SIGN)
+    found = localizer.beliefs(images(3))
+    volume = 10.0**3  # of the range of positions
+    answers = ([[estimate(2.0)], []], [[], []], [[estimate(2.0)], [estimate(8.0)]])
+    for mixture, modes, its in zip(found.mixtures, mode_candidates(proba, bins), answers, strict=True):
+        expected = fuse(modes, its, volume)
+        np.testing.assert_array_equal(mixture.candidates.log_mass, expected.candidates.log_mass)
+        np.testing.assert_array_equal(mixture.candidates.positions_xyz, expected.candidates.positions_xyz)
+        np.testing.assert_array_equal(mixture.measured, expected.measured)
+    assert found.mixtures[2].candidates.positions_xyz[0, 0] == 8.0  # the later one takes precedence
+    for one, other in zip(
+        localizer.marginals(found), found.marginals(bins, localizer.cells, SIGN), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_only_sources_that_look_at_local_features_recognise_places(bins):
+    everywhere = told(measurements=[[estimate(2.0, 0.99)], [estimate(2.0, 0.99)]])
+    local = told(Local, measurements=[[], [estimate(4.0, 0.95), estimate(5.0, 0.2)]])
+    found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
+    assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
+    assert found.recognised.tolist() == [False, True]
+
+
+def test_no_images_have_no_beliefs(bins):
+    source = told(proba=softmax(bins, 0), measurements=[])
+    found = Localizer((source,), bins, SIGN).beliefs(images(0))
+    assert len(found) == 0
+    assert [p.shape[0] for p in found.marginals(bins, belief_cells(bins), SIGN)] == [0] * 7
+
+
+def test_a_place_that_was_recognised_is_added_to_candidates_from_elsewhere(bins):
+    localizer = Localizer((told(),), bins, SIGN)
+    modes = mode_candidates(softmax(bins, 1), bins)[0]
+    found = localizer.update(modes, [[estimate(3.0, 0.8)]])
+    assert found.candidates.positions_xyz[0, 0] == 3.0
+    assert found.unmeasured_mass == pytest.approx(0.2, abs=1e-3)  # but for modes that are too improbable to keep
+    assert localizer.update(modes, [[]]).candidates is modes
+
+
+def test_evidence_has_local_features_of_all_images_or_of_none():
+    some = LocalFeatures(np.empty((0, 2)), np.empty((0, 32), np.uint8), np.zeros(768, np.float32))
+    features = np.zeros((2, 4), np.float32)
+    evidence = FrameEvidence(features, [some, None])
+    assert len(evidence) == 2
+    assert evidence.has_local_features.tolist() == [True, False]
+    assert evidence.without_local_features().has_local_features.tolist() == [False, False]
+    assert evidence.without_local_features().features is features
+    for wrong in ([some], [some] * 3):
+        with pytest.raises(LocalizationError, match=f"2 images need as many local features, or none, got {len(wrong)}"):
+            FrameEvidence(features, wrong)

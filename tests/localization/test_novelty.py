@@ -1,0 +1,124 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from conformodal.localization import PlaceNovelty
+from conformodal.odometry import EvidenceKind, OdometryError, VisualOdometry, load_model, save_model
+from conformodal.vision import FeatureCache, coarse_features, extract_features
+
+SOMETHING_ELSE = {
+    "noise": np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8),
+    "black": np.zeros((120, 160, 3), np.uint8),
+}
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def features(sequence, model, small_world):
+    paths = [sequence.image_paths[i] for i in model.split.test]
+    return extract_features(paths, model.backbone, FeatureCache(small_world.cache))
+
+
+def seen(model, image):
+    return model.backbone.extract_local_features(model.backbone.prepare(image)[None]).astype(np.float32)
+
+
+def test_test_frames_are_known(model, features):
+    """They were held out at random, as every reference frame is from itself: P(p <= u) <= u."""
+    p = model.known_p(features)
+    assert ((p > 0) & (p <= 1)).all()
+    assert p.max() > 0.9
+    assert len(np.unique(p)) > 0.5 * len(p)
+    for u in (0.05, 0.1, 0.2, 0.5):
+        assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
+    assert (model.kinds(p) == EvidenceKind.UNKNOWN).mean() < 0.05
+    assert model.rules.level == 0.015
+    np.testing.assert_array_equal(model.known.test.groups, model.split.train)  # every training frame by itself
+
+
+@pytest.mark.parametrize("what", SOMETHING_ELSE)
+def test_other_content_has_the_least_p_value(model, what):
+    p = model.known_p(seen(model, SOMETHING_ELSE[what]))
+    assert p == model.known.test.least_p == 1 / (len(model.split.train) + 1)
+
+
+@pytest.mark.parametrize("what", SOMETHING_ELSE)
+def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence, what):
+    odometry = VisualOdometry(model)
+    first = odometry.step(sequence.image(50), 1.0)
+    assert first.reliable
+    assert first.evidence is not EvidenceKind.UNKNOWN
+    lost = odometry.step(SOMETHING_ELSE[what], 1.1)
+    assert lost.evidence is EvidenceKind.UNKNOWN
+    assert lost.region.unbounded.all()
+    assert not lost.reliable
+    assert "like no place that is known" in lost.problem
+    assert lost.known_p == pytest.approx(model.known.test.least_p)
+    # the pose is the one before, and less sure
+    reach = model.prior.reach_m(0.1)
+    assert np.linalg.norm(lost.pose.positions_xyz - first.pose.positions_xyz) <= reach + 1e-6
+    assert lost.position_spread_m > first.position_spread_m
+    assert lost.orientation_spread_rad > first.orientation_spread_rad
+    again = odometry.step(sequence.image(51), 1.2)
+    assert again.evidence is not EvidenceKind.UNKNOWN
+    assert not again.region.unbounded.all()
+
+
+def test_unknown_first_frames_of_a_stream_have_their_own_candidates(model):
+    lost = VisualOdometry(model).step(SOMETHING_ELSE["noise"], 0.0)
+    assert lost.evidence is EvidenceKind.UNKNOWN
+    assert np.isfinite(lost.pose.positions_xyz).all()
+
+
+def test_a_saved_model_knows_the_same(model, features, tmp_path):
+    save_model(model, tmp_path)
+    back = load_model(tmp_path)
+    for x in (features, seen(model, SOMETHING_ELSE["noise"])):
+        p = model.known_p(x)
+        np.testing.assert_array_equal(back.known_p(x), p)
+        np.testing.assert_array_equal(back.kinds(p), model.kinds(p))
+    kinds = np.array(list(EvidenceKind))
+    np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
+    np.testing.assert_array_equal(back.rules.known_p, model.rules.known_p)
+    assert back.rules.level == model.rules.level
+
+
+def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
+    p, strict = model.known_p(features), replace(model)
+    strict.set_novelty_level(0.2)
+    np.testing.assert_array_equal(strict.kinds(p) == EvidenceKind.UNKNOWN, p <= 0.2)
+    assert strict.rules.of[EvidenceKind.GLOBAL].n_units == (model.rules.known_p > 0.2).sum()
+    save_model(strict, tmp_path)
+    assert load_model(tmp_path).rules.level == 0.2
+    strict.set_novelty_level(0.0)
+    assert (strict.kinds(p) != EvidenceKind.UNKNOWN).all()
+    assert model.rules.level == 0.015
+    for level in (-0.1, 1.0, np.nan):
+        with pytest.raises(OdometryError, match="novelty level"):
+            strict.set_novelty_level(level)
+
+
+def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
+    blind = replace(model, known=None)
+    blind.set_novelty_level(0.3)
+    assert blind.rules.level == 0
+    np.testing.assert_array_equal(blind.known_p(features), np.nan)
+    assert (blind.kinds(blind.known_p(features)) != EvidenceKind.UNKNOWN).all()
+    assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64)) is None
+
+
+def test_regions_need_as_many_p_values_as_images(model, features):
+    with pytest.raises(OdometryError, match="2 images need as many p-values"):
+        model.regions(model.proba(features[:2]), known_p=np.ones(3))
+
+
+def test_descriptors_are_means_of_four_cells_each(model, features):
+    found = coarse_features(features[:3])
+    network = features[:3, : found.shape[1] * 4]
+    np.testing.assert_allclose(found.mean(axis=1), network.mean(axis=1), rtol=1e-4)
