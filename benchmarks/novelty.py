@@ -12,7 +12,8 @@ import numpy as np
 from common import write_page
 from unseen import ALPHA, corridor_flights
 
-from conformodal.odometry import KnownPlaces, ModelConfig, make_folds, prepare_training_data
+from conformodal.localization import PlaceNovelty
+from conformodal.odometry import ModelConfig, make_folds, prepare_training_data
 from conformodal.vision import FeatureCache, default_cache_dir, extract_features
 
 SEEDS = (20, 21, 22)
@@ -24,7 +25,7 @@ def p_values(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, np.ndar
     sequence, flights = corridor_flights(seed, scratch)
     data = prepare_training_data(sequence, ModelConfig(seed=seed, alpha=ALPHA), cache)
     folds = make_folds(sequence, data.split)
-    known = KnownPlaces.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
+    known = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
     assert known is not None
     found = {"known place: the test part": known.p_values(data.features[data.split.test])}
     for name, flight in flights.items():

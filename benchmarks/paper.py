@@ -14,11 +14,11 @@ from common import DATA, ROOT, write_table
 from scipy import stats
 
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.experiments import opponents_training, train_classical, train_plain
+from conformodal.experiments import baseline_training, train_classical, train_plain
+from conformodal.localization import pose_targets
 from conformodal.odometry import (
     ModelConfig,
     PaperOdometry,
-    pose_targets,
     prepare_training_data,
     provenance,
     train_model,
@@ -51,7 +51,7 @@ def measured(condition: str, seed: int, cache: FeatureCache) -> dict[str, object
     features = data.features[run.frames]
     found = run.trajectories | {
         "plain": train_plain(data, config.training).trajectory(features, run.timestamps_s),
-        "tuned": train_classical(data, opponents_training(config.training)).trajectory(features, run.timestamps_s),
+        "tuned": train_classical(data, baseline_training(config.training)).trajectory(features, run.timestamps_s),
     }
     errors = {}
     for name, path in found.items():

@@ -14,21 +14,19 @@ from scipy.stats import spearmanr
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import PixelNoise, read_sevenscenes
+from conformodal.localization import FrameEvidence, pose_targets
 from conformodal.odometry import (
     ModelConfig,
     VisualOdometry,
-    learn_scene,
-    pose_targets,
     prepare_training_data,
     train_model,
 )
-from conformodal.reasoning import fix_cells, pool_fixes
 from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir, extract_features
 
 SEEDS, NOISE = range(3), (0.0, 0.05, 0.1, 0.2)
 SCORES = ("lac", "density", "hpd", "aps")
 ALPHA, USED = 0.1, 0.4
-WITH, ALONE = "softmax and landmarks", "softmax alone"
+WITH, ALONE = "all sources", "without local features"
 Results = dict[tuple[tuple[str, str, float | str], str], list[float]]
 
 
@@ -38,31 +36,35 @@ def one(seed: int, results: Results) -> None:
     training = TrainingConfig(seed=seed)
     config = ModelConfig(alpha=ALPHA, calibration=USED / 5, used=USED, seed=seed, training=training)
     data = prepare_training_data(sequence, config, cache)
-    scene = learn_scene(sequence, data.split)
-    model = train_model(data, config, scene=scene)
+    model = train_model(data, config)
     held_out, test = data.split.calibration, data.split.test
     truth = sequence.require_truth()[test]
     targets = pose_targets(truth, model.sign_reference)
     widths = np.array([e[-1] - e[0] for e in model.bins.edges_])
-    assert scene.region_landmarks is not None
-    alone, cells = model.proba(data.features[held_out]), fix_cells(model.bins)
-    pooled = pool_fixes(alone, scene.calibration_fixes, model.bins, cells, model.sign_reference)
-    rules = {}
-    for name in SCORES:
-        for what, bins, proba in ((WITH, cells, pooled), (ALONE, model.bins, alone)):
-            rule = SplitConformal(bins, ALPHA, name, "bonferroni")
-            rules[name, what] = rule.calibrate(proba, data.targets[held_out])
+    localizer, images = model.localizer, data.features[held_out]
+    evidence = FrameEvidence(images, data.for_sources(config).local_features(held_out))
+    marginals = {
+        WITH: localizer.marginals(localizer.beliefs(evidence)),
+        ALONE: localizer.marginals(localizer.beliefs(FrameEvidence(images))),
+    }
+    rules = {
+        (name, what): SplitConformal(localizer.cells, ALPHA, name, "bonferroni").calibrate(
+            proba, data.targets[held_out]
+        )
+        for name in SCORES
+        for what, proba in marginals.items()
+    }
     sizes, errors = defaultdict(list), []
     for sigma in NOISE:
         noisy = replace(sequence, noise=PixelNoise(sigma, seed) if sigma else None)
         run = VisualOdometry(model).process(noisy, test, cache=cache)
         assert len(run.frames) == len(test)
-        proba = model.proba(
-            extract_features([sequence.image_paths[i] for i in test], model.backbone, cache, noise=noisy.noise)
-        )
+        paths = [sequence.image_paths[i] for i in test]
+        features = extract_features(paths, model.backbone, cache, noise=noisy.noise)
+        found = {WITH: run.localization.beliefs, ALONE: localizer.beliefs(FrameEvidence(features))}
         errors.append(np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1))
         for name, rule in rules.items():
-            regions = model.regions(proba, run.fixes if name[1] == WITH else None, rule)
+            regions = rule.predict(localizer.marginals(found[name[1]]))
             length = np.minimum(regions.length, widths)
             sizes[name].append(np.linalg.norm(length[:, :3], axis=1))
             results[(*name, sigma), "held"].append(float(regions.contains(targets, joint=True).mean()))

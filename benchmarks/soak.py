@@ -35,7 +35,7 @@ from conformodal.vision import FeatureCache, TrainingConfig
 
 FRAMES, EVERY = 200_000, 5_000
 WARM = 4 * WINDOW  # frames before the first reading: windows, thumbnails and the allocator have settled
-FIX_EVERY = 10
+MATCH_EVERY = 10
 
 
 def resident_mb() -> float:
@@ -60,7 +60,7 @@ def main() -> None:
         there_and_back = [*range(len(images)), *range(len(images) - 2, 0, -1)]  # no jump where the loop closes
         rows, pictures = [], Thumbnails()
         with ResultsWriter(Path(scratch) / "results") as writer:
-            runner = StreamRunner(VisualOdometry(model, fix_every=FIX_EVERY), writer)
+            runner = StreamRunner(VisualOdometry(model, match_every=MATCH_EVERY), writer)
             started = time.perf_counter()
             with suppress(KeyboardInterrupt):
                 for k in range(n_frames):
@@ -83,7 +83,7 @@ def main() -> None:
     drift = np.median(memory[half:]) - np.median(memory[:half])
     note = (
         f"{answered} frames of 160 x 120 pixels answered, a recording of {len(images)} frames played there and back; "
-        f"landmarks in every {FIX_EVERY}th. Memory: {memory.max() - memory.min():.1f} MB between the largest and the "
+        f"landmarks in every {MATCH_EVERY}th. Memory: {memory.max() - memory.min():.1f} MB between the largest and the "
         f"smallest reading, {drift:+.1f} MB from the median of the first half to that of the second. Milliseconds: "
         f"median {np.median(ms[1:half]):.2f} in the first half, {np.median(ms[half:]):.2f} in the second."
     )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from common import DATA, spread, write_page
 
-from conformodal.cli.run import FIX_EVERY_LIVE
+from conformodal.cli.run import MATCH_EVERY_LIVE
 from conformodal.datasets import read_image, read_sevenscenes
 from conformodal.datasets.streams import Frame, SequenceStream, prefetch
 from conformodal.motion import MotionFrontEnd
@@ -89,12 +89,12 @@ def run(
     stream: Any,
     folder: Path,
     sample: Callable[[], None] | None = None,
-    fix_every: int = FIX_EVERY_LIVE,
+    match_every: int = MATCH_EVERY_LIVE,
 ) -> tuple[int, float]:
     pictures, done = Thumbnails(), 0
     started = time.perf_counter()
     with ResultsWriter(folder) as writer:
-        runner = StreamRunner(VisualOdometry(model, fix_every=fix_every), writer)
+        runner = StreamRunner(VisualOdometry(model, match_every=match_every), writer)
         for frame in prefetch(stream):
             runner.push(frame)
             pictures.add(frame.name, frame.image)
@@ -125,30 +125,33 @@ def main() -> None:
         (Backbone, "describe", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
         (OnlineReasoner, "push", "fixed-lag search"),
-        (VisualOdometry, "_fixes", "landmarks"),
-        (StreamRunner, "_take", "greedy and mean, writing"),
+        (VisualOdometry, "_local_features", "local features"),
+        (StreamRunner, "_take", "writing"),
         (Thumbnails, "add", "thumbnails"),
         (VisualOdometry, "step", "step"),
     ]
-    lines = ["| network input | landmarks | frames per second | ms a frame, by part |", "| --- | --- | --- | --- |"]
+    lines = [
+        "| network input | local features | frames per second | ms a frame, by part |",
+        "| --- | --- | --- | --- |",
+    ]
     model = quick_model(sequence)
     with tempfile.TemporaryDirectory() as folder:
-        for (width, height), fix_every in product(((224, 224), (320, 240)), (1, FIX_EVERY_LIVE)):
+        for (width, height), match_every in product(((224, 224), (320, 240)), (1, MATCH_EVERY_LIVE)):
             model.backbone = Backbone(BackboneConfig(width=width, height=height))
             run(model, SequenceStream(sequence, np.arange(50)), Path(folder))  # warm
             rates, parts = [], defaultdict(list)
             for _ in range(REPEATS):
                 spent: dict[str, float] = defaultdict(float)
                 with stopwatches(spent, watched):
-                    done, seconds = run(model, stream, Path(folder), fix_every=fix_every)
+                    done, seconds = run(model, stream, Path(folder), match_every=match_every)
                 rates.append(done / seconds)
-                inside = ("resizing", "network", "tracking and relative pose", "fixed-lag search", "landmarks")
-                spent["heads, regions, candidates"] = spent.pop("step") - sum(spent[k] for k in inside)
+                inside = ("resizing", "network", "tracking and relative pose", "fixed-lag search", "local features")
+                spent["belief, region"] = spent.pop("step") - sum(spent[k] for k in inside)
                 spent["waiting for images, the rest"] = seconds - sum(spent.values())
                 for label, value in spent.items():
                     parts[label].append(1e3 * value / done)
             shown = ", ".join(f"{label} {np.median(values):.1f}" for label, values in parts.items())
-            lines.append(f"| {width}x{height} | {_every(fix_every)} | {spread(rates, 1)} | {shown} |")
+            lines.append(f"| {width}x{height} | {_every(match_every)} | {spread(rates, 1)} | {shown} |")
         loaded = resident_mb()
         peak = [loaded]
         run(model, Again(stream, ROUNDS), Path(folder), lambda: peak.append(resident_mb()))
@@ -164,7 +167,7 @@ def main() -> None:
         f"Median and range of {REPEATS} runs over the {len(sequence)} frames of seq-01 (640x480, JPEG), "
         "EfficientNet-Lite0 to block 7, three finders and the calibrated head, from files on disk; until the last "
         "frame is answered. Images are decoded in a thread of its own. Landmarks: how often they are looked for; every "
-        f"{FIX_EVERY_LIVE} frames is the default at a camera's pace.",
+        f"{MATCH_EVERY_LIVE} frames is the default at a camera's pace.",
         "",
         f"Memory above what the runs before left, model included: {after_first - loaded:.0f} MB at most in the first "
         f"{len(sequence)} frames, {max(peak) - loaded:.0f} MB in {ROUNDS * len(sequence)}.",

@@ -29,11 +29,11 @@ from PIL import Image
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.datasets import PixelNoise, Sequence, SplitKind, read_image, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
+from conformodal.localization import pose_targets
 from conformodal.odometry import (
     ModelConfig,
     PoseModel,
     VisualOdometry,
-    pose_targets,
     prepare_training_data,
     provenance,
     train_model,
@@ -112,8 +112,8 @@ def measured(model: PoseModel, sequence: Sequence, frames: np.ndarray | None = N
     inside = run.regions.contains(pose_targets(truth, model.sign_reference), joint=True)
     off = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
     far = []
-    for fixes, position in zip(run.fixes, truth.positions_xyz, strict=True):
-        best = max(fixes.search, key=lambda fix: fix.trust, default=None)
+    for estimates, position in zip(run.localization.beliefs.estimates, truth.positions_xyz, strict=True):
+        best = max(estimates, key=lambda one: one.inlier_probability, default=None)
         trusted = best is not None and best.trust >= TRUSTED
         far.append(trusted and np.linalg.norm(best.position_xyz - position) > FAR_SIGMAS * best.sigma_m)
     return {**found, "covered": (inside | whole).tolist(), "off_m": off.tolist(), "far": np.array(far, bool).tolist()}
