@@ -54,6 +54,20 @@ class Meeting:
         return {"square": task.number**2, "process": os.getpid(), "threads": _threads()}
 
 
+@dataclass(frozen=True)
+class Lasting:
+    """Says which process works, and works for two minutes."""
+
+    folder: Path
+
+    def __call__(self, task):
+        import time
+
+        (self.folder / f"{os.getpid()}").touch()
+        time.sleep(120)
+        return {"square": task.number**2}
+
+
 class InStep:
     """Squares numbers in two processes that wait for each other at every task."""
 

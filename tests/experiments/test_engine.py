@@ -1,6 +1,8 @@
 import json
 import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -91,6 +93,41 @@ def test_a_worker_goes_on_with_the_group_that_it_has_begun(tmp_path, importable)
 
 def test_an_error_in_a_process_is_raised_here(tmp_path, importable):
     check_errors_keep_what_was_done(LocalEngine(workers=2), tmp_path)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_workers_end_when_the_process_that_started_them_is_killed(tmp_path, importable):
+    script = (
+        "import sys; from pathlib import Path; from squares import Lasting, Square\n"
+        "from conformodal.experiments import LocalEngine, run_tasks\n"
+        "if __name__ == '__main__':\n"
+        "    met, kept = map(Path, sys.argv[1:])\n"
+        "    run_tasks([Square(0), Square(1)], Lasting(met), kept, engine=LocalEngine(workers=2))\n"
+    )
+    (tmp_path / "main.py").write_text(script)
+    (tmp_path / "met").mkdir()
+    command = [sys.executable, str(tmp_path / "main.py"), str(tmp_path / "met"), str(tmp_path / "kept")]
+    main = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    workers = wait_for(lambda: [int(p.name) for p in (tmp_path / "met").iterdir()])
+    assert all(Path(f"/proc/{worker}").is_dir() for worker in workers)
+    main.kill()
+    main.wait()
+    assert wait_for(lambda: not any(_alive(worker) for worker in workers))
+
+
+def _alive(process):
+    """Whether a process runs; one that nobody has asked after its end does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(found, seconds=60):
+    end = time.monotonic() + seconds
+    while not (value := found()) and time.monotonic() < end:
+        time.sleep(0.05)
+    return value
 
 
 def test_there_is_at_least_one_worker():

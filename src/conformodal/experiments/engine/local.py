@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import connection, get_context, parent_process
 
 from ..errors import ExperimentError
 from .engines import Result, Task, Work
@@ -94,8 +95,17 @@ _working: list[Work] = []  # of a worker process: sent once, so that what it rem
 
 
 def _start(threads: int, work: Work) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
     _working[:] = [work]
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that started it is gone: a killed one cannot stop its workers itself."""
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _work(task: Task) -> Result:
