@@ -166,7 +166,11 @@ def test_hypotheses_next_to_impossible_count_to_the_softmax(bins):
 
     def believed(log_mass):
         pair = Candidates(
-            np.array([[0.5, 1, 1], [1.0, 1, 1]]), np.full((2, 3), 1e-3), np.tile(SIGN, (2, 1)), np.full(2, 0.01), log_mass
+            np.array([[0.5, 1, 1], [1.0, 1, 1]]),
+            np.full((2, 3), 1e-3),
+            np.tile(SIGN, (2, 1)),
+            np.full(2, 0.01),
+            log_mass,
         )
         return marginals(bins, proba, Mixture(pair, np.array([False, True])))[0][0]
 
@@ -206,7 +210,10 @@ def test_parts_are_believed_as_the_whole(bins):
 
 
 def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
-    unsure, sure = estimate([0, 0, 0], probability=BELIEF.recognised - 0.01), estimate([1, 0, 0], probability=BELIEF.recognised)
+    unsure, sure = (
+        estimate([0, 0, 0], probability=BELIEF.recognised - 0.01),
+        estimate([1, 0, 0], probability=BELIEF.recognised),
+    )
     given = [[], [unsure], [unsure, sure], [sure]]
     assert Beliefs([], [mixture()] * 4, given).recognised.tolist() == [False, False, True, True]
     assert [recognised_only(its) for its in given] == [[], [], [sure], [sure]]

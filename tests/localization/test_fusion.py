@@ -52,7 +52,9 @@ def test_an_image_without_estimates_keeps_its_modes(answers):
 @pytest.mark.parametrize("position", [[0.1, 0, 0], [4, 0, 0]])
 def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(position, probability):
     """Probabilities are added: that a mode is near makes neither more probable."""
-    found = fuse(modes([[0, 0, 0], [3, 0, 0]], mass=[0.3, 0.7]), [[estimate(position, probability=probability)]], VOLUME)
+    found = fuse(
+        modes([[0, 0, 0], [3, 0, 0]], mass=[0.3, 0.7]), [[estimate(position, probability=probability)]], VOLUME
+    )
     expected = [(0.3 * (1 - probability), 0.0), (0.7 * (1 - probability), 3.0), (probability, position[0])]
     expected.sort(reverse=True)
     np.testing.assert_allclose(masses(found), [mass for mass, _ in expected], rtol=1e-12)
@@ -76,14 +78,20 @@ def test_no_estimate_is_right_or_wrong_for_sure(probability, counted):
 
 
 def test_of_one_sources_estimates_at_most_one_is_right():
-    its = [estimate([1, 0, 0], probability=0.8), estimate([2, 0, 0], probability=0.5), estimate([3, 0, 0], probability=0.5)]
+    its = [
+        estimate([1, 0, 0], probability=0.8),
+        estimate([2, 0, 0], probability=0.5),
+        estimate([3, 0, 0], probability=0.5),
+    ]
     none, right = inlier_odds(its)
     np.testing.assert_allclose(np.exp([none, *right]), np.array([1, 4, 1, 1]) / 7, rtol=1e-12)
     found = fuse(modes([[0, 0, 0]]), [its], VOLUME)
     np.testing.assert_allclose(masses(found), [4 / 7, 1 / 7, 1 / 7, 1 / 7], rtol=1e-12)
     assert found.measured.sum() == 3
     # near to each other they are not taken together either
-    together = fuse(modes([[0, 0, 0]]), [[estimate([1, 0, 0], probability=0.8), estimate([1, 0, 0], probability=0.5)]], 1)
+    together = fuse(
+        modes([[0, 0, 0]]), [[estimate([1, 0, 0], probability=0.8), estimate([1, 0, 0], probability=0.5)]], 1
+    )
     np.testing.assert_allclose(masses(together), [4 / 6, 1 / 6, 1 / 6], rtol=1e-12)
     np.testing.assert_array_equal(together.candidates.position_spreads[together.measured], 0.05)
 
@@ -139,7 +147,9 @@ def test_masses_add_up_to_one_most_probable_first(seed):
     rng = np.random.default_rng(seed)
 
     def some(n):
-        return [estimate(rng.uniform(0, 3, 3), rng.uniform(0.2, 1), probability=rng.uniform(0.2, 0.9)) for _ in range(n)]
+        return [
+            estimate(rng.uniform(0, 3, 3), rng.uniform(0.2, 1), probability=rng.uniform(0.2, 0.9)) for _ in range(n)
+        ]
 
     answers = [some(2), some(3)]
     found = fuse(modes(rng.uniform(0, 3, (2, 3)), mass=[0.2, 0.3]), answers, 30.0)

@@ -103,7 +103,7 @@ def images(n):
 def test_there_is_a_source_and_all_have_different_names(bins):
     with pytest.raises(LocalizationError, match="at least one, got"):
         Localizer((), bins, SIGN)
-    with pytest.raises(LocalizationError, match="different names.*'told', 'told'"):
+    with pytest.raises(LocalizationError, match=r"different names.*'told', 'told'"):
         Localizer((told(), told()), bins, SIGN)
     assert Localizer((told(), told(Other)), bins, SIGN).sources[1].name == "other"
 
@@ -111,7 +111,7 @@ def test_there_is_a_source_and_all_have_different_names(bins):
 @pytest.mark.usefixtures("known")
 def test_names_that_are_unknown_or_there_twice_are_refused(data_of):
     data, frames = data_of(30), np.arange(20)
-    with pytest.raises(LocalizationError, match="one of head, .*told.*got 'nobody'"):
+    with pytest.raises(LocalizationError, match=r"one of head, .*told.*got 'nobody'"):
         Localizer.fit(data, frames, ("told", "nobody"))
     with pytest.raises(LocalizationError, match="different names"):
         Localizer.fit(data, frames, ("told", "told"))
@@ -178,9 +178,7 @@ def test_each_image_has_the_mixture_of_its_modes_and_of_its_estimates_in_order_o
         np.testing.assert_array_equal(mixture.candidates.positions_xyz, expected.candidates.positions_xyz)
         np.testing.assert_array_equal(mixture.measured, expected.measured)
     assert found.mixtures[2].candidates.positions_xyz[0, 0] == 8.0  # the later one takes precedence
-    for one, other in zip(
-        localizer.marginals(found), found.marginals(bins, localizer.cells, SIGN), strict=True
-    ):
+    for one, other in zip(localizer.marginals(found), found.marginals(bins, localizer.cells, SIGN), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

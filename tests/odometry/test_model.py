@@ -6,6 +6,7 @@ import pytest
 
 from conformodal.datasets import read_sevenscenes
 from conformodal.experiments import coverage_table
+from conformodal.localization import FrameEvidence, extract_local_features
 from conformodal.odometry import (
     ModelConfig,
     ModelFileError,
@@ -15,14 +16,13 @@ from conformodal.odometry import (
     RegionStatistics,
     Sizing,
     VisualOdometry,
-    learn_scene,
     load_model,
     prepare_training_data,
     save_model,
     train_model,
 )
 from conformodal.poses import PinholeCamera
-from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
+from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, extract_features
 
 
 @pytest.fixture(scope="module")
@@ -30,30 +30,37 @@ def model(small_world):
     return load_model(small_world.model)
 
 
-@pytest.fixture(scope="module")
-def plain_scene(sequence, model):
-    """Without landmarks, which take longer to learn than all that these tests ask for."""
-    return learn_scene(sequence, model.split, landmarks=False)
-
-
-def test_a_saved_model_gives_the_same_answers(model, tmp_path):
+def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_path):
     save_model(model, tmp_path / "copy")
     back = load_model(tmp_path / "copy")
-    x = np.random.default_rng(0).random((4, len(model.head.offset))).astype(np.float32)
-    for a, b in zip(model.proba(x), back.proba(x), strict=True):
+    frames = model.split.test[:4]
+    features = extract_features(
+        [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
+    )
+    local = [extract_local_features(sequence.image(i), model.camera) for i in frames]
+    here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
+    for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
         np.testing.assert_array_equal(a, b)
-    there, again = model.search(x), back.search(x)
-    for a, b in zip(there.proba, again.proba, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert (there.strangeness > 0).all()
-    np.testing.assert_array_equal(there.strangeness, again.strangeness)
+    for a, b in zip(here.candidates, there.candidates, strict=True):
+        np.testing.assert_array_equal(a.positions_xyz, b.positions_xyz)
+        np.testing.assert_array_equal(a.log_mass, b.log_mass)
+    np.testing.assert_array_equal(here.regions.length, there.regions.length)
+    np.testing.assert_array_equal(here.known_p, there.known_p)
+    for one, other in zip(model.localizer.sources, back.localizer.sources, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.frames, other.frames)
     np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)
     for part in ("train", "calibration", "test"):
         np.testing.assert_array_equal(model.split.part(part), back.split.part(part))
     assert back.prior == model.prior
-    assert back.scale == model.scale
     assert back.camera == model.camera
-    assert back.configuration == model.configuration
+    assert back.configuration == {**model.configuration, "sources": list(model.configuration["sources"])}
+
+
+def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
+    held_out = np.concatenate((model.split.calibration, model.split.test))
+    for source in model.localizer.sources:
+        assert not np.isin(held_out, source.frames).any()
 
 
 @pytest.mark.parametrize("limit", [0.25, np.inf])
@@ -87,7 +94,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-11'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-12'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -110,18 +117,16 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
-def test_every_joint_and_score_survives_saving_and_reasoning(
-    sequence, small_world, plain_scene, tmp_path, joint, score
-):
+def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
     data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
-    config = ModelConfig(alpha=0.2, joint=joint, score=score, training=TrainingConfig(epochs=2))
-    trained = train_model(data, config, scene=plain_scene)
+    config = ModelConfig(alpha=0.2, joint=joint, score=score, sources=("head",), training=TrainingConfig(epochs=2))
+    trained = train_model(data, config)
     save_model(trained, tmp_path)
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
     run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
-    tally = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
-    table = coverage_table(tally, back, exchangeable=True)
+    statistics = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
+    table = coverage_table(statistics, back, exchangeable=True)
     assert (table["joint_band_99"] is not None) == (joint == "max")
     assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
 
@@ -201,30 +206,27 @@ def test_recordings_are_not_linked(small_world, two_recordings):
     assert run.motions[2] is None
 
 
-def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world, plain_scene):
-    config = ModelConfig(calibration=0.01, training=TrainingConfig(epochs=1))
+def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
+    config = ModelConfig(calibration=0.01, sources=("head",), training=TrainingConfig(epochs=1))
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
-    model = train_model(data, config, scene=plain_scene)
+    model = train_model(data, config)
     run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
     assert run.regions.unbounded.all()
     assert np.isfinite(run.trajectory.positions_xyz).all()
 
 
-def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, plain_scene, tmp_path):
+def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
     tuning = FineTuning(blocks=1, epochs=1)
-    config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), finders=1, used=0.3)
+    config = ModelConfig(
+        fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), sources=("head",), used=0.3
+    )
     data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
-    trained = train_model(data, config, scene=plain_scene)
+    trained = train_model(data, config)
     save_model(trained, tmp_path / "model")
     back = load_model(tmp_path / "model")
     assert back.backbone.fingerprint == trained.backbone.fingerprint
     image = back.backbone.prepare(sequence.image(3))[None]
-    np.testing.assert_array_equal(
-        back.backbone.extract_local_features(image), trained.backbone.extract_local_features(image)
-    )
+    np.testing.assert_array_equal(back.backbone.describe(image), trained.backbone.describe(image))
     frozen = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache)).backbone
-    assert (
-        np.abs(frozen.extract_local_features(image).astype(float) - back.backbone.extract_local_features(image)).max()
-        > 0
-    )
+    assert np.abs(frozen.describe(image).astype(float) - back.backbone.describe(image)).max() > 0
     assert back.configuration["fine_tuning"]["blocks"] == 1

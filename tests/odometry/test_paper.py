@@ -5,7 +5,7 @@ import pytest
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import read_sevenscenes
-from conformodal.localization import pose_targets
+from conformodal.localization import HeadSource, pose_targets
 from conformodal.motion import EssentialFrontEnd
 from conformodal.odometry import (
     Calibration,
@@ -20,7 +20,7 @@ from conformodal.odometry import (
     train_model,
 )
 from conformodal.poses import MotionStatus, angle_between_quats
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.vision import FeatureCache, TrainingConfig, predict_proba
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +38,19 @@ def model(data):
     return train_model(data, ModelConfig.paper(alpha=0.2, training=TrainingConfig(epochs=20)))
 
 
+def head_of(model):
+    return model.localizer.find(HeadSource).head
+
+
+def proba_of(model, features):
+    return predict_proba(head_of(model), features)
+
+
 def test_it_is_what_section_2_and_3_say():
     config = ModelConfig.paper()
     assert (config.n_bins, config.margin, config.sigma_bins) == (50, 0, 0)
     assert (config.score, config.joint, config.alpha) == ("lac", "none", 0.1)
-    assert (config.finders, config.local, config.landmarks, config.training.components) == (0, False, False, None)
+    assert (config.sources, config.training.components) == (("head",), None)
     assert ModelConfig.paper(n_bins=10, seed=3).n_bins == 10
 
 
@@ -53,9 +61,7 @@ def test_it_is_what_section_2_and_3_say():
         {"sigma_bins": 0.7},
         {"score": "density"},
         {"joint": "max"},
-        {"finders": 3},
-        {"local": True},
-        {"landmarks": True},
+        {"sources": ("head", "neighbours")},
         {"novelty_level": 0.1},
         {"calibrate_on": Calibration.STRETCHES},
     ],
@@ -67,24 +73,25 @@ def test_what_the_paper_does_not_have_is_refused(settings):
 
 def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
     assert data.features.shape == (len(data.sequence), 1280 + 32 * 24)
-    assert not model.head.components[1280:].any()  # the thumbnail counts nothing
-    assert model.head.components.ndim == 1  # no projection: standardised features
+    assert not head_of(model).components[1280:].any()  # the thumbnail counts nothing
+    assert head_of(model).components.ndim == 1  # no projection: standardised features
 
 
 def test_nothing_else_is_in_the_model(model):
     assert model.method is Method.PAPER
-    assert model.finders == ()
-    assert model.local is model.landmarks is model.region_landmarks is model.known is model.rules.pooled is None
+    assert [source.name for source in model.localizer.sources] == ["head"]
+    assert model.novelty is model.rules.matched is None
+    assert model.rules.overall.bins is model.bins or model.rules.overall.bins.sizes == model.bins.sizes
 
 
 def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data, model):
     held_out = data.split.calibration
-    own = SplitConformal(model.bins, 0.2).calibrate(model.proba(data.features[held_out]), data.targets[held_out])
+    own = SplitConformal(model.bins, 0.2).calibrate(proba_of(model, data.features[held_out]), data.targets[held_out])
     np.testing.assert_array_equal(own.thresholds_, model.calibration.thresholds_)
-    proba = model.proba(data.features[data.split.test])
-    for one, other in zip(own.predict(proba).masks, model.regions(proba).masks, strict=True):
+    proba = proba_of(model, data.features[data.split.test])
+    for one, other in zip(own.predict(proba).masks, model.calibration.predict(proba).masks, strict=True):
         np.testing.assert_array_equal(one, other)
-    for p, q, mask in zip(proba, own.thresholds_, model.regions(proba).masks, strict=True):
+    for p, q, mask in zip(proba, own.thresholds_, model.calibration.predict(proba).masks, strict=True):
         np.testing.assert_array_equal(mask, 1 - p <= q)
 
 
@@ -98,7 +105,7 @@ def test_a_stream_has_the_answers_of_a_sequence(model, sequence, small_world):
         assert angle_between_quats(found.pose.orientations_quat_wxyz, run.trajectory.orientations_quat_wxyz[t]) < 1e-4
         assert found.reliable == run.reliable[t]
     assert run.answer == "greedy"
-    assert set(run.trajectories) == {"greedy", "softmax_mean"}
+    assert set(run.trajectories) == {"greedy"}
 
 
 def test_poses_are_means_of_intervals_of_the_region(model, sequence, small_world):
@@ -112,7 +119,7 @@ def test_it_is_saved_and_loaded(model, data, tmp_path):
     back = load_model(tmp_path)
     assert back.method is Method.PAPER
     assert back.backbone.fingerprint == model.backbone.fingerprint
-    proba = model.proba(data.features[:5]), back.proba(data.features[:5])
+    proba = proba_of(model, data.features[:5]), proba_of(back, data.features[:5])
     for one, other in zip(*proba, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(back.calibration.thresholds_, model.calibration.thresholds_)

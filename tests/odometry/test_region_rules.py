@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile
-from conformodal.localization import PoseMeasurement
-from conformodal.odometry import EvidenceKind, RegionRules, trusted
-from conformodal.odometry.region_rules import TRUSTED
+from conformodal.odometry import EvidenceKind, RegionRules
 
-SOFTMAX, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
+GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
 
 
 def calibrated(bins, n=80, joint="max", seed=0, groups=None):
@@ -26,19 +24,15 @@ def rules(bins):
     return RegionRules(calibrated(bins), calibrated(bins.refine(3), seed=5), matched, known_p, 0.05)
 
 
-def fix(trust):
-    return PoseMeasurement(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, trust)
-
-
-def test_kinds_follow_the_p_values_and_the_trust(rules):
-    fixes = [[], [fix(TRUSTED - 0.01)], [fix(0.1), fix(TRUSTED)], [fix(1.0)], []]
+def test_kinds_follow_the_p_values_and_what_was_recognised(rules):
     known_p = np.array([1.0, 0.06, 0.5, 0.05, 0.01])
-    assert trusted(fixes).tolist() == [False, False, True, True, False]
-    assert rules.kinds(known_p, fixes).tolist() == [UNMATCHED, UNMATCHED, LANDMARKS, UNKNOWN, UNKNOWN]
-    assert rules.kinds(known_p, None).tolist() == [SOFTMAX] * 3 + [UNKNOWN] * 2
-    alone = RegionRules(rules.softmax, None, rules.matched, rules.known_p, rules.level)
-    assert alone.kinds(known_p, fixes).tolist() == [SOFTMAX] * 3 + [UNKNOWN] * 2
-    assert list(alone.of) == [SOFTMAX]
+    looked, recognised = np.array([True, True, True, True, False]), np.array([False, False, True, True, False])
+    assert rules.kinds(known_p, looked, recognised).tolist() == [UNMATCHED, UNMATCHED, LANDMARKS, UNKNOWN, UNKNOWN]
+    nothing = np.zeros(5, dtype=bool)
+    assert rules.kinds(known_p, nothing, nothing).tolist() == [GLOBAL] * 3 + [UNKNOWN] * 2
+    alone = RegionRules(rules.overall, None, rules.recognised, rules.known_p, rules.level)
+    assert alone.kinds(known_p, looked, recognised).tolist() == [GLOBAL] * 3 + [UNKNOWN] * 2
+    assert list(alone.of) == [GLOBAL]
     assert alone.thresholds(np.array([LANDMARKS])).tolist() == [[np.inf] * 7]  # nothing was calibrated for it
 
 
@@ -46,26 +40,28 @@ def test_kinds_follow_the_p_values_and_the_trust(rules):
 def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     rules, known = rules.at(alpha), rules.known_p > 0.05
     of = {
-        SOFTMAX: (rules.softmax.scores_, known),
-        UNMATCHED: (rules.pooled.scores_, known & ~rules.matched),
-        LANDMARKS: (rules.pooled.scores_, known & rules.matched),
+        GLOBAL: (rules.overall.scores_, known),
+        UNMATCHED: (rules.matched.scores_, known & ~rules.recognised),
+        LANDMARKS: (rules.matched.scores_, known & rules.recognised),
     }
     for kind, (scores, chosen) in of.items():
         expected = conformal_quantile(scores[chosen].max(axis=1), alpha)
         np.testing.assert_array_equal(rules.thresholds(np.array([kind]))[0], np.full(7, expected))
         assert rules.of[kind].n_units == chosen.sum()
     assert (rules.thresholds(np.array([UNKNOWN])) == np.inf).all()
-    assert rules.softmax.alpha == rules.pooled.alpha == alpha
+    assert rules.overall.alpha == rules.matched.alpha == alpha
 
 
 def test_a_higher_level_moves_frames_to_the_unknown(bins, rules):
     def at(level):
-        return RegionRules(rules.softmax, rules.pooled, rules.matched, rules.known_p, level)
+        return RegionRules(rules.overall, rules.matched, rules.recognised, rules.known_p, level)
 
     known_p = np.linspace(0.01, 1, 100)
-    counts = [(at(level).kinds(known_p, None) == UNKNOWN).sum() for level in (0.0, 0.01, 0.05, 0.5)]
+    counts = [
+        (at(level).kinds(known_p, *np.zeros((2, 100), dtype=bool)) == UNKNOWN).sum() for level in (0.0, 0.01, 0.05, 0.5)
+    ]
     assert counts == [0, 1, 5, 50]
-    sizes = [sum(rule.n_units for kind, rule in at(level).of.items() if kind != SOFTMAX) for level in (0.0, 0.05, 0.5)]
+    sizes = [sum(rule.n_units for kind, rule in at(level).of.items() if kind != GLOBAL) for level in (0.0, 0.05, 0.5)]
     assert sizes == [80, (rules.known_p > 0.05).sum(), (rules.known_p > 0.5).sum()]
 
 
@@ -73,7 +69,7 @@ def test_a_higher_level_moves_frames_to_the_unknown(bins, rules):
 def test_a_kind_of_too_few_frames_has_the_whole_space(bins, n_matched, finite):
     matched = np.arange(80) < n_matched
     rules = RegionRules(calibrated(bins), calibrated(bins), matched, np.ones(80), 0.01).at(0.1)
-    kinds = np.array([SOFTMAX, UNMATCHED, LANDMARKS, UNKNOWN])
+    kinds = np.array([GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN])
     found = np.isfinite(rules.thresholds(kinds)).all(axis=1)
     assert found.tolist() == [True, True, finite, False]
     assert (np.isinf(rules.thresholds(kinds)[~found])).all()
@@ -81,8 +77,8 @@ def test_a_kind_of_too_few_frames_has_the_whole_space(bins, n_matched, finite):
 
 def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
     proba = [np.random.default_rng(j).dirichlet(np.ones(5), size=3) for j in range(7)]
-    limits = rules.thresholds(np.array([SOFTMAX, UNKNOWN, SOFTMAX]))
-    regions = rules.softmax.regions_at(proba, limits)
+    limits = rules.thresholds(np.array([GLOBAL, UNKNOWN, GLOBAL]))
+    regions = rules.overall.regions_at(proba, limits)
     assert isinstance(regions, Regions)
     np.testing.assert_array_equal(regions.unbounded, np.tile([[False], [True], [False]], 7))
     assert regions.contains(np.full((3, 7), 1e9)).all(axis=1).tolist() == [False, True, False]
@@ -98,8 +94,8 @@ def test_thresholds_of_stretches_keep_their_groups(bins, joint):
         np.ones(80),
         0.0,
     )
-    for kind, chosen in ((SOFTMAX, np.ones(80, bool)), (LANDMARKS, matched), (UNMATCHED, ~matched)):
-        whole = rules.softmax if kind == SOFTMAX else rules.pooled
+    for kind, chosen in ((GLOBAL, np.ones(80, bool)), (LANDMARKS, matched), (UNMATCHED, ~matched)):
+        whole = rules.overall if kind == GLOBAL else rules.matched
         sizes = np.full(chosen.sum(), 4)  # of the whole stretches
         again = SplitConformal(bins, 0.2, "hpd", joint).calibrate_scores(whole.scores_[chosen], groups[chosen], sizes)
         np.testing.assert_array_equal(rules.of[kind].thresholds_, again.thresholds_)
@@ -111,4 +107,4 @@ def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
     whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
     scores = np.random.default_rng(0).normal(size=(60, 7))
     rules = RegionRules(whole.calibrate_scores(scores), None, np.zeros(60, bool), np.ones(60), 0.0)
-    np.testing.assert_array_equal(rules.of[SOFTMAX].thresholds_, whole.thresholds_)
+    np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)

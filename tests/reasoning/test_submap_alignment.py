@@ -47,7 +47,6 @@ def test_submaps_carry_a_path_through_answers_that_err_for_long():
     noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.02
     noisy[12:24] += [0.3, -0.2, 0.1]  # twelve frames that are all off the same way
     spreads = np.full(noisy.shape, 0.03)
-    motions = [None] * 43
     alone = smooth_positions(noisy, spreads, quats, t, PRIOR)
     together = smooth_positions(noisy, spreads, quats, t, PRIOR, exact_submaps(positions, rotations))
     assert rms(alone - positions) > 0.15

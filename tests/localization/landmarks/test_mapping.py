@@ -7,13 +7,15 @@ from scipy.spatial.transform import Rotation
 from conformodal.localization import Matcher, local_features
 from conformodal.localization.landmarks import build_map
 from conformodal.localization.landmarks.camera_fit import Matches, fit_camera
-from conformodal.localization.settings import MAPPING, PNP
 from conformodal.localization.landmarks.triangulation import Rays, triangulate
 from conformodal.localization.local_features import match
+from conformodal.localization.settings import MAPPING, PNP
 
 
 def errors(estimate, pose):
-    turned = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True).inv() * Rotation.from_matrix(pose[:3, :3])
+    turned = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True).inv() * Rotation.from_matrix(
+        pose[:3, :3]
+    )
     return np.linalg.norm(estimate.position_xyz - pose[:3, 3]), turned.magnitude()
 
 

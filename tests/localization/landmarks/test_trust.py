@@ -49,7 +49,9 @@ def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m)
 def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
     world_of, stated_camera, depth_m, monkeypatch
 ):
-    monkeypatch.setattr("conformodal.localization.landmarks.source.MAPPING", MappingSettings(left_out=40))  # of 80: half the time
+    monkeypatch.setattr(
+        "conformodal.localization.landmarks.source.MAPPING", MappingSettings(left_out=40)
+    )  # of 80: half the time
     world = world_of(n=80)
     times = np.arange(80) / 10
     quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
