@@ -67,7 +67,7 @@ def prepare(root: Path) -> list[Case]:
     world, other, cache, model, ran = (root / name for name in ("world", "other", "cache", "model", "ran"))
     write_corridor(world, n_modules=2, n_laps=1, seed=3)
     write_corridor(other, n_modules=2, n_laps=1, seed=4)
-    train = ["train", world, "--cache", cache, "--epochs", 60, "--no-landmarks", "--out"]
+    train = ["train", world, "--cache", cache, "--epochs", 60, "--sources", "head,neighbours", "--out"]
     run = ["run", model, world, "--part", "test", "--out"]
     for arguments in ([*train, model], [*run, ran]):
         if command(arguments).wait():

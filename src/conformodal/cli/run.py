@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ import typer
 
 from conformodal.datasets import Layout, Sequence
 from conformodal.datasets.streams import (
+    Frame,
     FrameStream,
     Pace,
     SequenceStream,
@@ -19,6 +21,7 @@ from conformodal.datasets.streams import (
     prefetch,
 )
 from conformodal.odometry import (
+    Estimate,
     EvidenceKind,
     OdometryError,
     PoseModel,
@@ -33,6 +36,7 @@ from conformodal.odometry import (
     write_region_parquet,
 )
 from conformodal.odometry.results.folders import check_no_stray, claimed, result_digests
+from conformodal.poses import Trajectory
 from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
 
 from .console import StatusLine, kind_errors, print_where, say_strongly
@@ -101,9 +105,8 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
-        metrics, whole_space = stream_through(
-            loaded, stream, part, out, pace, limit, live, match_every, model_digest(model)
-        )
+        how = StreamOptions(part, pace, limit, match_every, model_digest(model))
+        metrics, whole_space = stream_through(loaded, stream, out, how, live)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
         say_strongly(f"stopped early: {metrics['stopped']}")
@@ -114,16 +117,45 @@ def run(
         raise typer.Exit(BROKE_OFF)
 
 
+@dataclass(frozen=True)
+class StreamOptions:
+    """How a stream is run.
+
+    Attributes
+    ----------
+    part, pace, limit, match_every
+        As for :func:`run`.
+    digest
+        Of the model, for the record.
+    """
+
+    part: Part = Part.ALL
+    pace: Pace = Pace.FAST
+    limit: int | None = None
+    match_every: int | None = None
+    digest: str | None = None
+
+
+@dataclass(eq=False)
+class _Shown:
+    """What people see of a stream while it runs and afterwards."""
+
+    live: LiveView | None
+    truth: Trajectory | None
+    pictures: Thumbnails = field(default_factory=Thumbnails)
+    whole_space: bool = False
+
+    def take(self, frame: Frame, estimate: Estimate) -> None:
+        if estimate.region is not None and frame.image is not None:
+            self.pictures.add(frame.name, frame.image)
+            for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
+            self.whole_space = self.whole_space or bool(for_want)
+        if self.live is not None:
+            self.live.log(frame, estimate, None if self.truth is None else self.truth[frame.index : frame.index + 1])
+
+
 def stream_through(
-    model: PoseModel,
-    stream: FrameStream,
-    part: Part,
-    out: Path,
-    pace: Pace = Pace.FAST,
-    limit: int | None = None,
-    live: LiveView | None = None,
-    match_every: int | None = None,
-    digest: str | None = None,
+    model: PoseModel, stream: FrameStream, out: Path, how: StreamOptions, live: LiveView | None = None
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
@@ -135,64 +167,79 @@ def stream_through(
         If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
-    truth = None if sequence is None else sequence.truth
-    pictures, whole_space, limited, stopped = Thumbnails(), False, False, ""
-    lossy = stream.live or pace is Pace.CAMERA
-    odometry = odometry_of(model, match_every or (MATCH_EVERY_LIVE if lossy else 1))
+    shown = _Shown(live, None if sequence is None else sequence.truth)
+    lossy = stream.live or how.pace is Pace.CAMERA
+    odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
-        write_metrics(writer.place, _unfinished(model, part, digest))
-        runner = StreamRunner(odometry, writer, truth=truth)
-        try:
-            with StatusLine(stream.n_frames) as status:
-                for number, frame in enumerate(prefetch(stream, pace=pace), start=1):
-                    estimate = runner.push(frame)
-                    if estimate is not None:
-                        if estimate.region is not None and frame.image is not None:
-                            pictures.add(frame.name, frame.image)
-                            for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
-                            whole_space = whole_space or bool(for_want)
-                        if live is not None:
-                            live.log(frame, estimate, None if truth is None else truth[frame.index : frame.index + 1])
-                        status.update(number, estimate)
-                    limited = number == limit
-                    if stop or limited:
-                        stopped = INTERRUPTED if stop else ""
-                        break
-        except SourceError as exc:
-            stopped = str(exc)
-        finally:
-            if live is not None:
-                live.close()
+        write_metrics(writer.place, _unfinished(model, how.part, how.digest))
+        runner = StreamRunner(odometry, writer, truth=shown.truth)
+        stopped, limited = _push_all(runner, stream, shown, how, stop)
         runner.finish()
         seconds = time.perf_counter() - started
         _check_answered(runner, stream.name, stopped)
-        known = None
-        if truth is not None:
-            known = Known(truth[np.array(runner.answered)], runner.statistics)
-            writer.truth(known.truth)
-        counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": digest}
+        counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
         counts |= {"signal": stop[0]} if stopped == INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
-        needed = known is not None or (model.radius is not None and part is Part.ALL)
-        metrics = run_metrics(
-            model,
-            part,
-            read_trajectories(writer.place) if needed else {},
-            known,
-            counts,
-            whole=whole,
-            matched_all=odometry.match_every == 1,
-            recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
-        )
-        write_metrics(writer.place, metrics)
-        if find_spec("pyarrow"):  # an extra
-            write_region_parquet(writer.place)
-        viewer = make_viewer(writer.place, pictures.kept, model.rules.level)
-        page = ReportContent(f"conformodal: {stream.name}", summary(stream.name, metrics), metrics, viewer=viewer)
-        write_page(writer.place / "report.html", page)
-    return metrics, whole_space
+        metrics = _write_results(model, runner, shown, how.part, counts, stream.name, whole=whole)
+    return metrics, shown.whole_space
+
+
+def _push_all(
+    runner: StreamRunner, stream: FrameStream, shown: _Shown, how: StreamOptions, stop: list[int]
+) -> tuple[str, bool]:
+    """Why the stream was stopped, if it was, and whether the limit ended it."""
+    try:
+        with StatusLine(stream.n_frames) as status:
+            for number, frame in enumerate(prefetch(stream, pace=how.pace), start=1):
+                estimate = runner.push(frame)
+                if estimate is not None:
+                    shown.take(frame, estimate)
+                    status.update(number, estimate)
+                if stop or number == how.limit:
+                    return INTERRUPTED if stop else "", number == how.limit
+    except SourceError as exc:
+        return str(exc), False
+    finally:
+        if shown.live is not None:
+            shown.live.close()
+    return "", False
+
+
+def _write_results(
+    model: PoseModel,
+    runner: StreamRunner,
+    shown: _Shown,
+    part: Part,
+    counts: dict[str, Any],
+    name: str,
+    *,
+    whole: bool,
+) -> dict[str, Any]:
+    """Write metrics, Parquet and the page; returns the metrics."""
+    writer, known = runner.writer, None
+    if shown.truth is not None:
+        known = Known(shown.truth[np.array(runner.answered)], runner.statistics)
+        writer.truth(known.truth)
+    needed = known is not None or (model.radius is not None and part is Part.ALL)
+    metrics = run_metrics(
+        model,
+        part,
+        read_trajectories(writer.place) if needed else {},
+        known,
+        counts,
+        whole=whole,
+        matched_all=runner.odometry.match_every == 1,
+        recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
+    )
+    write_metrics(writer.place, metrics)
+    if find_spec("pyarrow"):  # an extra
+        write_region_parquet(writer.place)
+    viewer = make_viewer(writer.place, shown.pictures.kept, model.rules.level)
+    page = ReportContent(f"conformodal: {name}", summary(name, metrics), metrics, viewer=viewer)
+    write_page(writer.place / "report.html", page)
+    return metrics
 
 
 def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import grouped_coverage_band
+from conformodal.conformal import SplitConformal, grouped_coverage_band
 from conformodal.datasets import SplitKind
 from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import EvidenceKind, PoseModel, PoseRadius, RegionStatistics
@@ -78,27 +78,10 @@ def coverage_table(
     # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
     one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
     calibration = model.calibration_of(local=matched_all)
-    targets: dict[str, Any] = {}
-    for j, name in enumerate(TARGET_NAMES):
-        row: dict[str, Any] = {
-            "coverage": float(inside[:, j].mean()),
-            "mean_length": float(statistics.length[finite, j].mean()) if finite.any() else None,
-            "mean_intervals": float(statistics.n_intervals[:, j].mean()),
-        }
-        if one_law and calibration.joint != "max":
-            low, high = grouped_coverage_band(met, calibration.alpha_per_target)
-            row |= {"band_99": [low, high], "inside_band": low <= row["coverage"] <= high}
-        targets[name] = row
     held = np.asarray(inside.all(axis=1))
-    band = grouped_coverage_band(met, calibration.alpha) if one_law and calibration.joint == "max" else None
-    assumption = ASSUMPTION_BROKEN
-    if exchangeable and by_frame:
-        law = ASSUMPTION_HELD if calibration.joint == "max" else ASSUMPTION_EACH
-        assumption = law if one_law else ASSUMPTION_MIXED
-    elif seen:
-        assumption = ASSUMPTION_SEEN
-    elif not by_frame:
-        assumption = ASSUMPTION_STRETCHES
+    whole = calibration.joint == "max"
+    band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
+    each = met if one_law and not whole else None
     return {
         "alpha": float(calibration.alpha),
         "joint": calibration.joint,
@@ -116,13 +99,38 @@ def coverage_table(
             }
             for kind, rule, count in kinds
         },
-        "targets": targets,
+        "targets": {name: _target_row(statistics, j, calibration, each) for j, name in enumerate(TARGET_NAMES)},
         "joint_coverage": float(held.mean()),
         "joint_band_99": None if band is None else list(band),
         "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, matched_all=matched_all),
-        "assumption": assumption,
+        "assumption": _assumption(exchangeable and by_frame, by_frame, whole, one_law, seen),
     }
+
+
+def _target_row(
+    statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
+) -> dict[str, Any]:
+    """Of one target; with the band of its coverage where the calibrated and counted frames of each kind are given."""
+    finite = ~statistics.unbounded.any(axis=1)
+    row: dict[str, Any] = {
+        "coverage": float(statistics.inside[:, j].mean()),
+        "mean_length": float(statistics.length[finite, j].mean()) if finite.any() else None,
+        "mean_intervals": float(statistics.n_intervals[:, j].mean()),
+    }
+    if met is not None:
+        low, high = grouped_coverage_band(met, calibration.alpha_per_target)
+        row |= {"band_99": [low, high], "inside_band": low <= row["coverage"] <= high}
+    return row
+
+
+def _assumption(promised: bool, by_frame: bool, whole: bool, one_law: bool, seen: bool) -> str:
+    """What the coverage rests on, for people."""
+    if promised:
+        return (ASSUMPTION_HELD if whole else ASSUMPTION_EACH) if one_law else ASSUMPTION_MIXED
+    if seen:
+        return ASSUMPTION_SEEN
+    return ASSUMPTION_BROKEN if by_frame else ASSUMPTION_STRETCHES
 
 
 def radius_table(

@@ -57,50 +57,55 @@ def estimate_relative_motion(
             rotation_sigma_rad=RELATIVE_POSE.repeated_flow_px * pixel,
         )
 
-    rays_prev, rays_next = camera.bearings(pixels_prev), camera.bearings(pixels_next)
-    rotation, rotation_inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
-    if rotation_inliers.mean() >= 0.9:  # turning alone explains the pair: no five points can tell a direction
-        spread = float(np.median(_angles(rays_prev, rays_next @ rotation.T)))
-        return RelativeMotion(
-            MotionStatus.LOW_PARALLAX,
-            rotation,
-            None,
-            n,
-            int(rotation_inliers.sum()),
-            parallax_rad=spread,
-            rotation_sigma_rad=turning_spread(
-                rays_prev[rotation_inliers],
-                rays_next[rotation_inliers],
-                rotation,
-                image_cells(pixels_prev[rotation_inliers], camera),
-                pixel,
-            ),
-        )
+    rays = camera.bearings(pixels_prev), camera.bearings(pixels_next)
+    turning = _turning_alone(*rays, image_cells(pixels_prev, camera), pixel)
+    return turning or _moving(pixels_prev, pixels_next, *rays, camera, solver)
 
-    found = solver(pixels_prev, pixels_next, camera)
-    if (
-        found is None
-        or found.inliers.sum() < RELATIVE_POSE.min_tracks
-        or found.inliers.mean() < RELATIVE_POSE.min_inlier_share
-    ):
+
+def _turning_alone(
+    rays_prev: FloatArray, rays_next: FloatArray, cells: npt.NDArray[np.int64], pixel: float
+) -> RelativeMotion | None:
+    """The motion where a rotation explains the pair, so that no five points can tell a direction; or None."""
+    rotation, inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
+    if inliers.mean() < RELATIVE_POSE.turning_share:
+        return None
+    return RelativeMotion(
+        MotionStatus.LOW_PARALLAX,
+        rotation,
+        None,
+        len(rays_prev),
+        int(inliers.sum()),
+        parallax_rad=float(np.median(_angles(rays_prev, rays_next @ rotation.T))),
+        rotation_sigma_rad=turning_spread(rays_prev[inliers], rays_next[inliers], rotation, cells[inliers], pixel),
+    )
+
+
+def _moving(
+    pixels_prev: FloatArray,
+    pixels_next: FloatArray,
+    rays_prev: FloatArray,
+    rays_next: FloatArray,
+    camera: PinholeCamera,
+    solver: TwoViewSolver,
+) -> RelativeMotion:
+    """The motion by two-view geometry, of pixels without distortion."""
+    n, pixel, found = len(pixels_prev), 2.0 / (camera.fx + camera.fy), solver(pixels_prev, pixels_next, camera)
+    least, share = RELATIVE_POSE.min_tracks, RELATIVE_POSE.min_inlier_share
+    if found is None or found.inliers.sum() < least or found.inliers.mean() < share:
         n_inliers = 0 if found is None else int(found.inliers.sum())
         return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=n_inliers)
     R_prev_next, direction, inliers = found
     parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
     enough = parallax >= RELATIVE_POSE.min_parallax_px * pixel
     status = MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX
+    cells = image_cells(pixels_prev[inliers], camera)
     rotation_sigma, direction_sigma = motion_spreads(
-        rays_prev[inliers],
-        rays_next[inliers],
-        R_prev_next,
-        direction,
-        image_cells(pixels_prev[inliers], camera),
-        pixel,
+        rays_prev[inliers], rays_next[inliers], R_prev_next, direction, cells, pixel
     )
     if enough:
         ways = plane_motions(pixels_prev[inliers], pixels_next[inliers], camera, RELATIVE_POSE.epipolar_px)
         if len(ways) > 1 and _angles(ways[0][1][None], ways[1][1][None])[0] > RELATIVE_POSE.plane_ambiguity_rad:
-            # the rotation is one of two as well: as wide as they lie apart
+            # the rotation is one of two as well: as uncertain as they differ
             apart = Rotation.from_matrix(ways[0][0].T @ ways[1][0]).magnitude()
             status, enough, rotation_sigma = MotionStatus.PLANE, False, float(np.hypot(rotation_sigma, apart))
     return RelativeMotion(

@@ -22,6 +22,8 @@ class RelativePoseSettings:
         Median displacement below which nothing has moved: a repeated picture, or a camera at rest.
     plane_ambiguity_rad
         Two motions that one plane allows are two answers if their directions differ by more than this.
+    turning_share
+        Share of the corners that a rotation alone must explain for the pair to be one.
     min_parallax_px
         Parallax below this is lost in the tracker's own error.
     plane_share
@@ -43,6 +45,7 @@ class RelativePoseSettings:
     min_inlier_share: float = 0.5
     repeated_flow_px: float = 0.05
     plane_ambiguity_rad: float = float(np.radians(5.0))
+    turning_share: float = 0.9
     min_parallax_px: float = 1.0
     plane_share: float = 0.97
     behind: float = -1e-3
