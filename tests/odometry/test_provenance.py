@@ -1,9 +1,11 @@
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
-from conformodal.odometry.results.provenance import source_revision
+import conformodal
+from conformodal.odometry.results.provenance import provenance, source_revision
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
@@ -29,3 +31,10 @@ def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_pa
     assert source_revision(tmp_path) == commit
     source.write_text("2")
     assert source_revision(tmp_path) == f"{commit}-dirty"
+
+
+def test_the_revision_is_that_of_the_checkout_which_the_package_lies_in():
+    root = Path(__file__).resolve().parents[2]
+    assert (root / "src" / "conformodal" / "__init__.py").samefile(conformodal.__file__)
+    assert provenance()["source_revision"] == source_revision(root)
+    assert (source_revision(root) is None) == (shutil.which("git") is None or not (root / ".git").exists())
