@@ -30,6 +30,7 @@ from ladder_runs import ALPHA, PLACES, Models, Trained
 from ladder_tables import write_tables
 
 from conformodal.conformal import SplitConformal
+from conformodal.experiments.engine.local import watch_parent
 from conformodal.localization import FrameEvidence, extract_local_features, pose_targets
 from conformodal.motion import EssentialFrontEnd
 from conformodal.odometry import PaperOdometry, measure_motions, provenance
@@ -194,7 +195,7 @@ def main() -> None:
         for s in asked.seeds
         for p in asked.places
     }
-    with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(asked.workers, get_context("spawn"), watch_parent) as pool:
         jobs = {
             pool.submit(measured, place, seed, asked.runs, tuned=asked.tuned, quick=asked.quick): (place, seed)
             for (place, seed), file in wanted.items()

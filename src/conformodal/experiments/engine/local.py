@@ -95,13 +95,17 @@ _working: list[Work] = []  # of a worker process: sent once, so that what it rem
 
 
 def _start(threads: int, work: Work) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    watch_parent()
     limit_threads(threads)
     _working[:] = [work]
 
 
-def _end_with_parent() -> None:
+def watch_parent() -> None:
     """End this worker when the process that started it is gone: a killed one cannot stop its workers itself."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
