@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, RelativeMotion
 from conformodal.reasoning import Candidates, MotionPrior, Observations, bridge, predict_candidates, viterbi
+from conformodal.reasoning.settings import SEARCH
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 SIGMA, STEP = 0.01, 0.1
@@ -39,15 +40,27 @@ def bridged(known, rotations, motions=None):
     return own, bridge(own, np.asarray(known, bool), motions or motions_along(rotations), times, PRIOR)
 
 
+def led(found, own):
+    """Of a frame that is bridged: what was predicted from its neighbour; of another, all."""
+    if found is own:
+        return found
+    k = len(own.log_mass)
+    np.testing.assert_array_equal(found.positions_xyz[:k], own.positions_xyz)
+    np.testing.assert_allclose(np.exp(found.log_mass[:k]).sum(), SEARCH.own_share)
+    np.testing.assert_allclose(np.exp(found.log_mass).sum(), 1)
+    return Candidates(*(getattr(found, f.name)[k:] for f in fields(Candidates)))
+
+
 def test_candidates_go_where_the_relative_rotations_lead_forward_and_back():
     rotations = turns(9)
     own, found = bridged([0, 0, 0, 1, 0, 0, 0, 1, 0], rotations)
     for t in (3, 7):
         assert found[t] is own[t]
     for t, here in enumerate(found):  # the chain is exact: every frame has its own rotation again
-        assert angles(here, rotations[t])[0] == pytest.approx(0, abs=1e-7)
+        predicted = led(here, own[t])
+        assert angles(predicted, rotations[t])[0] == pytest.approx(0, abs=1e-7)
         source = own[7 if t >= 7 else 3]
-        np.testing.assert_array_equal(here.positions_xyz, source.positions_xyz)
+        np.testing.assert_array_equal(predicted.positions_xyz, source.positions_xyz)
 
 
 def test_all_candidates_turn_alike_and_none_is_preferred():
@@ -65,12 +78,15 @@ def test_all_candidates_turn_alike_and_none_is_preferred():
 
 def test_spreads_grow_by_what_the_camera_can_have_done():
     rotations = turns(6)
-    _, found = bridged([1, 0, 0, 0, 0, 0], rotations)
+    own, found = bridged([1, 0, 0, 0, 0, 0], rotations)
+    sigma = SEARCH.rotation_sigma_factor * SIGMA
     for t, here in enumerate(found):
-        np.testing.assert_allclose(here.position_spreads, 0.05 + t * PRIOR.reach_m(STEP) / np.sqrt(3))
-        np.testing.assert_allclose(here.orientation_spreads_rad, 0.02 + t * SIGMA)
-    _, found = bridged([1, *[0] * 99], turns(100), [None] * 100)
-    spreads = np.array([here.orientation_spreads_rad[0] for here in found])
+        predicted = led(here, own[t])
+        np.testing.assert_allclose(predicted.position_spreads, 0.05 + t * PRIOR.reach_m(STEP) / np.sqrt(3))
+        np.testing.assert_allclose(predicted.orientation_spreads_rad, 0.02 + t * sigma)
+    own, found = bridged([1, *[0] * 99], turns(100), [None] * 100)
+    assert max(len(here.log_mass) for here in found) == 2  # they do not multiply along the way
+    spreads = np.array([led(*pair).orientation_spreads_rad[0] for pair in zip(found, own, strict=True)])
     np.testing.assert_allclose(spreads[:20], 0.02 + np.arange(20) * PRIOR.turn_rate_rad_s * STEP)
     assert spreads[-1] == np.pi  # nothing is less known
 
@@ -78,8 +94,8 @@ def test_spreads_grow_by_what_the_camera_can_have_done():
 def test_without_motion_orientations_stay():
     rotations = turns(3)
     own, found = bridged([1, 0, 0], rotations, [None, RelativeMotion(MotionStatus.OK), None])
-    for here in found:
-        np.testing.assert_array_equal(here.orientations_quat_wxyz, own[0].orientations_quat_wxyz)
+    for pair in zip(found, own, strict=True):
+        np.testing.assert_array_equal(led(*pair).orientations_quat_wxyz, own[0].orientations_quat_wxyz)
 
 
 def test_frames_before_the_first_known_one_are_bridged_from_it():
@@ -87,9 +103,11 @@ def test_frames_before_the_first_known_one_are_bridged_from_it():
     own, found = bridged([0, 0, 0, 1, 1], rotations)
     assert found[3:] == own[3:]
     for t in range(3):
-        assert angles(found[t], rotations[t])[0] == pytest.approx(0, abs=1e-7)
-        np.testing.assert_array_equal(found[t].positions_xyz, own[3].positions_xyz)
-        np.testing.assert_allclose(found[t].orientation_spreads_rad, 0.02 + (3 - t) * SIGMA)
+        predicted = led(found[t], own[t])
+        assert angles(predicted, rotations[t])[0] == pytest.approx(0, abs=1e-7)
+        np.testing.assert_array_equal(predicted.positions_xyz, own[3].positions_xyz)
+        sigma = SEARCH.rotation_sigma_factor * SIGMA
+        np.testing.assert_allclose(predicted.orientation_spreads_rad, 0.02 + (3 - t) * sigma)
 
 
 def test_where_nothing_is_known_all_stays_as_it_is():

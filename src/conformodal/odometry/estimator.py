@@ -12,7 +12,7 @@ from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence, LocalFeatures, extract_local_features, recognised_only
 from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning import LAG, Candidates, OnlineReasoner, bridge, online, predict_candidates
+from conformodal.reasoning import LAG, Candidates, OnlineReasoner, blend, bridge, online, predict_candidates
 from conformodal.vision import FeatureCache
 
 from .config import Method
@@ -126,15 +126,16 @@ class VisualOdometry:
         )
 
     def _candidates(self, found: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Candidates:
-        """Candidates of a frame; those of the frame before, moved on, where it shows nothing known."""
+        """Candidates of a frame; those of the frame before, moved on, are added where it shows nothing known."""
         here, estimates = found.candidates[0], list(found.beliefs.estimates[0])
-        known = bool(found.known[0])
+        known, chain = bool(found.known[0]), found.candidates[0]
         if not known and self._before is not None and self._last_s is not None:
-            here = predict_candidates(self._before, motion, timestamp_s - self._last_s, self.model.prior)
-            here = self.model.with_recognised(here, estimates)
+            predicted = predict_candidates(self._before, motion, timestamp_s - self._last_s, self.model.prior)
+            chain = self.model.with_recognised(predicted, estimates)
+            here = blend(here, chain)
         # nothing follows from an unknown first frame, unless a place was recognised in it
         if known or self._before is not None or recognised_only(estimates):
-            self._before = here
+            self._before = chain
         return here
 
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:

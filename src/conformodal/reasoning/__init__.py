@@ -4,7 +4,7 @@ A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` t
 :func:`online`. :func:`smooth` makes any path finer. :class:`Greedy` is the paper's reasoning.
 """
 
-from .bridging import bridge, predict_candidates
+from .bridging import blend, bridge, predict_candidates
 from .candidates import Candidates, interval_candidates, mode_candidates, softmax_mean
 from .errors import ReasoningError
 from .greedy import Greedy, IntervalMeans, greedy, interval_means
@@ -27,6 +27,7 @@ __all__ = [
     "PosePath",
     "Reasoner",
     "ReasoningError",
+    "blend",
     "bridge",
     "fit_motion_prior",
     "greedy",

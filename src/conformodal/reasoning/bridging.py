@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from conformodal.poses import RelativeMotion
 
 from .candidates import Candidates
-from .prior import MotionPrior
+from .prior import MotionPrior, rotation_sigma
+from .settings import SEARCH
 
 
 def predict_candidates(
@@ -41,7 +43,7 @@ def predict_candidates(
         rotation = Rotation.from_matrix(motion.R_prev_next)
         along = rotation.inv() if back else rotation
         quats = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
-        turned = motion.rotation_sigma_rad
+        turned = rotation_sigma(motion)
     return replace(
         neighbour,
         position_spreads=neighbour.position_spreads + prior.reach_m(step_s) / np.sqrt(3),
@@ -49,6 +51,14 @@ def predict_candidates(
         orientation_spreads_rad=np.minimum(neighbour.orientation_spreads_rad + turned, np.pi),
         log_mass=np.full(len(quats), -np.log(len(quats))),
     )
+
+
+def blend(own: Candidates, predicted: Candidates) -> Candidates:
+    """The candidates of a frame that is taken for unknown: its own, and those predicted from a neighbour."""
+    parts = ((own, SEARCH.own_share), (predicted, 1 - SEARCH.own_share))
+    weighed = [replace(c, log_mass=c.log_mass - logsumexp(c.log_mass) + np.log(share)) for c, share in parts]
+    joined = (np.concatenate([getattr(part, f.name) for part in weighed]) for f in fields(Candidates))
+    return Candidates(*joined)
 
 
 def bridge(
@@ -59,7 +69,7 @@ def bridge(
     prior: MotionPrior,
     seen: Callable[[int, Candidates], Candidates] | None = None,
 ) -> list[Candidates]:
-    """Candidates of one recording in which frames that are not known have been bridged.
+    """Candidates of one recording, with those of a neighbour added where a frame is not known.
 
     Those before the first known frame are bridged from it, the others from the frame before. If no frame is known, all
     stay as they are.
@@ -79,11 +89,14 @@ def bridge(
     if not known.any():
         return found
     first = int(np.argmax(known))
-    for t in range(first + 1, len(found)):
-        if not known[t]:
-            here = predict_candidates(found[t - 1], motions[t], steps[t - 1], prior)
-            found[t] = here if seen is None else seen(t, here)
-    for t in range(first - 1, -1, -1):
-        here = predict_candidates(found[t + 1], motions[t + 1], steps[t], prior, back=True)
-        found[t] = here if seen is None else seen(t, here)
+    for back, order in ((False, range(first + 1, len(found))), (True, range(first - 1, -1, -1))):
+        chain = candidates[first]  # of predictions: what is blended in does not multiply along it
+        for t in order:
+            if known[t]:
+                chain = candidates[t]
+                continue
+            motion, step_s = (motions[t + 1], steps[t]) if back else (motions[t], steps[t - 1])
+            chain = predict_candidates(chain, motion, step_s, prior, back=back)
+            chain = chain if seen is None else seen(t, chain)
+            found[t] = blend(candidates[t], chain)
     return found

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core import FloatArray, cauchy
 from conformodal.poses import RelativeMotion, Submap
 
-from .prior import MotionPrior
+from .prior import MotionPrior, rotation_sigma
 from .settings import SMOOTHER
 
 
@@ -77,7 +77,7 @@ def _links(
     relative, sigma = np.tile(np.eye(3), (len(steps), 1, 1)), unknown_rad.copy()
     for t, motion in enumerate(motions[1:]):
         if motion is not None and motion.R_prev_next is not None:
-            relative[t], sigma[t] = motion.R_prev_next, motion.rotation_sigma_rad
+            relative[t], sigma[t] = motion.R_prev_next, rotation_sigma(motion)
     return (
         np.concatenate((steps, *(np.full(len(s.frames) - 1, s.frames[0]) for s in submaps))),
         np.concatenate((steps + 1, *(s.frames[1:] for s in submaps))),

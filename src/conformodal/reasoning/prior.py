@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray
-from conformodal.poses import Trajectory, angle_between_quats
+from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
 
 from .errors import ReasoningError
+from .settings import SEARCH
 
 _DECIMATIONS = (1, 2, 4, 8, 16)
 
@@ -49,6 +50,11 @@ class MotionPrior:
         """Velocity-change density for mean time steps (n,), interpolated between the measured ones."""
         logs = np.interp(np.log(step_s), np.log(self.intervals_s), np.log(self.acceleration_density))
         return np.asarray(np.exp(logs))
+
+
+def rotation_sigma(motion: RelativeMotion) -> float:
+    """Standard deviation of a relative rotation in radians, beside the errors of candidates."""
+    return SEARCH.rotation_sigma_factor * motion.rotation_sigma_rad
 
 
 def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> MotionPrior:

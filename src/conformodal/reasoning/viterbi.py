@@ -23,7 +23,7 @@ from conformodal.poses import RelativeMotion, angle_between_quats
 from .candidates import Candidates
 from .errors import ReasoningError
 from .observations import Observations, PosePath
-from .prior import MotionPrior
+from .prior import MotionPrior, rotation_sigma
 from .settings import SEARCH
 
 
@@ -128,7 +128,7 @@ def orientation_cost(
 
     total = cost(start, prior.turn_rate_rad_s * step_s)
     if motion is not None and motion.R_prev_next is not None:
-        led = cost(start * Rotation.from_matrix(motion.R_prev_next), motion.rotation_sigma_rad)
+        led = cost(start * Rotation.from_matrix(motion.R_prev_next), rotation_sigma(motion))
         total = np.minimum(led, total + SEARCH.rotation_outlier)
     return total
 
@@ -185,7 +185,7 @@ def survivors(
 
     facing = Rotation.from_quat(start.orientations_quat_wxyz[origin], scalar_first=True)
     if motion is not None and motion.R_prev_next is not None:
-        turned, sigma = facing * Rotation.from_matrix(motion.R_prev_next), motion.rotation_sigma_rad
+        turned, sigma = facing * Rotation.from_matrix(motion.R_prev_next), rotation_sigma(motion)
     else:
         sigma = prior.turn_rate_rad_s * step_s
         turn = (facing.inv() * Rotation.from_quat(after.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
