@@ -1,4 +1,4 @@
-"""A pose source of one's own: the poses of the training frames whose mean colour is nearest.
+"""A pose source of one's own: the poses of the training frames whose features are nearest.
 
 python examples/custom_pose_source.py
 """

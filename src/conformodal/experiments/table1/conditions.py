@@ -87,7 +87,7 @@ def run_name(key: str, sigma: float) -> str:
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """One training of a system and all its opponents, tested at every noise that a row asks for.
+    """One training of a system and all its baselines, tested at every noise that a row asks for.
 
     Attributes
     ----------

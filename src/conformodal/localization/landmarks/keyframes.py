@@ -163,7 +163,7 @@ class LandmarkMap:
         return np.concatenate(corners), np.concatenate(points)
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
-        """By how much fixes nearby are off.
+        """Errors of the keyframes nearby.
 
         Returns the mean (6,), its spread between keyframes an axis, (2,) in m and rad, and how far the nearest keyframe
         is, in units of the depth and radians.
