@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
+from conformodal.localization import LocalizationError
 from conformodal.localization.neighbours import LOCAL_CHOICES, LocalRegression, LocalSettings, fit_local
-from conformodal.vision import Projection, VisionError
+from conformodal.vision import Projection
 
 
 def regression(x, y, settings, scale=None):
@@ -76,16 +77,16 @@ def test_many_queries_are_answered_as_single_ones():
     for i in (0, 255, 256, 599):
         alone = model.predict(queries[i : i + 1])
         np.testing.assert_allclose(alone.values[0], whole.values[i], rtol=1e-9)
-        np.testing.assert_allclose(alone.strangeness[0], whole.strangeness[i], rtol=1e-9)
+        np.testing.assert_allclose(alone.novelty[0], whole.novelty[i], rtol=1e-9)
     assert model.predict(queries[:0]).values.shape[0] == 0
 
 
-def test_strangeness_is_the_distance_to_what_neighbours_span():
+def test_novelty_is_the_distance_to_what_neighbours_span():
     rng = np.random.default_rng(4)
     x = np.column_stack((rng.normal(size=(100, 2)), np.zeros(100)))
     model = regression(x, x[:, :1], LocalSettings(3, 10, 1e-9, None))
     found = model.predict(np.array([[0.1, 0.2, 0.0], [0.1, 0.2, 0.7]], dtype=np.float32))
-    np.testing.assert_allclose(found.strangeness, [0, 0.7], atol=1e-3)
+    np.testing.assert_allclose(found.novelty, [0, 0.7], atol=1e-3)
 
 
 def test_fewer_references_than_neighbours_will_do():
@@ -97,7 +98,7 @@ def test_fewer_references_than_neighbours_will_do():
 @pytest.mark.parametrize("shape", [(59, 1), (60, 2)])
 def test_shapes_are_checked(shape):
     x, _, _ = two_places()
-    with pytest.raises(VisionError, match=r"must be \(n, k\)"):
+    with pytest.raises(LocalizationError, match=r"must be \(n, k\)"):
         regression(x, np.zeros(shape), LOCAL_CHOICES[0], np.ones(1))
 
 
@@ -149,5 +150,5 @@ def test_the_chosen_regression_keeps_only_the_components_it_needs():
 )
 def test_what_cannot_be_fitted_is_refused(groups, choices, features):
     x = features * np.random.default_rng(7).normal(size=(9, 3)).astype(np.float32)
-    with pytest.raises(VisionError):
+    with pytest.raises(LocalizationError):
         fit_local(x, np.zeros((9, 2)), np.ones(2), groups, choices=choices)

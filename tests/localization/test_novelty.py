@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from conformodal.localization import PlaceNovelty
+from conformodal.datasets import read_sevenscenes
+from conformodal.localization import FrameEvidence, PlaceNovelty
 from conformodal.odometry import EvidenceKind, OdometryError, VisualOdometry, load_model, save_model
 from conformodal.vision import FeatureCache, coarse_features, extract_features
 
@@ -12,6 +13,11 @@ SOMETHING_ELSE = {
     "noise": np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8),
     "black": np.zeros((120, 160, 3), np.uint8),
 }
+
+
+@pytest.fixture(scope="module")
+def sequence(small_world):
+    return read_sevenscenes(small_world.folder)
 
 
 @pytest.fixture(scope="module")
@@ -26,26 +32,32 @@ def features(sequence, model, small_world):
 
 
 def seen(model, image):
-    return model.backbone.extract_local_features(model.backbone.prepare(image)[None]).astype(np.float32)
+    return model.backbone.features_of(image)
+
+
+def kinds_of(model, p):
+    """Of images whose local features were not extracted."""
+    nothing = np.zeros(len(p), dtype=bool)
+    return model.rules.kinds(p, nothing, nothing)
 
 
 def test_test_frames_are_known(model, features):
     """They were held out at random, as every reference frame is from itself: P(p <= u) <= u."""
-    p = model.known_p(features)
+    p = model.novelty.p_values(features)
     assert ((p > 0) & (p <= 1)).all()
     assert p.max() > 0.9
     assert len(np.unique(p)) > 0.5 * len(p)
     for u in (0.05, 0.1, 0.2, 0.5):
         assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
-    assert (model.kinds(p) == EvidenceKind.UNKNOWN).mean() < 0.05
+    assert (kinds_of(model, p) == EvidenceKind.UNKNOWN).mean() < 0.05
     assert model.rules.level == 0.015
-    np.testing.assert_array_equal(model.known.test.groups, model.split.train)  # every training frame by itself
+    np.testing.assert_array_equal(model.novelty.test.groups, model.split.train)  # every training frame by itself
 
 
 @pytest.mark.parametrize("what", SOMETHING_ELSE)
 def test_other_content_has_the_least_p_value(model, what):
-    p = model.known_p(seen(model, SOMETHING_ELSE[what]))
-    assert p == model.known.test.least_p == 1 / (len(model.split.train) + 1)
+    p = model.novelty.p_values(seen(model, SOMETHING_ELSE[what]))
+    assert p == model.novelty.test.least_p == 1 / (len(model.split.train) + 1)
 
 
 @pytest.mark.parametrize("what", SOMETHING_ELSE)
@@ -59,10 +71,12 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
     assert lost.region.unbounded.all()
     assert not lost.reliable
     assert "like no place that is known" in lost.problem
-    assert lost.known_p == pytest.approx(model.known.test.least_p)
-    # the pose is the one before, and less sure
+    assert lost.known_p == pytest.approx(model.novelty.test.least_p)
+    # the pose is where the camera can have come to, as far as it knows, and less sure
     reach = model.prior.reach_m(0.1)
-    assert np.linalg.norm(lost.pose.positions_xyz - first.pose.positions_xyz) <= reach + 1e-6
+    away = np.linalg.norm(lost.pose.positions_xyz - first.pose.positions_xyz)
+    assert away <= reach + lost.position_spread_m
+    assert away < 0.5
     assert lost.position_spread_m > first.position_spread_m
     assert lost.orientation_spread_rad > first.orientation_spread_rad
     again = odometry.step(sequence.image(51), 1.2)
@@ -80,9 +94,9 @@ def test_a_saved_model_knows_the_same(model, features, tmp_path):
     save_model(model, tmp_path)
     back = load_model(tmp_path)
     for x in (features, seen(model, SOMETHING_ELSE["noise"])):
-        p = model.known_p(x)
-        np.testing.assert_array_equal(back.known_p(x), p)
-        np.testing.assert_array_equal(back.kinds(p), model.kinds(p))
+        p = model.novelty.p_values(x)
+        np.testing.assert_array_equal(back.novelty.p_values(x), p)
+        np.testing.assert_array_equal(kinds_of(back, p), kinds_of(model, p))
     kinds = np.array(list(EvidenceKind))
     np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
     np.testing.assert_array_equal(back.rules.known_p, model.rules.known_p)
@@ -90,14 +104,14 @@ def test_a_saved_model_knows_the_same(model, features, tmp_path):
 
 
 def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
-    p, strict = model.known_p(features), replace(model)
+    p, strict = model.novelty.p_values(features), replace(model)
     strict.set_novelty_level(0.2)
-    np.testing.assert_array_equal(strict.kinds(p) == EvidenceKind.UNKNOWN, p <= 0.2)
+    np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceKind.UNKNOWN, p <= 0.2)
     assert strict.rules.of[EvidenceKind.GLOBAL].n_units == (model.rules.known_p > 0.2).sum()
     save_model(strict, tmp_path)
     assert load_model(tmp_path).rules.level == 0.2
     strict.set_novelty_level(0.0)
-    assert (strict.kinds(p) != EvidenceKind.UNKNOWN).all()
+    assert (kinds_of(strict, p) != EvidenceKind.UNKNOWN).all()
     assert model.rules.level == 0.015
     for level in (-0.1, 1.0, np.nan):
         with pytest.raises(OdometryError, match="novelty level"):
@@ -105,17 +119,21 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
 
 
 def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
-    blind = replace(model, known=None)
+    blind = replace(model, novelty=None)
     blind.set_novelty_level(0.3)
     assert blind.rules.level == 0
-    np.testing.assert_array_equal(blind.known_p(features), np.nan)
-    assert (blind.kinds(blind.known_p(features)) != EvidenceKind.UNKNOWN).all()
+    found = blind.localize(FrameEvidence(features))
+    np.testing.assert_array_equal(found.known_p, np.nan)
+    assert found.known.all()
     assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64)) is None
 
 
-def test_regions_need_as_many_p_values_as_images(model, features):
-    with pytest.raises(OdometryError, match="2 images need as many p-values"):
-        model.regions(model.proba(features[:2]), known_p=np.ones(3))
+def test_images_that_are_not_known_have_the_whole_space(model, features):
+    both = np.concatenate((features[:1], seen(model, SOMETHING_ELSE["noise"])))
+    found = model.localize(FrameEvidence(both))
+    assert found.kinds.tolist()[1] == EvidenceKind.UNKNOWN
+    assert found.regions.unbounded[1].all()
+    assert not found.regions.unbounded[0].all()
 
 
 def test_descriptors_are_means_of_four_cells_each(model, features):
