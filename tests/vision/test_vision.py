@@ -88,9 +88,7 @@ def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backb
     np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
     np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
     shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
-    np.testing.assert_allclose(
-        noisy[0], backbone.extract_local_features(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3
-    )
+    np.testing.assert_allclose(noisy[0], backbone.describe(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3)
 
 
 def test_features_know_where_things_are(backbone):
@@ -105,7 +103,7 @@ def test_features_know_where_things_are(backbone):
 
 def test_features_are_the_networks_map_and_the_thumbnail(backbone):
     images = np.random.default_rng(0).integers(0, 255, (2, 64, 96, 3), dtype=np.uint8)
-    features = backbone.extract_local_features(images).astype(np.float32)
+    features = backbone.describe(images).astype(np.float32)
     views = feature_views(features.shape[1])
     with torch.inference_mode():
         network = backbone(torch.from_numpy(images)).numpy()
