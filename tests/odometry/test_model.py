@@ -4,15 +4,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conformodal.conformal import SplitConformal
 from conformodal.datasets import read_sevenscenes
 from conformodal.experiments import coverage_table
 from conformodal.localization import FrameEvidence, extract_local_features
 from conformodal.odometry import (
+    EvidenceKind,
     ModelConfig,
     ModelFileError,
     OdometryError,
     PoseRadius,
     Promise,
+    RegionRules,
     RegionStatistics,
     Sizing,
     VisualOdometry,
@@ -114,6 +117,26 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
     monkeypatch.undo()
     with pytest.raises(ModelFileError, match="another version"):
         load_model(tmp_path)
+
+
+def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp_path):
+    """Scores per unit of a target have scales of their own, and both calibrations have the stretches' labels."""
+    rng, cells = np.random.default_rng(0), model.calibration.bins
+    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
+
+    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
+    overall, matched = (SplitConformal(cells, 0.2, "linear_density", "max") for _ in range(2))
+    for rule in (overall, matched):
+        rule.rule.loc_, rule.rule.scale_ = shift, scale
+        rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
+    rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
+    save_model(replace(model, rules=rules), tmp_path)
+    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceKind))
+    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
+    assert np.isfinite(rules.thresholds(kinds[:3])).all()
+    for one, other in ((back.overall, overall), (back.matched, matched)):
+        np.testing.assert_array_equal(one.groups_, groups)
+        np.testing.assert_array_equal(one.thresholds_, other.thresholds_)
 
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
