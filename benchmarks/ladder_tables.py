@@ -258,7 +258,8 @@ def _note(numbers: Numbers) -> str:
     only = f" Rows that need other models than ours lack {', '.join(quick)}." if quick else ""
     return (
         f"Seeds {', '.join(map(str, seeds))} of split, training and corridor; no value of a "
-        f"setting was chosen on them. Measured with source {', '.join(sources)}. Test frames, a fifth of all: all of them (1/6 s, all), "
+        f"setting was chosen on them. Measured with source {', '.join(sources)}. "
+        "Test frames, a fifth of all: all of them (1/6 s, all), "
         "or those that follow each other after 1 s or 3 s. The tracker always sees the frames between. Frames "
         "calibrate in both splits. "
         "Errors on redkitchen are against KinectFusion's poses, which differ by 4.9 cm from the other published "

@@ -172,7 +172,7 @@ def test_progress_is_told_by_the_name_of_the_stage(data_of):
 class MeanSource:
     """Says of every image that it was taken in the middle of all that it has seen."""
 
-    name: ClassVar[str] = "mean of the tests"
+    name: ClassVar[str] = "mean-of-the-tests"
     local: ClassVar[bool] = False
 
     place: np.ndarray
@@ -229,3 +229,10 @@ def test_every_source_of_a_model_is_stored_whole(small_world):
     assert [source.name for source in sources] == ["head", "neighbours", "landmarks"]
     for source in sources:
         same_states(source.state(), stored(source).state())
+
+
+@pytest.mark.parametrize("name", ["", "head.x", "a b", "1", "a/b"])
+def test_a_name_that_could_name_another_sources_arrays_is_refused(name):
+    kind = type("Odd", (HeadSource,), {"name": name})
+    with pytest.raises(LocalizationError, match="must be of letters"):
+        register_source(kind)

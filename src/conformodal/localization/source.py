@@ -97,8 +97,10 @@ def register_source(kind: type[PoseSource]) -> type[PoseSource]:
     Raises
     ------
     LocalizationError
-        If another kind has that name.
+        If another kind has that name, or the name is not one of letters, digits, ``_`` and ``-``.
     """
+    if not kind.name.replace("-", "_").isidentifier():  # names arrays of a saved model
+        raise LocalizationError(f"a pose source's name must be of letters, digits, _ and -, got {kind.name!r}")
     if _KINDS.setdefault(kind.name, kind) is not kind:
         raise LocalizationError(f"there is a pose source {kind.name!r} already: {_KINDS[kind.name].__qualname__}")
     return kind
