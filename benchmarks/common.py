@@ -63,13 +63,9 @@ def without_limits(prior: MotionPrior) -> MotionPrior:
     return replace(prior, turn_rate_rad_s=UNLIMITED, top_speed_mps=speeds)
 
 
-def without_parts(motion: RelativeMotion | None, *, rotation: bool, direction: bool) -> RelativeMotion | None:
-    """A relative motion with its rotation and its direction, or without one or both."""
-    if motion is None or not (rotation or direction):
-        return None
-    if not rotation:
-        motion = replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
-    return motion if direction else replace(motion, direction_prev=None, direction_sigma_rad=np.inf)
+def without_rotation(motion: RelativeMotion | None) -> RelativeMotion | None:
+    """A relative motion of which the rotation is not known."""
+    return None if motion is None else replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
 
 
 def write_table(name: str, title: str, command: str, header: list[str], rows: list[list[str]], notes: str = "") -> None:

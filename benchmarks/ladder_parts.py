@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from common import without_limits, without_parts
+from common import without_limits, without_rotation
 from ladder_runs import Trained
 
 from conformodal.conformal import SplitConformal
@@ -129,7 +129,7 @@ class Paths:
         """The path with some parts."""
         model, seen = self.trained.model, self.seen
         prior = model.prior if parts.limits else without_limits(model.prior)
-        motions = [without_parts(m, rotation=parts.rotations, direction=True) for m in seen.relative]
+        motions = seen.relative if parts.rotations else [without_rotation(m) for m in seen.relative]
         found = self.localization(parts)
         candidates = found.candidates
         if parts.bridging:

@@ -53,7 +53,7 @@ def compared(model: Path, truth: Path, seed: int, split: str) -> dict[str, dict[
     paths = comparison_paths(found, loaded, recording)
     paths |= classical.trajectories(data.features[found.frames], found, recording, loaded.prior)
     other = read_tum(truth)
-    mine, theirs = associate(found.timestamps_s, other)
+    mine, theirs = associate(found.trajectory, other)
     aligned = {name: align(path[mine], other[theirs], Alignment.SE3) for name, path in paths.items()}
     own = sequence.require_truth()[found.frames]
     return {"errors": error_table(paths, own), "errors_colmap": error_table(aligned, other[theirs])}

@@ -16,8 +16,7 @@ from conformodal.cli.demo import ALPHA, N_LAPS, N_MODULES, TRAINING
 from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
 from conformodal.datasets.corridor.world import MODULE_LENGTH
-from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
-from conformodal.odometry.estimator import OdometryRun
+from conformodal.odometry import ModelConfig, OdometryRun, VisualOdometry, prepare_training_data, train_model
 from conformodal.poses import Trajectory
 from conformodal.reasoning import Candidates, OnlineReasoner
 from conformodal.vision import FeatureCache

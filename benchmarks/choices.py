@@ -1,0 +1,100 @@
+"""What the settings of belief and search were chosen by: errors with other values over errors with the present ones.
+
+python benchmarks/choices.py [--seeds 20 21] [--runs FOLDER]
+
+Seeds 20 and 21 served to choose by; models are those of benchmarks/ladder.py, kept in the folder of runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
+
+import numpy as np
+from common import ROOT, write_table
+from ladder_parts import ALL, Frames, Paths, spaced
+from ladder_runs import Models
+
+from conformodal.localization.settings import BELIEF
+from conformodal.odometry import measure_motions
+from conformodal.reasoning.settings import CANDIDATES, SEARCH
+
+PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
+EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}
+# By the settings' object and attribute: other values than the present one.
+OTHERS = {
+    ("CANDIDATES", "least_mass"): (1e-4, 1e-5),
+    ("SEARCH", "own_share"): (1e-9, 0.1, 0.9),
+    ("SEARCH", "rotation_sigma_factor"): (1.0, 4.0, 8.0),
+    ("BELIEF", "alone"): (0.01, 0.2),
+}
+PRESENT = {"CANDIDATES": CANDIDATES, "SEARCH": SEARCH, "BELIEF": BELIEF}
+READERS = {
+    "CANDIDATES": ("reasoning.candidates", "localization.fusion"),
+    "SEARCH": ("reasoning.bridging", "reasoning.prior"),
+    "BELIEF": ("localization.fusion",),
+}
+
+
+@contextmanager
+def setting(name: str, attribute: str, value: float) -> Iterator[None]:
+    """One setting has another value."""
+    with ExitStack() as stack:
+        for reader in READERS[name]:
+            module = importlib.import_module(f"conformodal.{reader}")
+            stack.enter_context(patch.object(module, name, replace(PRESENT[name], **{attribute: value})))
+        yield
+
+
+def ratios(place: str, seed: int, runs: Path) -> dict[str, list[list[float]]]:
+    """By setting and value: ratios of position and orientation error, an interval a row."""
+    models = Models(place, seed, runs)
+    ours = models.ours()
+    found: dict[str, list[list[float]]] = {}
+    for interval in EVERY.values():
+        test = ours.model.split.test
+        frames = spaced(models.sequence.timestamps_s, test, interval) if interval else test
+        seen = Frames(models.sequence, frames, measure_motions(models.sequence, frames))
+        present = seen.error(Paths(ours, seen).path(ALL))
+        for (name, attribute), values in OTHERS.items():
+            for value in values:
+                with setting(name, attribute, value):
+                    other = seen.error(Paths(ours, seen).path(ALL))
+                ratio = [a / b for a, b in zip(other, present, strict=True)]
+                found.setdefault(f"{attribute} {value:g}", []).append(ratio)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[20, 21])
+    parser.add_argument("--runs", type=Path, default=ROOT / "ladder-out")
+    asked = parser.parse_args()
+    of = {place: [ratios(place, seed, asked.runs) for seed in asked.seeds] for place in PLACES}
+    rows = []
+    for (name, attribute), values in OTHERS.items():
+        for value in values:
+            row = [attribute, f"{getattr(PRESENT[name], attribute):g}", f"{value:g}"]
+            for place in PLACES:
+                logs = np.log([one[f"{attribute} {value:g}"] for one in of[place]]).mean(axis=0)
+                row += [f"{position:.2f} / {angle:.2f}" for position, angle in np.exp(logs)]
+            rows.append(row)
+    header = ["setting", "present", "other", *(f"{place}, {every}" for place in PLACES for every in EVERY)]
+    note = (
+        f"Ratio of position errors / of orientation errors, geometric means over seeds {asked.seeds}; above 1 the "
+        "present value is the better one. Models, frames, intervals as in ladder.md; frames calibrate in both splits."
+    )
+    line = f"python benchmarks/choices.py --seeds {' '.join(map(str, asked.seeds))}"
+    write_table("choices", "Settings of belief and search", line, header, rows, note)
+
+
+if __name__ == "__main__":
+    main()
