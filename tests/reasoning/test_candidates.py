@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.reasoning import interval_candidates, mode_candidates, softmax_mean
+from conformodal.reasoning import Candidates, interval_candidates, mode_candidates, softmax_mean
 
 K = 20
 
@@ -71,3 +71,15 @@ def test_components_that_cancel_give_an_orientation_of_no_weight():
 def test_peaks_are_modes_where_little_lies_between(apart, n_modes):
     proba = [bumps((5.5, 0.6), (5.5 + apart, 0.4)), *[bumps((10.0, 1))] * 2, *identity_quat()]
     assert len(mode_candidates(proba, pose_bins())[0].positions_xyz) == n_modes
+
+
+def test_candidates_are_taken_joined_and_normalised():
+    one = mode_candidates([bumps((4, 0.7), (15, 0.3)), *[bumps((10, 1))] * 2, *identity_quat()], pose_bins())[0]
+    other = one.take(np.array([1, 0]))
+    np.testing.assert_array_equal(other.positions_xyz, one.positions_xyz[::-1])
+    np.testing.assert_array_equal(other.orientation_spreads_rad, one.orientation_spreads_rad[::-1])
+    joined = Candidates.concatenate((one, other.take(slice(0, 1))))
+    np.testing.assert_array_equal(joined.log_mass, [*one.log_mass, one.log_mass[1]])
+    share = joined.normalised(np.log(0.3))
+    assert np.exp(share.log_mass).sum() == pytest.approx(0.3)
+    np.testing.assert_allclose(np.diff(share.log_mass), np.diff(joined.log_mass))

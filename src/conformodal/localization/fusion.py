@@ -8,7 +8,7 @@ agree, the product of their normal densities refines the later one, without a ga
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,12 +39,6 @@ class Mixture:
 
     candidates: Candidates
     measured: npt.NDArray[np.bool_]
-
-    @property
-    def unmeasured_mass(self) -> float:
-        """Probability that no estimate is right."""
-        mass = np.exp(self.candidates.log_mass)
-        return float(mass[~self.measured].sum() / mass.sum())
 
 
 def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]], volume_m3: float) -> Mixture:
@@ -81,9 +75,8 @@ def _with(mixture: Mixture, estimates: Sequence[PoseMeasurement], anywhere: floa
     """The mixture when one more source has answered."""
     none, log_right = inlier_odds(estimates)
     before = mixture.candidates
-    log_mass = before.log_mass - logsumexp(before.log_mass)
-    parts, marks = [replace(before, log_mass=log_mass + none)], [mixture.measured]
-    earlier = _take(replace(before, log_mass=log_mass + np.log1p(-BELIEF.alone)), np.flatnonzero(mixture.measured))
+    parts, marks = [before.normalised(none)], [mixture.measured]
+    earlier = before.normalised(float(np.log1p(-BELIEF.alone))).take(np.flatnonzero(mixture.measured))
     for estimate, right in zip(estimates, log_right, strict=True):
         refined, overlap = _product(earlier, estimate)
         agreement = np.append(earlier.log_mass + overlap, np.log(BELIEF.alone) + anywhere)
@@ -125,14 +118,10 @@ def _single(estimate: PoseMeasurement, log_mass: float) -> Candidates:
     )
 
 
-def _take(candidates: Candidates, rows: npt.NDArray[np.int64]) -> Candidates:
-    return Candidates(*(getattr(candidates, f.name)[rows] for f in fields(Candidates)))
-
-
 def _most_probable(parts: Sequence[Candidates], measured: npt.NDArray[np.bool_]) -> Mixture:
     """All hypotheses, most probable first, without the improbable ones."""
-    joined = Candidates(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Candidates)))
-    log_mass = joined.log_mass - logsumexp(joined.log_mass)
+    joined = Candidates.concatenate(parts).normalised()
+    log_mass = joined.log_mass
     order = np.argsort(-log_mass, kind="stable")[: CANDIDATES.most]
     order = order[log_mass[order] >= min(np.log(CANDIDATES.least_mass), log_mass[order[0]])]
-    return Mixture(_take(replace(joined, log_mass=log_mass), order), measured[order])
+    return Mixture(joined.take(order), measured[order])

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
-from scipy.special import logsumexp
 
 from conformodal.poses import RelativeMotion
 
@@ -55,10 +54,9 @@ def predict_candidates(
 
 def blend(own: Candidates, predicted: Candidates) -> Candidates:
     """The candidates of a frame that is taken for unknown: its own, and those predicted from a neighbour."""
-    parts = ((own, SEARCH.own_share), (predicted, 1 - SEARCH.own_share))
-    weighed = [replace(c, log_mass=c.log_mass - logsumexp(c.log_mass) + np.log(share)) for c, share in parts]
-    joined = (np.concatenate([getattr(part, f.name) for part in weighed]) for f in fields(Candidates))
-    return Candidates(*joined)
+    share = SEARCH.own_share
+    joined = Candidates.concatenate((own.normalised(np.log(share)), predicted.normalised(np.log1p(-share))))
+    return joined.take(np.argsort(-joined.log_mass, kind="stable"))
 
 
 def bridge(

@@ -13,11 +13,12 @@ never formed whole.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import logsumexp
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.core import FloatArray
@@ -49,6 +50,19 @@ class Candidates:
     orientations_quat_wxyz: FloatArray
     orientation_spreads_rad: FloatArray
     log_mass: FloatArray
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Candidates]) -> Self:
+        """Candidates one part after another, as they are: the result may need :meth:`take` to be in order."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def take(self, rows: npt.NDArray[np.integer[Any]] | slice) -> Self:
+        """Some of them, in the order of `rows`."""
+        return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def normalised(self, log_share: float = 0.0) -> Self:
+        """The same candidates with probabilities that sum to ``exp(log_share)``."""
+        return replace(self, log_mass=self.log_mass - logsumexp(self.log_mass) + log_share)
 
 
 def mode_candidates(
