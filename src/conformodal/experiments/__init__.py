@@ -6,7 +6,7 @@ from .classical import (
     baseline_training,
     train_classical,
 )
-from .comparison import comparison_paths
+from .compared_paths import comparison_paths
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
 from .evaluation import coverage_table, error_table, is_exchangeable, radius_table

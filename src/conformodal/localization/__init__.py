@@ -1,7 +1,6 @@
 """From an image to one belief about its pose: pose sources behind one protocol, and their fusion."""
 
 from .belief import Beliefs, belief_cells, cells_per_bin, recognised_only
-from .data import SourceData
 from .error_model import ErrorModel
 from .errors import LocalizationError
 from .evidence import FrameEvidence
@@ -14,6 +13,7 @@ from .measurement import PoseMeasurement
 from .neighbours import NeighbourSource
 from .novelty import PlaceNovelty
 from .source import PoseSource, SourceAnswer, SourceState, find_source, register_source
+from .source_data import SourceData
 from .targets import TARGET_NAMES, pose_targets, target_scale
 
 __all__ = [

@@ -8,12 +8,12 @@ from typing import ClassVar, Self
 import numpy as np
 import torch
 
-from conformodal.core import IntArray
+from conformodal.core import IntArray, stage_of
 from conformodal.vision import Head, Projection, fit_head, predict_proba, soft_cross_entropy
 
-from .data import SourceData
 from .evidence import FrameEvidence
 from .source import SourceAnswer, SourceState, register_source
+from .source_data import SourceData
 
 
 @register_source
@@ -47,7 +47,7 @@ class HeadSource:
             data.training,
             projection=data.projection(frames, data.training.components),
             checkpoint_dir=data.checkpoint_dir,
-            progress=data.stage("training"),
+            progress=stage_of(data.progress, "training"),
         )
         return cls(head, frames)
 

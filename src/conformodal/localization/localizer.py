@@ -15,12 +15,12 @@ from conformodal.core import FloatArray, IntArray
 from conformodal.reasoning import Candidates, mode_candidates
 
 from .belief import Beliefs, belief_cells
-from .data import SourceData
 from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import Mixture, fuse
 from .measurement import PoseMeasurement
 from .source import PoseSource, SourceAnswer, find_source
+from .source_data import SourceData
 
 Source = TypeVar("Source", bound=PoseSource)
 

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from conformodal.core import IntArray
 
-from .data import SourceData
 from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .measurement import PoseMeasurement
+from .source_data import SourceData
 
 FloatArray = npt.NDArray[np.floating[Any]]
 

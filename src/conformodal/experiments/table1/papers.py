@@ -24,7 +24,7 @@ from conformodal.reasoning import greedy, interval_means
 from conformodal.vision import FeatureCache, extract_features, predict_proba
 
 from ..classical import baseline_training, train_classical
-from ..comparison import comparison_paths
+from ..compared_paths import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import TrainingTask, config_of, run_name
 from .costs import head_of, ms_a_frame, n_numbers

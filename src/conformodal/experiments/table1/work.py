@@ -40,7 +40,7 @@ from ..baselines import (
     with_thumbnail,
 )
 from ..classical import ClassicalRegressor, baseline_training, train_classical
-from ..comparison import comparison_paths
+from ..compared_paths import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import ALPHA, TrainingTask, config_of, run_name
 from .costs import ms_a_frame, n_numbers, n_stored

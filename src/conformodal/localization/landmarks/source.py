@@ -9,16 +9,16 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray, IntArray, Progress
+from conformodal.core import FloatArray, IntArray, Progress, stage_of
 from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
 
-from ..data import SourceData
 from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
 from ..evidence import FrameEvidence
 from ..local_features import LocalFeatures, Matcher
 from ..measurement import PoseMeasurement
 from ..settings import ERROR_MODEL, MAPPING, PNP
 from ..source import SourceAnswer, SourceState, register_source
+from ..source_data import SourceData
 from .keyframes import LandmarkMap
 from .mapping import build_map
 from .overlap import view_overlap
@@ -73,7 +73,7 @@ class LandmarkSource:
             data.sequence.camera,
             data.depth_m,
             frames,
-            data.stage("landmarks"),
+            stage_of(data.progress, "landmarks"),
             data.matcher,
         )
 

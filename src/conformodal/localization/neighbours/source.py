@@ -8,16 +8,16 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core import FloatArray, IntArray, stage_of
 from conformodal.poses import angle_between_quats, normalise_quat
 from conformodal.vision import Projection, feature_views
 
-from ..data import SourceData
 from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
 from ..evidence import FrameEvidence
 from ..measurement import PoseMeasurement
 from ..settings import NEIGHBOURS
 from ..source import SourceAnswer, SourceState, register_source
+from ..source_data import SourceData
 from ..targets import target_scale
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 from .tuning import LeftOut, fit_local
@@ -61,7 +61,7 @@ class NeighbourSource:
             target_scale(targets),
             pieces,
             views=feature_views(features.shape[1]),
-            progress=data.stage("neighbours"),
+            progress=stage_of(data.progress, "neighbours"),
         )
         return cls.of(regression, left_out, frames)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core import IntArray, StageProgress
+from conformodal.core import IntArray, StageProgress, stage_of
 from conformodal.datasets import Sequence, SplitKind, held_out_together
 from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
@@ -104,17 +103,10 @@ class SourceData:
         ImageError
             If an image cannot be read; names the file.
         """
+        report = stage_of(self.progress, "local features")
         missing = [i for i in frames.tolist() if i not in self._local_features]
         for done, i in enumerate(missing, start=1):
             self._local_features[i] = extract_local_features(self.sequence.image(i), self.sequence.camera)
-            self.report("local features", done, len(missing))
+            if report is not None:
+                report(done, len(missing))
         return [self._local_features[i] for i in frames.tolist()]
-
-    def report(self, stage: str, done: int, total: int) -> None:
-        """Tell how far a stage has come."""
-        if self.progress is not None:
-            self.progress(stage, done, total)
-
-    def stage(self, name: str) -> Callable[[int, int], None] | None:
-        """The progress function of one stage."""
-        return None if self.progress is None else lambda done, total: self.report(name, done, total)
