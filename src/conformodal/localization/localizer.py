@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -23,6 +23,8 @@ from .source import PoseSource, SourceAnswer, find_source
 from .source_data import SourceData
 
 Source = TypeVar("Source", bound=PoseSource)
+
+_IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,12 @@ class Localizer:
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""
         return beliefs.marginals(self.bins, self.cells, self.sign_reference)
+
+    def marginals_by_part(self, beliefs: Beliefs) -> Iterator[tuple[slice, list[FloatArray]]]:
+        """The marginals of some images after the other, and which images: those of all at once would be large."""
+        for start in range(0, max(len(beliefs), 1), _IMAGES_AT_A_TIME):
+            rows = slice(start, start + _IMAGES_AT_A_TIME)
+            yield rows, self.marginals(beliefs.part(rows))
 
     def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[npt.NDArray[np.floating[Any]]]:
         """The mean of the sources' softmaxes; where none has one, the training frames' own distribution."""

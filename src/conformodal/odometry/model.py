@@ -30,8 +30,6 @@ from .identity import FrameIdentities
 from .radius import PoseRadius
 from .region_rules import EvidenceKind, RegionRules
 
-_FRAMES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
-
 
 @dataclass(frozen=True, eq=False)
 class Localization:
@@ -152,11 +150,8 @@ class PoseModel:
 
     def regions(self, beliefs: Beliefs, thresholds: npt.NDArray[np.floating[Any]]) -> Regions:
         """Level sets of n beliefs at thresholds (n, 7) of the score. All of one model's have the same bins."""
-        rule, parts = self.rules.overall, []
-        for start in range(0, max(len(beliefs), 1), _FRAMES_AT_A_TIME):
-            rows = slice(start, start + _FRAMES_AT_A_TIME)
-            parts.append(rule.regions_at(self.localizer.marginals(beliefs.part(rows)), thresholds[rows]))
-        return Regions.concatenate(parts)
+        parts = self.localizer.marginals_by_part(beliefs)
+        return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])
 
     def with_recognised(self, candidates: Candidates, estimates: list[PoseMeasurement]) -> Candidates:
         """Candidates of an image, from wherever, with the places that were recognised in it."""

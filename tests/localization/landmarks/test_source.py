@@ -264,8 +264,7 @@ def test_regions_do_not_depend_on_how_many_are_worked_out_at_a_time(model, seque
         return found.regions, score_beliefs(model.rules.matched, model.localizer, found.beliefs, targets)
 
     at_once = answered()
-    monkeypatch.setattr("conformodal.odometry.model._FRAMES_AT_A_TIME", 7)
-    monkeypatch.setattr("conformodal.odometry.learning.calibrating._FRAMES_AT_A_TIME", 7)
+    monkeypatch.setattr("conformodal.localization.localizer._IMAGES_AT_A_TIME", 7)
     in_parts = answered()
     for one, other in zip(at_once[0].masks, in_parts[0].masks, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -29,7 +29,6 @@ from ..region_rules import RegionRules
 from .folds import Fold, Folds
 
 FloatArray = npt.NDArray[np.floating[Any]]
-_FRAMES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +43,8 @@ def score_beliefs(
     rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: npt.NDArray[np.float64]
 ) -> FloatArray:
     """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images."""
-    parts = [slice(a, a + _FRAMES_AT_A_TIME) for a in range(0, len(beliefs), _FRAMES_AT_A_TIME)]
-    found = [rule.score_samples(localizer.marginals(beliefs.part(at)), targets[at]) for at in parts]
-    return np.concatenate(found) if found else np.empty((0, targets.shape[1]))
+    parts = localizer.marginals_by_part(beliefs)
+    return np.concatenate([rule.score_samples(proba, targets[rows]) for rows, proba in parts])
 
 
 def calibrate_regions(
