@@ -25,6 +25,7 @@ from conformodal.localization import (
 )
 
 from ..config import ModelConfig
+from ..errors import OdometryError
 from ..region_rules import RegionRules
 from .folds import Fold, Folds
 
@@ -60,7 +61,14 @@ def calibrate_regions(
         One a fold.
     novelty
         Of images beside the frames that the region's sources know; None where it cannot be told.
+
+    Raises
+    ------
+    OdometryError
+        If a source has seen a frame that it is to be calibrated on.
     """
+    for part in parts:
+        _check_unseen(part.localizer, part.fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
     joint = choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
@@ -98,8 +106,21 @@ def calibrate_regions(
     )
 
 
+def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
+    """The promise rests on it: scores of frames that a source has seen are too good."""
+    for source in localizer.sources:
+        seen = np.intersect1d(source.frames, held_out)
+        if seen.size:
+            raise OdometryError(
+                f"pose source {source.name!r} has seen frame {seen[0]}, and {seen.size} of the "
+                f"{len(held_out)} frames in all that it is to be calibrated on; a source may look at the "
+                "frames alone that its fit is given"
+            )
+
+
 def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, config: ModelConfig) -> RegionRules:
     """The paper's calibration (section 2): bins of the softmax, each target at alpha, whatever the image."""
+    _check_unseen(localizer, held_out)
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
     rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
     n = len(held_out)
