@@ -149,8 +149,8 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     """The page's first lines."""
     lines = [
         f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
-        f"{metrics['n_unreliable']} frames are not reliable (motion or place), {metrics['n_without_image']} without an "
-        f"image; landmarks gave a pose in {metrics['n_localized']}.",
+        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
+        f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
     lines += [f"{line}." for line in _said_of_unknown(metrics)]
     if metrics["radius"] is not None:
