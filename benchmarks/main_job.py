@@ -19,8 +19,8 @@ import numpy as np
 from common import DATA, RESULTS, ROOT, colmap_truth, mean_interval, write_table
 
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.experiments import baseline_training, comparison_paths, error_table, train_classical
-from conformodal.odometry import ModelConfig, VisualOdometry, load_model, prepare_training_data, provenance
+from conformodal.experiments import baseline_training, comparison_paths, train_classical
+from conformodal.odometry import ModelConfig, VisualOdometry, error_table, load_model, prepare_training_data, provenance
 from conformodal.poses import Alignment, align, associate, read_tum, write_tum
 from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
 

@@ -23,6 +23,7 @@ from conformodal.cli.run import MATCH_EVERY_LIVE
 from conformodal.datasets import read_image, read_sevenscenes
 from conformodal.datasets.streams import Frame, SequenceStream, prefetch
 from conformodal.motion import MotionFrontEnd
+from conformodal.networks import TorchBackbone
 from conformodal.odometry import (
     ModelConfig,
     PoseModel,
@@ -137,7 +138,7 @@ def main() -> None:
     model = quick_model(sequence)
     with tempfile.TemporaryDirectory() as folder:
         for (width, height), match_every in product(((224, 224), (320, 240)), (1, MATCH_EVERY_LIVE)):
-            model.backbone = Backbone(BackboneConfig(width=width, height=height))
+            model.backbone = TorchBackbone(BackboneConfig(width=width, height=height))
             run(model, SequenceStream(sequence, np.arange(50)), Path(folder))  # warm
             rates, parts = [], defaultdict(list)
             for _ in range(REPEATS):

@@ -9,8 +9,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.corridor import write_corridor
-from conformodal.experiments import error_table
-from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
+from conformodal.odometry import ModelConfig, VisualOdometry, error_table, prepare_training_data, train_model
 from conformodal.poses import Trajectory, normalise_quat
 from conformodal.vision import FeatureCache, TrainingConfig
 

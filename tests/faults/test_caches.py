@@ -12,21 +12,18 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.core.files import FolderInUseError, locked
 from conformodal.datasets import ImageError
-from conformodal.vision import (
-    Backbone,
-    BackboneConfig,
-    FeatureCache,
-    FineTuning,
+from conformodal.networks import (
     Head,
-    TrainingConfig,
-    extract_features,
+    TorchBackbone,
+    backbone_config,
     fine_tune,
     fit_head,
     mean_squared_error,
     soft_cross_entropy,
 )
+from conformodal.networks.states import FILE, kept_state
+from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, extract_features
 from conformodal.vision.keeping import keep_arrays, kept_arrays
-from conformodal.vision.states import FILE, kept_state
 
 
 def flip(path: Path, at: float) -> None:
@@ -157,7 +154,7 @@ def test_two_trainings_of_the_same_do_not_meet(tmp_path, uninterrupted):
 def features(small_world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("features")
     files = sorted(small_world.folder.rglob("*.png"))[:3]
-    backbone = Backbone(BackboneConfig.for_images(64, 48))
+    backbone = TorchBackbone(backbone_config(64, 48))
     expected = extract_features(files, backbone, FeatureCache(folder))
     return files, backbone, folder, expected
 

@@ -6,8 +6,8 @@ import pytest
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import read_sevenscenes
-from conformodal.experiments import coverage_table
 from conformodal.localization import FrameEvidence, extract_local_features
+from conformodal.networks import TorchBackbone
 from conformodal.odometry import (
     EvidenceKind,
     ModelConfig,
@@ -19,6 +19,7 @@ from conformodal.odometry import (
     RegionStatistics,
     Sizing,
     VisualOdometry,
+    coverage_table,
     load_model,
     prepare_training_data,
     save_model,
@@ -112,9 +113,11 @@ def test_altered_models_are_refused(model, tmp_path, spoil, match):
 
 
 def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
-    monkeypatch.setattr(model.backbone, "_identity", b"other")
-    save_model(model, tmp_path)
-    monkeypatch.undo()
+    in_torch = TorchBackbone(model.backbone.config)
+    save_model(replace(model, backbone=in_torch), tmp_path)
+    assert load_model(tmp_path).backbone.fingerprint == in_torch.fingerprint
+    monkeypatch.setattr(in_torch, "_identity", b"other")
+    save_model(replace(model, backbone=in_torch), tmp_path)
     with pytest.raises(ModelFileError, match="another version"):
         load_model(tmp_path)
 

@@ -20,7 +20,7 @@ from conformodal.odometry import (
     train_model,
 )
 from conformodal.poses import MotionStatus, angle_between_quats
-from conformodal.vision import FeatureCache, TrainingConfig, predict_proba
+from conformodal.vision import FeatureCache, TrainingConfig
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def head_of(model):
 
 
 def proba_of(model, features):
-    return predict_proba(head_of(model), features)
+    return head_of(model).predict_proba(features)
 
 
 def test_it_is_what_section_2_and_3_say():
@@ -73,8 +73,8 @@ def test_what_the_paper_does_not_have_is_refused(settings):
 
 def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
     assert data.features.shape == (len(data.sequence), 1280 + 32 * 24)
-    assert not head_of(model).components[1280:].any()  # the thumbnail counts nothing
-    assert head_of(model).components.ndim == 1  # no projection: standardised features
+    assert not head_of(model).projection.components[1280:].any()  # the thumbnail counts nothing
+    assert head_of(model).projection.components.ndim == 1  # no projection: standardised features
 
 
 def test_nothing_else_is_in_the_model(model):

@@ -13,13 +13,7 @@ import numpy as np
 from conformodal.core import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.datasets.corridor import CorridorWorld
-from conformodal.experiments import (
-    AmbiguityCheck,
-    baseline_training,
-    comparison_paths,
-    train_classical,
-    train_plain,
-)
+from conformodal.experiments import AmbiguityCheck, baseline_training, comparison_paths, train_classical, train_plain
 from conformodal.odometry import (
     EvidenceKind,
     Method,

@@ -11,11 +11,11 @@ import typer
 
 from conformodal.core.files import writing_in
 from conformodal.datasets import Layout
-from conformodal.experiments import error_table
 from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
     METRICS,
     OdometryError,
+    error_table,
     provenance,
     read_metrics,
     read_region_records,

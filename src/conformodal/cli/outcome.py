@@ -10,13 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets import Sequence
-from conformodal.experiments import (
+from conformodal.odometry import (
+    METHODS,
+    EvidenceKind,
+    OdometryError,
+    PoseModel,
+    RegionStatistics,
     coverage_table,
     error_table,
+    identify,
     is_exchangeable,
+    provenance,
     radius_table,
 )
-from conformodal.odometry import METHODS, EvidenceKind, OdometryError, PoseModel, RegionStatistics, identify, provenance
 from conformodal.poses import Trajectory
 
 from .console import console, print_errors, say_strongly
@@ -111,7 +117,7 @@ def run_metrics(
     matched_all
         Whether local features were matched in all of them, as when a radius is calibrated.
     recording
-        (n,) number of each frame's recording, see :func:`~conformodal.experiments.radius_table`.
+        (n,) number of each frame's recording, see :func:`~conformodal.odometry.radius_table`.
     """
     in_force = {"alpha": float(model.calibration.alpha), "novelty_level": float(model.rules.level)}
     metrics: dict[str, Any] = {

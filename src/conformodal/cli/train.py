@@ -14,11 +14,13 @@ from conformodal.core import StageProgress
 from conformodal.core.files import check_writable
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization import LandmarkSource
+from conformodal.networks import NETWORKS, TorchBackbone, find_network
 from conformodal.odometry import (
     Calibration,
     Method,
     ModelConfig,
     PoseModel,
+    Runtime,
     model_digest,
     prepare_training_data,
     provenance,
@@ -28,15 +30,12 @@ from conformodal.odometry import (
 )
 from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.vision import (
-    NETWORKS,
-    Backbone,
     BackboneConfig,
     FeatureCache,
     FineTuning,
     TrainingConfig,
     VisionError,
     default_cache_dir,
-    find_network,
 )
 
 from .console import console, kind_errors, print_where, progress_bars, say_strongly
@@ -133,6 +132,9 @@ def train(
         typer.Option(help="Pose sources that the belief is made of, in order, separated by commas."),
     ] = ",".join(_DEFAULT.sources),
     device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
+    runtime: Annotated[
+        Runtime, typer.Option(help="What runs the network: onnx, int8 (smaller, less exact), or torch.")
+    ] = _DEFAULT.runtime,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
@@ -154,6 +156,7 @@ def train(
         "sources": tuple(name.strip() for name in sources.split(",")),
         "fine_tuning": tuning_of(fine_tune, fine_tune_epochs, seed),
         "device": device,
+        "runtime": runtime,
         "seed": seed,
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
@@ -201,7 +204,7 @@ def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
     block = find_network(network).block
     if tuning is None or tuning.blocks is None:
         return
-    n_blocks = len(Backbone(BackboneConfig(network, block)).blocks)
+    n_blocks = len(TorchBackbone(BackboneConfig(network, block)).blocks)
     if tuning.blocks > n_blocks:
         raise VisionError(
             f"--fine-tune must be at most {n_blocks}, the blocks of {network} that are used, got {tuning.blocks}"

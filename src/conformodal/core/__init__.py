@@ -1,6 +1,7 @@
 """Small things that every floor shares: array types, progress, robust statistics, files."""
 
 from .arrays import BoolArray, FloatArray, IntArray
+from .extras import MissingPackageError, needing
 from .progress import Progress, StageProgress, stage_of
 from .robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2, MEDIAN_OF_NORM3, TAIL_OF_NORM3, cauchy
 
@@ -12,8 +13,10 @@ __all__ = [
     "BoolArray",
     "FloatArray",
     "IntArray",
+    "MissingPackageError",
     "Progress",
     "StageProgress",
     "cauchy",
+    "needing",
     "stage_of",
 ]

@@ -1,5 +1,11 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
+from conformodal.core import needing
+
+with needing("run", "reading images"):
+    import cv2  # noqa: F401
+    import PIL  # noqa: F401
+
 from .checking import DatasetCheck, Finding, check_sequence
 from .colmap import read_colmap
 from .decoding import read_image

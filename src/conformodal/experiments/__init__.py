@@ -9,7 +9,6 @@ from .classical import (
 from .compared_paths import comparison_paths
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
-from .evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from .plain import PlainRegressor, train_plain
 
 __all__ = [
@@ -23,10 +22,6 @@ __all__ = [
     "baseline_training",
     "check_ambiguity",
     "comparison_paths",
-    "coverage_table",
-    "error_table",
-    "is_exchangeable",
-    "radius_table",
     "run_tasks",
     "train_classical",
     "train_plain",

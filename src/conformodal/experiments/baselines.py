@@ -25,16 +25,9 @@ from conformodal.core import FloatArray
 from conformodal.datasets import SplitKind, held_out_together
 from conformodal.localization import target_scale
 from conformodal.localization.neighbours import LocalSettings, fit_local
+from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
 from conformodal.odometry import TrainingData
-from conformodal.vision import (
-    Head,
-    Projection,
-    TrainingConfig,
-    feature_views,
-    fit_head,
-    mean_squared_error,
-    predict_values,
-)
+from conformodal.vision import Projection, TrainingConfig, feature_views
 
 from .classical import START_DROPOUT, ClassicalRegressor, root_mean_square, train_classical
 from .losses import (

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.networks import Head, predict_values
 from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
-from conformodal.vision import Head, TrainingConfig, predict_values
+from conformodal.vision import TrainingConfig
 
 from .plain import PlainRegressor, fit_values, known_frames, scaling
 from .search import Search

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from conformodal.vision import Head
+from conformodal.networks import Head
 
 N_POSITION = 3
 N_COMPONENTS = 5

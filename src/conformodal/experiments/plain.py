@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray, IntArray
+from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
 from conformodal.odometry import TrainingData
 from conformodal.poses import Trajectory, normalise_quat
-from conformodal.vision import Head, TrainingConfig, fit_head, mean_squared_error, predict_values
+from conformodal.vision import TrainingConfig
 
 _LEAST_SCALE = 1e-6  # of a target that does not vary
 

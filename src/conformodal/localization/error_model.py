@@ -10,8 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import theilslopes
-from sklearn.linear_model import LogisticRegression
 
 from conformodal.core import MEDIAN_OF_NORM3, TAIL_OF_NORM3, FloatArray
 
@@ -126,6 +124,8 @@ def _growth(errors: FloatArray, cause: FloatArray) -> float:
     x, y = np.log(cause[there]), np.log(errors[there])
     if len(x) < 2 or np.ptp(x) == 0:
         return 0.0
+    from scipy.stats import theilslopes  # noqa: PLC0415 - half a second to import; only learning needs it
+
     return float(np.clip(theilslopes(y, x)[0], 0, ERROR_MODEL.max_growth))
 
 
@@ -135,6 +135,8 @@ def _inlier_odds(
     """Offset and slopes of the log odds; one inlier and one outlier are added, so that neither is ever certain."""
     middle = np.median(log_support, axis=0)
     x = np.concatenate((log_support, [middle, middle]))
+    from sklearn.linear_model import LogisticRegression  # noqa: PLC0415 - a second to import; only learning needs it
+
     inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
     kept = list(range(x.shape[1]))
     while kept:

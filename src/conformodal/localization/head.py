@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
-import torch
 
-from conformodal.core import IntArray, stage_of
-from conformodal.vision import Head, Projection, fit_head, predict_proba, soft_cross_entropy
+from conformodal.core import IntArray, needing, stage_of
+from conformodal.vision import SoftmaxHead
 
 from .evidence import FrameEvidence
 from .source import SourceAnswer, SourceState, register_source
@@ -32,12 +31,15 @@ class HeadSource:
     name: ClassVar[str] = "head"
     local: ClassVar[bool] = False
 
-    head: Head
+    head: SoftmaxHead
     frames: IntArray
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self:
         """Train on order-aware labels, or one-hot ones where ``sigma_bins`` is 0."""
+        with needing("train", "training"):
+            from conformodal.networks import fit_head, soft_cross_entropy  # noqa: PLC0415
+
         bins = data.bins_of(frames)
         head = fit_head(
             data.features[frames],
@@ -49,22 +51,19 @@ class HeadSource:
             checkpoint_dir=data.checkpoint_dir,
             progress=stage_of(data.progress, "training"),
         )
-        return cls(head, frames)
+        return cls(head.trained(), frames)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """Probabilities of all bins."""
-        return SourceAnswer(proba=predict_proba(self.head, evidence.features))
+        return SourceAnswer(proba=self.head.predict_proba(evidence.features))
 
     def state(self) -> SourceState:
         """The network's weights and shape."""
-        arrays = {"frames": self.frames, **{k: v.numpy() for k, v in self.head.state_dict().items()}}
-        return SourceState(arrays, {"hidden": self.head.output.in_features, "outputs": self.head.outputs})
+        settings = {"hidden": self.head.hidden, "outputs": list(self.head.outputs)}
+        return SourceState({"frames": self.frames, **self.head.weights}, settings)
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
-        weights = {k: torch.from_numpy(v) for k, v in state.arrays.items() if k != "frames"}
-        through = Projection(weights["offset"].numpy(), weights["components"].numpy())
-        head = Head(through, state.settings["outputs"], state.settings["hidden"])
-        head.load_state_dict(weights)
-        return cls(head.eval(), state.arrays["frames"])
+        weights = {k: v for k, v in state.arrays.items() if k != "frames"}
+        return cls(SoftmaxHead(weights, state.settings["outputs"]), state.arrays["frames"])

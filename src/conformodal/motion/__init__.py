@@ -1,5 +1,11 @@
 """Motion between frames: corners, flow, two-view geometry and submaps (OpenCV, PoseLib)."""
 
+from conformodal.core import needing
+
+with needing("run", "measuring motion"):
+    import cv2  # noqa: F401
+    import poselib  # noqa: F401
+
 from .essential import EssentialFrontEnd
 from .frontend import FrontEnd, MotionFrontEnd
 from .relative_pose import estimate_relative_motion

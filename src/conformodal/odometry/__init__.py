@@ -1,6 +1,6 @@
 """The estimator: trained models, streams and sequences."""
 
-from .config import Calibration, Method, ModelConfig
+from .config import Calibration, Method, ModelConfig, Runtime, config_of
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
@@ -28,6 +28,7 @@ from .results import (
     write_region_parquet,
     write_run,
 )
+from .results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from .selection import calibrate_selection, recording_errors, recording_sizes
 from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
 from .store import load_model, model_digest, save_model
@@ -57,16 +58,21 @@ __all__ = [
     "RegionStatistics",
     "ResultsError",
     "ResultsWriter",
+    "Runtime",
     "Sizing",
     "StreamRunner",
     "TrainingData",
     "VisualOdometry",
     "as_trajectory",
     "calibrate_selection",
+    "config_of",
+    "coverage_table",
     "data_digest",
     "depth_or_default",
+    "error_table",
     "fit_pose_radius",
     "identify",
+    "is_exchangeable",
     "iter_region_records",
     "joint_error",
     "load_model",
@@ -79,6 +85,7 @@ __all__ = [
     "pose_errors",
     "prepare_training_data",
     "provenance",
+    "radius_table",
     "read_metrics",
     "read_region_parquet",
     "read_region_records",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, Self
 
@@ -10,9 +11,10 @@ from conformodal.conformal import ConformalError, QuantileBins
 from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
+from conformodal.core import needing
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
-from conformodal.vision import FineTuning, TrainingConfig, find_network, pick_device
+from conformodal.vision import FineTuning, TrainingConfig
 
 from .errors import OdometryError
 
@@ -31,6 +33,24 @@ class Calibration(StrEnum):
     AUTO = "auto"
     FRAMES = "frames"
     STRETCHES = "stretches"
+
+
+class Runtime(StrEnum):
+    """What runs the network.
+
+    Attributes
+    ----------
+    ONNX
+        ONNX Runtime, on the CPU; the model holds the network and needs no torch.
+    INT8
+        The same with weights and activations in eight bits.
+    TORCH
+        On the CPU, or on a graphics card in training.
+    """
+
+    ONNX = "onnx"
+    INT8 = "int8"
+    TORCH = "torch"
 
 
 class Method(StrEnum):
@@ -68,11 +88,14 @@ class ModelConfig:
     sources
         Names of pose sources, in the order in which they are fused, see :class:`~conformodal.localization.PoseSource`.
     network
-        Of :data:`~conformodal.vision.NETWORKS`, or ``hf:NAME``.
+        Of :data:`~conformodal.networks.NETWORKS`, or ``hf:NAME``.
     fine_tuning
         Trains the network too, on the training part; None leaves it frozen.
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
+    runtime
+        See :class:`~conformodal.odometry.Runtime`. Features come from it in training too, so that the promise is about
+        what runs.
     seed
         Of the split and of training.
     training
@@ -101,6 +124,7 @@ class ModelConfig:
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"
+    runtime: Runtime = Runtime.ONNX
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
@@ -109,6 +133,8 @@ class ModelConfig:
         as_joint(self.joint)
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
+        with needing("train", "training"):
+            from conformodal.networks import find_network, pick_device  # noqa: PLC0415
         find_network(self.network)
         pick_device(self.device)
         if not self.sigma_bins >= 0:
@@ -158,3 +184,24 @@ def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) 
     """Settings behind a model, for the record, with the name and the frames of its data set."""
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
     return {**asdict(config), **names, "data": data, "n_frames": n_frames}
+
+
+def config_of(record: Mapping[str, Any]) -> ModelConfig:
+    """The settings behind a model, from its record.
+
+    Raises
+    ------
+    ConformodalError
+        If a setting cannot be used.
+    """
+    kept = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "method": Method,
+        "split": SplitKind,
+        "calibrate_on": Calibration,
+        "runtime": Runtime,
+        "sources": tuple,
+        "training": lambda its: TrainingConfig(**its),
+        "fine_tuning": lambda its: None if its is None else FineTuning(**its),
+    }
+    return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in kept.items()})

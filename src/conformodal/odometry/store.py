@@ -1,6 +1,6 @@
-"""Saved models: arrays in safetensors, everything else in JSON. No pickle, and no code, in either.
+"""Saved models: arrays in safetensors, the network in ONNX, everything else in JSON. No pickle, and no code, in any.
 
-``model.json`` holds a digest of the weights file and one of itself. They tell a file that was damaged or altered
+``model.json`` holds digests of the other files and one of itself. They tell a file that was damaged or altered
 from the one that was saved; they are no signature, so they do not tell who saved it.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,13 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
+from conformodal.core import MissingPackageError, needing
 from conformodal.core.files import write_whole
 from conformodal.datasets import Split, SplitKind
 from conformodal.localization import Localizer, PlaceNovelty, PoseSource, SourceState, find_source
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior
-from conformodal.vision import Backbone, BackboneConfig
+from conformodal.vision import Backbone, BackboneConfig, OnnxBackbone
 
 from .errors import ModelFileError
 from .identity import FrameIdentities
@@ -36,6 +38,7 @@ from .sizing import Sizing
 
 FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
+_NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
 _DAMAGE = (
     SafetensorError,
@@ -60,7 +63,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {
         f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
     }
-    if model.backbone.tuned is not None:  # otherwise its package has them
+    network = model.backbone.content if isinstance(model.backbone, OnnxBackbone) else None
+    if model.backbone.tuned is not None and network is None:  # otherwise its package has them
         arrays |= {f"backbone.{k}": v for k, v in model.backbone.weights().items()}
     arrays |= {f"bins.{j}": e for j, e in enumerate(localizer.bins.edges_)}
     arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
@@ -96,12 +100,20 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        "network": None,
     }
+    if network is not None:
+        record["network"] = {"sha256": hashlib.sha256(network).hexdigest(), "tuned": model.backbone.tuned}
     record["sha256"] = _digest(record)
-    # whole at any time: the new weights are beside the old ones until the record of the new ones is there
+    # whole at any time: the new files are beside the old ones until the record of the new ones is there
+    if network is not None:
+        write_whole(folder / _network_file(record), network)
     write_whole(folder / _NEXT, weights)
     write_whole(folder / _JSON, json.dumps(record, indent=1) + "\n")
     (folder / _NEXT).replace(folder / _WEIGHTS)
+    for other in folder.glob(_NETWORKS):
+        if network is None or other.name != _network_file(record):
+            other.unlink(missing_ok=True)
 
 
 def load_model(folder: Path | str) -> PoseModel:
@@ -114,9 +126,9 @@ def load_model(folder: Path | str) -> PoseModel:
     """
     folder = Path(folder)
     try:
-        record, content = _read(folder)
-        return _assemble(record, load_tensors(content), folder / _WEIGHTS)
-    except ModelFileError:
+        record, content, network = _read(folder)
+        return _assemble(record, load_tensors(content), network, folder)
+    except (ModelFileError, MissingPackageError):
         raise
     except _DAMAGE as exc:
         raise ModelFileError(f"{folder}: is no complete {FORMAT}: {type(exc).__name__}: {exc}") from exc
@@ -131,35 +143,65 @@ def model_digest(folder: Path) -> str | None:
     return str(digest)
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], bytes]:
-    """The record, and the weights that it names; read again where another process has just replaced both."""
-    path = folder / _WEIGHTS
-    for _ in range(_ATTEMPTS):
+def _network_file(record: dict[str, Any]) -> str:
+    return _NETWORKS.replace("*", record["network"]["sha256"][:8])
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
+    """The record, and the files that it names; read again where another process has just replaced them."""
+    for attempt in range(_ATTEMPTS):
         record = _read_record(folder / _JSON)
-        problem = ""
-        for name in (_NEXT, _WEIGHTS):
-            try:
-                content = (folder / name).read_bytes()
-            except OSError as exc:
-                problem = f"cannot be read: {exc.strerror}"
-                continue
-            if hashlib.sha256(content).hexdigest() == record["weights_sha256"]:
-                return record, content
-            problem = f"is not the file that was saved with {_JSON}: its digest differs"
-    raise ModelFileError(f"{path}: {problem}")
+        try:
+            weights = _named((folder / _NEXT, folder / _WEIGHTS), record["weights_sha256"])
+            if record.get("network") is None:
+                return record, weights, None
+            return record, weights, _named((folder / _network_file(record),), record["network"]["sha256"])
+        except ModelFileError:
+            if attempt + 1 == _ATTEMPTS:
+                raise
+    raise AssertionError
 
 
-def _assemble(record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], path: Path) -> PoseModel:
-    settings = {**record["backbone"], "grid": tuple(record["backbone"]["grid"])}
-    backbone = Backbone(BackboneConfig(**settings))
+def _named(paths: Sequence[Path], sha256: str) -> bytes:
+    """The content of the file that has a digest."""
+    problem = ""
+    for path in paths:
+        try:
+            content = path.read_bytes()
+        except OSError as exc:
+            problem = f"cannot be read: {exc.strerror}"
+            continue
+        if hashlib.sha256(content).hexdigest() == sha256:
+            return content
+        problem = f"is not the file that was saved with {_JSON}: its digest differs"
+    raise ModelFileError(f"{paths[-1]}: {problem}")
+
+
+def _backbone(
+    record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
+) -> Backbone:
+    config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
+    if network is not None:
+        return OnnxBackbone(config, network, record["network"]["tuned"])
+    with needing("train", f"{folder}: a model that runs its network in torch"):
+        from conformodal.networks import TorchBackbone  # noqa: PLC0415
+
+    backbone = TorchBackbone(config)
     tuned = {k.removeprefix("backbone."): v for k, v in arrays.items() if k.startswith("backbone.")}
     if tuned:
         backbone.take_weights(tuned)
     if backbone.fingerprint != record["backbone_fingerprint"]:
         raise ModelFileError(
-            f"{path}: was trained on features of {backbone.config.name} in another version; install the one that "
+            f"{folder / _WEIGHTS}: was trained on features of {config.name} in another version; install the one that "
             "made it, or train again"
         )
+    return backbone
+
+
+def _assemble(
+    record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
+) -> PoseModel:
+    backbone = _backbone(record, arrays, network, folder)
     bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
     sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
     how, split = record["calibration"], record["split"]

@@ -1,36 +1,33 @@
-"""Images to probabilities: frozen features, trained heads (torch)."""
+"""Images to features and features to probabilities, without torch."""
 
-from .backbone import Backbone, BackboneConfig, FeatureViews, coarse_features, feature_views, pick_device
+from conformodal.core import needing
+
+with needing("run", "features of images"):
+    import cv2  # noqa: F401
+    import safetensors  # noqa: F401
+
+from .backbone import Backbone, BackboneConfig, FeatureViews, coarse_features, feature_views
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
-from .finetuning import FineTuning, fine_tune
-from .heads import Head, predict_proba, predict_values
-from .networks import NETWORKS, find_network
+from .head import SoftmaxHead
+from .onnx_backbone import OnnxBackbone
 from .projection import Projection, fit_projection
-from .training import TrainingConfig, fit_head, mean_squared_error, soft_cross_entropy
+from .training import FineTuning, TrainingConfig
 
 __all__ = [
-    "NETWORKS",
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
     "FeatureViews",
     "FineTuning",
-    "Head",
+    "OnnxBackbone",
     "Projection",
+    "SoftmaxHead",
     "TrainingConfig",
     "VisionError",
     "coarse_features",
     "default_cache_dir",
     "extract_features",
     "feature_views",
-    "find_network",
-    "fine_tune",
-    "fit_head",
     "fit_projection",
-    "mean_squared_error",
-    "pick_device",
-    "predict_proba",
-    "predict_values",
-    "soft_cross_entropy",
 ]

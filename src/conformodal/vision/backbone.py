@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import nn
 
 from conformodal.datasets import THUMBNAIL, thumbnail
 
 from .errors import VisionError
-from .networks import find_network
 
-# Images are not enlarged, and reduced to at most this width.
-MAX_WIDTH = 320
 _PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
 
 
@@ -85,109 +79,33 @@ class BackboneConfig:
     height: int = 240
     grid: tuple[int, int] = (6, 8)
 
-    @classmethod
-    def for_images(
-        cls, width: int, height: int, name: str = "efficientnet_lite0", *, whole: bool = False
-    ) -> BackboneConfig:
-        """The default features of a network for images of a size.
 
-        `whole` asks for those that a classifier would get, as the paper does: of the whole network, averaged over the
-        image.
+class Backbone(ABC):
+    """A feature extractor; what runs it is a subclass's.
 
-        Raises
-        ------
-        VisionError
-            If the network is unknown.
-        """
-        w = min(MAX_WIDTH, width)
-        network, size = find_network(name), (w, max(1, round(height * w / width)))
-        return cls(name, None, *size, grid=(1, 1)) if whole else cls(name, network.block, *size)
-
-
-def pick_device(name: str) -> torch.device:
-    """The device of a name: ``cpu``, ``cuda``, or ``auto`` for a graphics card where there is one.
-
-    Raises
-    ------
-    VisionError
-        If the name is another, or there is no such device.
-    """
-    if name not in ("auto", "cpu", "cuda"):
-        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
-    there = torch.cuda.is_available()
-    if name == "cuda" and not there:
-        raise VisionError("device is cuda, but torch finds no graphics card it can use")
-    return torch.device("cuda" if there and name != "cpu" else "cpu")
-
-
-class Backbone(nn.Module):
-    """A feature extractor, frozen but for fine-tuning.
-
-    Raises
-    ------
-    VisionError
-        If the network is unknown, its weights are not installed, or it has no such block.
+    Attributes
+    ----------
+    config
+        See :class:`BackboneConfig`.
+    tuned
+        Digest of weights other than the package's, or None.
     """
 
-    pixel_mean: torch.Tensor
-    pixel_scale: torch.Tensor
-
-    def __init__(self, config: BackboneConfig) -> None:
-        super().__init__()
-        self.config = config
-        layers, mean, scale, identity = find_network(config.name).load(config.block)
-        self._identity = hashlib.sha256(identity).digest()
-        self.tuned: str | None = None  # digest of weights other than the package's
-        self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
-        self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
-        self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
-        self.eval().requires_grad_(False)
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    config: BackboneConfig
+    tuned: str | None
 
     @property
-    def device(self) -> torch.device:
-        """Where the network is."""
-        return self.pixel_mean.device
-
-    @property
-    def blocks(self) -> list[nn.Module]:
-        """Its parts that hold weights, first to last."""
-        found: list[nn.Module] = []
-        for layer in self.layers:
-            if next(layer.parameters(), None) is not None:
-                found += getattr(layer, "blocks", [layer])
-        return found
-
-    @property
+    @abstractmethod
     def fingerprint(self) -> str:
-        """Digest of the weights, the configuration and the versions that decide the features."""
-        digest = hashlib.sha256(self._identity)
-        digest.update(repr(THUMBNAIL).encode())
-        digest.update(repr(sorted(asdict(self.config).items())).encode())
-        if self.tuned is not None:
-            digest.update(self.tuned.encode())
-        return digest.hexdigest()
+        """Digest of all that decides the features."""
 
-    def weights(self) -> dict[str, npt.NDArray[np.generic]]:
+    @abstractmethod
+    def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
+
+    def weights(self) -> dict[str, npt.NDArray[Any]]:
         """All weights, by name."""
-        return {k: np.ascontiguousarray(v.cpu().numpy()) for k, v in self.layers.state_dict().items()}
-
-    def take_weights(self, weights: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Replace the packaged weights, as after fine-tuning.
-
-        Raises
-        ------
-        VisionError
-            If they are not this network's.
-        """
-        try:
-            self.layers.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in weights.items()})
-        except (RuntimeError, TypeError) as exc:
-            raise VisionError(f"weights do not fit {self.config.name}: {exc}") from exc
-        digest = hashlib.sha256()
-        for name, value in sorted(weights.items()):
-            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
-        self.tuned = digest.hexdigest()
+        raise VisionError(f"{type(self).__name__} does not tell its weights")
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
@@ -201,18 +119,9 @@ class Backbone(nn.Module):
 
         The network's map, then the thumbnail: see :func:`feature_views`.
         """
-        with torch.inference_mode():
-            found = self(torch.tensor(images, device=self.device)).cpu().numpy()
         pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
-        return np.concatenate((found, pictures), axis=1).astype(np.float16)
+        return np.concatenate((self.maps(images), pictures), axis=1).astype(np.float16)
 
     def features_of(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
         return self.describe(self.prepare(image)[None]).astype(np.float32)
-
-    def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""
-        x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)
-        x = (x - self.pixel_mean) / self.pixel_scale
-        features: torch.Tensor = self.layers(x).flatten(1)
-        return features

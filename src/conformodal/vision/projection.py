@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.decomposition import PCA
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -30,6 +29,12 @@ class Projection:
     def size(self) -> int:
         """Numbers that come out, k."""
         return int(self.components.shape[-1])
+
+    def apply(self, features: FloatArray) -> FloatArray:
+        """Projected features (n, k) of features (n, F)."""
+        centred = features - self.offset
+        found = centred @ self.components if self.components.ndim == 2 else centred * self.components
+        return np.asarray(found, dtype=np.float32)
 
 
 def fit_projection(features: FloatArray, n_components: int | None, view: slice = slice(None)) -> Projection:
@@ -60,6 +65,8 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     standard = (features - offset) / scale
     if n_components is None or not standard.any():  # features that are all the same have no directions
         return Projection(offset, 1 / scale)
+    from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
+
     # exact solvers: the last of a few hundred directions are where a randomised one is poor
     solver = "full" if n <= n_features else "covariance_eigh"
     pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit(standard)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import make_split, read_sevenscenes
-from conformodal.experiments import coverage_table
 from conformodal.localization import (
     ErrorModel,
     FrameEvidence,
@@ -23,6 +22,7 @@ from conformodal.odometry import (
     OdometryError,
     RegionStatistics,
     VisualOdometry,
+    coverage_table,
     load_model,
     measure_depths,
     prepare_training_data,

@@ -1,5 +1,10 @@
 """Worlds whose rooms look alike, and the truth about what looks alike in them."""
 
+from conformodal.core import needing
+
+with needing("train", "the corridor world"):
+    import trimesh  # noqa: F401
+
 from .ambiguity import same_views
 from .building import half_turn
 from .path import drone_path, visiting_path

@@ -6,16 +6,19 @@ import time
 from collections.abc import Callable
 
 from conformodal.localization import HeadSource
+from conformodal.networks import Head
 from conformodal.odometry import PoseModel
-from conformodal.vision import Head
+from conformodal.vision import SoftmaxHead
 
 
-def n_numbers(head: Head) -> int:
+def n_numbers(head: Head | SoftmaxHead) -> int:
     """Trained numbers of a head."""
+    if isinstance(head, SoftmaxHead):
+        return sum(v.size for k, v in head.weights.items() if k not in head.untrained)
     return sum(p.numel() for p in head.parameters())
 
 
-def head_of(model: PoseModel) -> Head:
+def head_of(model: PoseModel) -> SoftmaxHead:
     """The softmax head of a model that has one."""
     source = model.localizer.find(HeadSource)
     assert source is not None

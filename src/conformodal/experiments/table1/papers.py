@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conformodal.datasets import PixelNoise, Sequence
+from conformodal.networks import Head
 from conformodal.odometry import (
     PaperOdometry,
     PoseModel,
@@ -21,7 +22,7 @@ from conformodal.odometry import (
 )
 from conformodal.poses import trajectory_errors
 from conformodal.reasoning import greedy, interval_means
-from conformodal.vision import FeatureCache, extract_features, predict_proba
+from conformodal.vision import FeatureCache, SoftmaxHead, extract_features
 
 from ..classical import baseline_training, train_classical
 from ..compared_paths import comparison_paths
@@ -52,7 +53,11 @@ class PaperWorker:
         times.append(time.perf_counter())
         classical = train_classical(data, baseline_training(config.training))
         times.append(time.perf_counter())
-        heads = {"greedy": head_of(model), "plain": plain.head, "classical": classical.head}
+        heads: dict[str, Head | SoftmaxHead] = {
+            "greedy": head_of(model),
+            "plain": plain.head,
+            "classical": classical.head,
+        }
         cost = {
             name: {"train_s": after - before, "n_parameters": n_numbers(head)}
             for (name, head), before, after in zip(heads.items(), times, times[1:], strict=False)
@@ -89,7 +94,7 @@ class PaperWorker:
             write_metrics(place, record)  # says whose answer it is
 
         def answer() -> None:
-            proba = predict_proba(head_of(model), features)
+            proba = head_of(model).predict_proba(features)
             greedy(interval_means(proba, model.calibration.predict(proba)), run.motions, run.timestamps_s)
 
         answer_ms = {}

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from conformodal.core import FloatArray
 from conformodal.vision import Projection
@@ -113,8 +112,7 @@ class LocalRegression:
 
     def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
         """Answers to features (m, F)."""
-        centred = features - self.projection.offset
-        return self.predict_projected(_product(centred, self.projection.components))
+        return self.predict_projected(self.projection.apply(features))
 
     def predict_projected(
         self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
@@ -134,7 +132,7 @@ class LocalRegression:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         how = self.settings
         queries, known = queries[:, : how.components], self.references[:, : how.components].astype(np.float64)
-        square = (known**2).sum(axis=1) - 2 * _product(queries, known.T) + (queries**2).sum(axis=1)[:, None]
+        square = (known**2).sum(axis=1) - 2 * queries @ known.T + (queries**2).sum(axis=1)[:, None]
         square = np.maximum(square, 0)
         if excluded is not None:
             square[excluded] = np.inf
@@ -175,11 +173,6 @@ class LocalRegression:
         return place
 
 
-def _product(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The matrix product, by torch: frame by frame, NumPy's threads and torch's would wait for each other."""
-    return np.asarray((torch.from_numpy(a) @ torch.from_numpy(b)).numpy())
-
-
 def _ridge(
     x: FloatArray, y: FloatArray, weights: FloatArray, queries: FloatArray, ridge: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -190,13 +183,13 @@ def _ridge(
     root = np.sqrt(share)
     a, b = (x - centre[:, None]) * root, (y - middle[:, None]) * root
     offset = queries - centre
-    gram = _product(a, a.transpose(0, 2, 1))
+    gram = a @ a.transpose(0, 2, 1)
     n = gram.shape[1]
     spread = np.trace(gram, axis1=1, axis2=2) / n
     gram[:, np.arange(n), np.arange(n)] += (ridge * spread + 1e-12)[:, None]
-    cross = _product(a, offset[:, :, None])[:, :, 0]
+    cross = (a @ offset[:, :, None])[:, :, 0]
     right = np.concatenate((b, cross[:, :, None]), axis=2)
-    solved = torch.linalg.solve(torch.from_numpy(gram), torch.from_numpy(right)).numpy()
+    solved = np.linalg.solve(gram, right)
     values = middle + np.einsum("mn,mnd->md", cross, solved[:, :, :-1])
     rest = (offset**2).sum(axis=1) - (cross * solved[:, :, -1]).sum(axis=1)
     return values, np.sqrt(np.maximum(rest, 0))

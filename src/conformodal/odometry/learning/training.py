@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.conformal import QuantileBins
-from conformodal.core import StageProgress, stage_of
+from conformodal.core import StageProgress, needing, stage_of
 from conformodal.datasets import Sequence, make_split
 from conformodal.localization import Localizer, PlaceNovelty, pose_targets
 from conformodal.poses import sign_reference
 from conformodal.reasoning import MotionPrior, fit_motion_prior
-from conformodal.vision import Backbone, BackboneConfig, FeatureCache, extract_features, fine_tune, pick_device
+from conformodal.vision import Backbone, FeatureCache, extract_features
 
-from ..config import Method, ModelConfig, record_of
+from ..config import Method, ModelConfig, Runtime, record_of
 from ..identity import identify
 from ..model import PoseModel
 from .calibrating import FoldLocalizer, calibrate_regions, paper_rules
@@ -37,6 +37,9 @@ def prepare_training_data(
     ImageError
         If an image cannot be read; names the file.
     """
+    with needing("train", "training"):
+        from conformodal.networks import TorchBackbone, backbone_config, exported, fine_tune, pick_device, quantised  # noqa: PLC0415
+
     truth = sequence.require_truth()
     split = make_split(
         sequence.recording,
@@ -48,7 +51,7 @@ def prepare_training_data(
         given_test=sequence.given_test,
     )
     size = sequence.camera.width, sequence.camera.height
-    backbone = Backbone(BackboneConfig.for_images(*size, config.network, whole=config.method is Method.PAPER))
+    backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     backbone.to(pick_device(config.device))
@@ -63,9 +66,15 @@ def prepare_training_data(
             cache,
             stage_of(progress, "fine-tuning"),
         )
+    runs: Backbone = backbone
+    if config.runtime is not Runtime.TORCH:
+        runs = in_onnx = exported(backbone, cache)
+        if config.runtime is Runtime.INT8:
+            known = [sequence.image_paths[i] for i in split.train]
+            runs = quantised(in_onnx, known, cache, stage_of(progress, "quantising"))
     stage = stage_of(progress, "features")
-    features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
-    return TrainingData(sequence, split, backbone, features, targets, reference)
+    features = extract_features(sequence.image_paths, runs, cache, stage, sequence.noise)
+    return TrainingData(sequence, split, runs, features, targets, reference)
 
 
 def train_model(

@@ -5,12 +5,23 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-_PACKAGES = ("numpy", "scipy", "torch", "lightning", "opencv-python-headless", "poselib", "trimesh", "embreex")
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "lightning",
+    "onnxruntime",
+    "opencv-python-headless",
+    "poselib",
+    "trimesh",
+    "embreex",
+)
 
 
 def provenance() -> dict[str, Any]:
@@ -18,11 +29,20 @@ def provenance() -> dict[str, Any]:
     return {
         "conformodal": metadata.version("conformodal"),
         "source_revision": source_revision(Path(__file__).resolve().parents[4]),
-        "packages": {name: metadata.version(name) for name in _PACKAGES},
+        "packages": _versions(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def _versions() -> dict[str, str]:
+    """Of the packages that are installed: running a model needs fewer than training one."""
+    found = {}
+    for name in _PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def source_revision(root: Path) -> str | None:

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from .errors import VisionError
+from conformodal.vision import VisionError
 
 PREFIX = "hf:"
 _STRIDE = 16

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import nn
 
-from .errors import VisionError
-from .projection import Projection
+from conformodal.vision import Projection, SoftmaxHead, VisionError
 
 
 class _Dropout(nn.Module):
@@ -94,16 +91,14 @@ class Head(nn.Module):
         """Raw outputs (n, sum of outputs) of features (n, F)."""
         return self.answer(self.project(features))
 
+    def trained(self) -> SoftmaxHead:
+        """What answers, without torch."""
+        weights = {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
+        return SoftmaxHead(weights, self.outputs)
+
     def split(self, raw: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """One (n, K_j) block a target."""
         return torch.split(raw, self.outputs, dim=1)
-
-
-def predict_proba(head: Head, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
-    """Softmax of every target: d arrays (n, K_j), float64 so that rows sum to one closely."""
-    with torch.inference_mode():
-        blocks = head.split(head(torch.from_numpy(features)))
-        return [torch.softmax(block.double(), dim=1).numpy() for block in blocks]
 
 
 def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:

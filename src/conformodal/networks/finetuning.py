@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,51 +15,16 @@ from torch.utils.data import Dataset
 
 from conformodal.core import Progress
 from conformodal.datasets import ImageError, read_image
+from conformodal.vision import FeatureCache, FineTuning, VisionError
+from conformodal.vision.keeping import keep_arrays, kept_arrays
 
-from .backbone import Backbone
-from .errors import VisionError
-from .features import FeatureCache
-from .keeping import keep_arrays, kept_arrays
-
-
-@dataclass(frozen=True)
-class FineTuning:
-    """How a network is fine-tuned.
-
-    Attributes
-    ----------
-    blocks
-        Last blocks to train; None for the whole network.
-    epochs, batch_size
-        Passes over the training images, and images a step.
-    learning_rate
-        Of the network; its temporary head learns ten times as fast.
-    seed
-        Of the head, the order of images and their augmentation.
-
-    Raises
-    ------
-    VisionError
-        If a number is out of range.
-    """
-
-    blocks: int | None = 3
-    epochs: int = 10
-    batch_size: int = 16
-    learning_rate: float = 3e-4
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if (self.blocks is not None and self.blocks < 1) or min(self.epochs, self.batch_size) < 1:
-            raise VisionError(f"fine-tuning needs at least one block, epoch and image a step, got {self}")
-        if not self.learning_rate > 0:
-            raise VisionError(f"learning_rate must be positive, got {self.learning_rate}")
+from .backbone import TorchBackbone
 
 
 class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):
     """Prepared images, decoded when asked for, with their labels."""
 
-    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], backbone: Backbone) -> None:
+    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], backbone: TorchBackbone) -> None:
         self.files, self.labels, self.backbone = files, torch.from_numpy(labels), backbone
 
     def __len__(self) -> int:
@@ -71,14 +36,14 @@ class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):
 
 
 def fine_tune(
-    backbone: Backbone,
+    backbone: TorchBackbone,
     image_files: Sequence[Path],
     labels: npt.NDArray[np.floating[Any]],
     outputs: list[int],
     config: FineTuning,
     cache: FeatureCache,
     progress: Progress | None = None,
-) -> Backbone:
+) -> TorchBackbone:
     """A copy of a network whose last blocks have learnt these images, augmented, with a temporary softmax head.
 
     Statistics of batch normalisation stay those of ImageNet: batches are too small for others.
@@ -112,14 +77,14 @@ def fine_tune(
         )
     key = _digest(backbone, image_files, y, config)
     kept = None if cache.folder is None else cache.folder.parent / "backbones" / f"{key}.safetensors"
-    tuned = Backbone(backbone.config)
+    tuned = TorchBackbone(backbone.config)
     found = None if kept is None else kept_arrays(kept, key)
     if found is not None:
         try:
             tuned.take_weights(found)
             return tuned.to(backbone.device)
         except VisionError:
-            tuned = Backbone(backbone.config)  # not of this network: tune again
+            tuned = TorchBackbone(backbone.config)  # not of this network: tune again
     from .tuning_loop import run_tuning  # noqa: PLC0415 - Lightning takes seconds to import
 
     tuned.to(backbone.device)
@@ -132,7 +97,7 @@ def fine_tune(
     return tuned
 
 
-def _digest(backbone: Backbone, files: Sequence[Path], labels: npt.NDArray[np.float32], config: FineTuning) -> str:
+def _digest(backbone: TorchBackbone, files: Sequence[Path], labels: npt.NDArray[np.float32], config: FineTuning) -> str:
     digest = hashlib.sha256(backbone.fingerprint.encode())
     digest.update(repr(sorted(asdict(config).items())).encode())
     for path in files:

@@ -10,8 +10,12 @@ import numpy.typing as npt
 from conformodal.conformal import SplitConformal, grouped_coverage_band
 from conformodal.datasets import SplitKind
 from conformodal.localization import TARGET_NAMES
-from conformodal.odometry import EvidenceKind, PoseModel, PoseRadius, RegionStatistics
 from conformodal.poses import Trajectory, trajectory_errors
+
+from ..model import PoseModel
+from ..radius import PoseRadius
+from ..region_rules import EvidenceKind
+from .statistics import RegionStatistics
 
 ASSUMPTION_HELD = (
     "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "

@@ -1,4 +1,4 @@
-"""The loop behind :func:`~conformodal.vision.fine_tune`, run by Lightning."""
+"""The loop behind :func:`~conformodal.networks.fine_tune`, run by Lightning."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
 from conformodal.core import Progress
+from conformodal.vision import FineTuning
 
 from .augmentation import augment
-from .backbone import Backbone
-from .finetuning import FineTuning
+from .backbone import TorchBackbone
 from .loop import fit_module
 
 _HEAD_RATE = 10.0
@@ -23,7 +23,7 @@ _DROPOUT = 0.3
 
 
 class _Tuning(lightning.LightningModule):
-    def __init__(self, backbone: Backbone, outputs: list[int], config: FineTuning, n_steps: int) -> None:
+    def __init__(self, backbone: TorchBackbone, outputs: list[int], config: FineTuning, n_steps: int) -> None:
         super().__init__()
         self.backbone, self.outputs, self.config, self.n_steps = backbone, outputs, config, n_steps
         self.head = nn.Sequential(nn.Dropout(_DROPOUT), nn.LazyLinear(sum(outputs)))
@@ -49,7 +49,7 @@ class _Tuning(lightning.LightningModule):
 
 
 def run_tuning(
-    backbone: Backbone,
+    backbone: TorchBackbone,
     images: Dataset[Any],
     outputs: list[int],
     config: FineTuning,

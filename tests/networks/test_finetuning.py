@@ -3,8 +3,9 @@ import pytest
 import torch
 from PIL import Image
 
-from conformodal.vision import Backbone, BackboneConfig, FeatureCache, FineTuning, VisionError, fine_tune, pick_device
-from conformodal.vision.augmentation import augment
+from conformodal.networks import TorchBackbone, fine_tune, pick_device
+from conformodal.networks.augmentation import augment
+from conformodal.vision import BackboneConfig, FeatureCache, FineTuning, VisionError
 
 SMALL = BackboneConfig(width=64, height=48, grid=(2, 2), block=2)
 TUNING = FineTuning(blocks=1, epochs=4, batch_size=8, learning_rate=3e-3)
@@ -29,7 +30,7 @@ def same_weights(a, b):
 
 
 def test_the_last_blocks_learn_and_the_others_stay(pictures):
-    backbone = Backbone(SMALL)
+    backbone = TorchBackbone(SMALL)
     before = backbone.weights()
     tuned = fine_tune(backbone, *pictures, [2], TUNING, FeatureCache(None))
     assert backbone.tuned is None
@@ -47,13 +48,13 @@ def test_the_last_blocks_learn_and_the_others_stay(pictures):
 
 
 def test_tuning_is_seeded_and_kept(pictures, tmp_path, monkeypatch):
-    backbone, cache = Backbone(SMALL), FeatureCache(tmp_path)
+    backbone, cache = TorchBackbone(SMALL), FeatureCache(tmp_path)
     seen = []
     first = fine_tune(backbone, *pictures, [2], TUNING, cache, lambda *a: seen.append(a))
     assert seen == [(k, 4) for k in range(1, 5)]
     again = fine_tune(backbone, *pictures, [2], TUNING, FeatureCache(None))
     assert again.fingerprint == first.fingerprint
-    monkeypatch.setattr("conformodal.vision.tuning_loop.run_tuning", lambda *_: pytest.fail("tuned again"))
+    monkeypatch.setattr("conformodal.networks.tuning_loop.run_tuning", lambda *_: pytest.fail("tuned again"))
     assert fine_tune(backbone, *pictures, [2], TUNING, cache).fingerprint == first.fingerprint
     monkeypatch.undo()
     (kept,) = (tmp_path / "backbones").iterdir()
@@ -66,7 +67,7 @@ def test_a_stopped_tuning_goes_on(pictures, tmp_path):
         if done == 2:
             raise KeyboardInterrupt
 
-    backbone, cache, seen = Backbone(SMALL), FeatureCache(tmp_path), []
+    backbone, cache, seen = TorchBackbone(SMALL), FeatureCache(tmp_path), []
     with pytest.raises(KeyboardInterrupt):
         fine_tune(backbone, *pictures, [2], TUNING, cache, stop)
     fine_tune(backbone, *pictures, [2], TUNING, cache, lambda done, _: seen.append(done))
@@ -90,7 +91,7 @@ def test_augmented_images_stay_images_and_differ():
 
 
 def test_half_of_the_images_are_covered_in_part(monkeypatch):
-    monkeypatch.setattr("conformodal.vision.augmentation._NOISE", 0.0)
+    monkeypatch.setattr("conformodal.networks.augmentation._NOISE", 0.0)
     torch.manual_seed(0)
     changed = augment(torch.full((1000, 20, 30, 3), 128.0))
     covered = changed.std(dim=(1, 2)).amax(dim=1) > 1e-3
@@ -106,12 +107,12 @@ def test_settings_out_of_range_are_refused(settings):
 
 def test_labels_must_fit(pictures):
     with pytest.raises(VisionError, match="two images or more"):
-        fine_tune(Backbone(SMALL), pictures[0], pictures[1][:5], [2], TUNING, FeatureCache(None))
+        fine_tune(TorchBackbone(SMALL), pictures[0], pictures[1][:5], [2], TUNING, FeatureCache(None))
 
 
 def test_weights_of_another_network_are_refused():
     with pytest.raises(VisionError, match="do not fit"):
-        Backbone(SMALL).take_weights({"0.weight": np.zeros(3, np.float32)})
+        TorchBackbone(SMALL).take_weights({"0.weight": np.zeros(3, np.float32)})
 
 
 def test_devices_by_name():

@@ -11,7 +11,8 @@ import torch
 from efficientnet_lite_pytorch import EfficientNet
 from torch import nn
 
-from .errors import VisionError
+from conformodal.vision import VisionError
+
 from .hub import PREFIX, HubNetwork
 
 # The scaling that the Lite weights were trained with (EfficientNet-Lite, Google 2020).

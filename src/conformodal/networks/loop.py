@@ -22,10 +22,11 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from conformodal.core import Progress
 from conformodal.core.files import FolderInUseError, locked
+from conformodal.vision import TrainingConfig
 
 from .heads import Head
 from .states import KeepState, kept_state
-from .training import Loss, TrainingConfig
+from .training import Loss
 
 _CHECKPOINT_EVERY_EPOCHS = 10
 

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.vision import Backbone, BackboneConfig, VisionError, find_network
-from conformodal.vision import hub as hub_module
+from conformodal.networks import TorchBackbone, backbone_config, find_network
+from conformodal.networks import hub as hub_module
+from conformodal.vision import BackboneConfig, VisionError
 
 transformers = pytest.importorskip("transformers")
 
@@ -33,7 +34,7 @@ def saved(tmp_path_factory):
 
 
 def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved):
-    backbone = Backbone(BackboneConfig.for_images(320, 240, f"hf:{saved}"))
+    backbone = TorchBackbone(backbone_config(320, 240, f"hf:{saved}"))
     rng = np.random.default_rng(0)
     images = torch.from_numpy(rng.integers(0, 255, (2, 240, 320, 3), dtype=np.uint8))
     with torch.inference_mode():
@@ -52,25 +53,25 @@ def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved):
 
 def test_other_weights_are_another_backbone(saved, tmp_path):
     name = f"hf:{saved}"
-    config = BackboneConfig.for_images(160, 120, name)
-    one = Backbone(config).fingerprint
-    assert one == Backbone(config).fingerprint
+    config = backbone_config(160, 120, name)
+    one = TorchBackbone(config).fingerprint
+    assert one == TorchBackbone(config).fingerprint
     model = transformers.AutoModel.from_pretrained(saved)
     with torch.no_grad():
         next(model.parameters())[0, 0] += 1
     model.save_pretrained(tmp_path)
     transformers.AutoImageProcessor.from_pretrained(saved).save_pretrained(tmp_path)
-    other = Backbone(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
+    other = TorchBackbone(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
     assert other.fingerprint != one
 
 
 def test_what_is_not_here_is_not_fetched_but_named():
     with pytest.raises(VisionError, match="hf download nobody/no-model"):
-        BackboneConfig.for_images(64, 64, "hf:nobody/no-model")
+        backbone_config(64, 64, "hf:nobody/no-model")
 
 
 def test_blocks_that_are_none_are_refused(saved):
-    backbone = Backbone(BackboneConfig(f"hf:{saved}", 99, 64, 64))
+    backbone = TorchBackbone(BackboneConfig(f"hf:{saved}", 99, 64, 64))
     with pytest.raises(VisionError, match="block must be 0 to"):
         backbone(torch.zeros((1, 64, 64, 3), dtype=torch.uint8))
 

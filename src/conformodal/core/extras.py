@@ -1,0 +1,39 @@
+"""Packages that only some uses need: what is missing is named with the line that installs it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from .errors import ConformodalError
+
+
+class MissingPackageError(ConformodalError, ImportError):
+    """A package that an optional part needs is not installed."""
+
+
+@contextmanager
+def needing(extra: str, what: str) -> Iterator[None]:
+    """Around imports that an optional part needs.
+
+    Parameters
+    ----------
+    extra
+        That installs the packages: ``pip install 'conformodal[EXTRA]'``.
+    what
+        Needs them, as the subject of a sentence.
+
+    Raises
+    ------
+    MissingPackageError
+        If a package is not there.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as exc:
+        package = (exc.name or "").partition(".")[0]
+        if package in ("", "conformodal"):
+            raise
+        raise MissingPackageError(
+            f"{what} needs {package}, which is not installed: pip install 'conformodal[{extra}]'"
+        ) from exc

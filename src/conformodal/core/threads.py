@@ -1,0 +1,24 @@
+"""How many threads a library may use that has a pool of its own."""
+
+from __future__ import annotations
+
+import os
+
+_limit: int | None = None
+
+
+def set_thread_limit(threads: int) -> None:
+    """Pools made from now on in this process have at most so many threads."""
+    global _limit  # noqa: PLW0603 - a property of the process
+    _limit = threads
+
+
+def thread_limit() -> int:
+    """The limit that was set, or ``$OMP_NUM_THREADS``, or the cores that this process may use."""
+    if _limit is not None:
+        return _limit
+    stated = os.environ.get("OMP_NUM_THREADS", "")
+    if stated.isdigit() and int(stated) > 0:
+        return int(stated)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return cores or 1

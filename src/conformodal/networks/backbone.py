@@ -1,0 +1,138 @@
+"""Networks in torch, and the features that are taken of them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from conformodal.datasets import THUMBNAIL
+from conformodal.vision import Backbone, BackboneConfig, VisionError
+
+from .lite import find_network
+
+# Images are not enlarged, and reduced to at most this width.
+MAX_WIDTH = 320
+
+
+def backbone_config(
+    width: int, height: int, name: str = "efficientnet_lite0", *, whole: bool = False
+) -> BackboneConfig:
+    """The default features of a network for images of a size.
+
+    `whole` asks for those that a classifier would get, as the paper does: of the whole network, averaged over the
+    image.
+
+    Raises
+    ------
+    VisionError
+        If the network is unknown.
+    """
+    w = min(MAX_WIDTH, width)
+    network, size = find_network(name), (w, max(1, round(height * w / width)))
+    if whole:
+        return BackboneConfig(name, None, *size, grid=(1, 1))
+    return BackboneConfig(name, network.block, *size)
+
+
+def pick_device(name: str) -> torch.device:
+    """The device of a name: ``cpu``, ``cuda``, or ``auto`` for a graphics card where there is one.
+
+    Raises
+    ------
+    VisionError
+        If the name is another, or there is no such device.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
+    there = torch.cuda.is_available()
+    if name == "cuda" and not there:
+        raise VisionError("device is cuda, but torch finds no graphics card it can use")
+    return torch.device("cuda" if there and name != "cpu" else "cpu")
+
+
+class TorchBackbone(Backbone, nn.Module):
+    """A feature extractor in torch, frozen but for fine-tuning.
+
+    Raises
+    ------
+    VisionError
+        If the network is unknown, its weights are not installed, or it has no such block.
+    """
+
+    pixel_mean: torch.Tensor
+    pixel_scale: torch.Tensor
+
+    def __init__(self, config: BackboneConfig) -> None:
+        nn.Module.__init__(self)
+        self.config = config
+        layers, mean, scale, identity = find_network(config.name).load(config.block)
+        self._identity = hashlib.sha256(identity).digest()
+        self.tuned = None  # digest of weights other than the package's
+        self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
+        self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
+        self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
+        self.eval().requires_grad_(False)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return self.pixel_mean.device
+
+    @property
+    def blocks(self) -> list[nn.Module]:
+        """Its parts that hold weights, first to last."""
+        found: list[nn.Module] = []
+        for layer in self.layers:
+            if next(layer.parameters(), None) is not None:
+                found += getattr(layer, "blocks", [layer])
+        return found
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of the weights, the configuration and the versions that decide the features."""
+        digest = hashlib.sha256(self._identity)
+        digest.update(repr(THUMBNAIL).encode())
+        digest.update(repr(sorted(asdict(self.config).items())).encode())
+        if self.tuned is not None:
+            digest.update(self.tuned.encode())
+        return digest.hexdigest()
+
+    def weights(self) -> dict[str, npt.NDArray[np.generic]]:
+        """All weights, by name."""
+        return {k: np.ascontiguousarray(v.cpu().numpy()) for k, v in self.layers.state_dict().items()}
+
+    def take_weights(self, weights: Mapping[str, npt.NDArray[np.generic]]) -> None:
+        """Replace the packaged weights, as after fine-tuning.
+
+        Raises
+        ------
+        VisionError
+            If they are not this network's.
+        """
+        try:
+            self.layers.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in weights.items()})
+        except (RuntimeError, TypeError) as exc:
+            raise VisionError(f"weights do not fit {self.config.name}: {exc}") from exc
+        digest = hashlib.sha256()
+        for name, value in sorted(weights.items()):
+            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
+        self.tuned = digest.hexdigest()
+
+    def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
+        with torch.inference_mode():
+            return np.asarray(self(torch.tensor(images, device=self.device)).cpu().numpy())
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Features (n, channels * rows * columns), float32, of prepared images (n, h, w, 3), RGB in 0 to 255."""
+        x = images.permute(0, 3, 1, 2).to(dtype=torch.float32)
+        x = (x - self.pixel_mean) / self.pixel_scale
+        features: torch.Tensor = self.layers(x).flatten(1)
+        return features

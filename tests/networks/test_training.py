@@ -1,0 +1,152 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import binomtest
+
+from conformodal.networks import (
+    Head,
+    fit_head,
+    mean_squared_error,
+    predict_values,
+    soft_cross_entropy,
+)
+from conformodal.vision import (
+    Projection,
+    TrainingConfig,
+    VisionError,
+    fit_projection,
+)
+
+
+def toy(n=120, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(n, 6)).astype(np.float32)
+    return x, np.stack([x[:, 0] > 0, x[:, 0] <= 0], axis=1).astype(np.float32)
+
+
+CONFIG = TrainingConfig(epochs=12, hidden=16, dropout=0.0, learning_rate=1e-2, batch_size=16)
+
+
+def test_training_learns_and_is_seeded():
+    x, y = toy()
+    head = fit_head(x, y, [2], soft_cross_entropy, CONFIG)
+    proba = head.trained().predict_proba(x)[0]
+    np.testing.assert_allclose(proba.sum(axis=1), 1)
+    assert ((proba[:, 0] > 0.5) == (y[:, 0] > 0.5)).mean() > 0.95
+    np.testing.assert_array_equal(fit_head(x, y, [2], soft_cross_entropy, CONFIG).trained().predict_proba(x)[0], proba)
+
+
+def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes():
+    rng = np.random.default_rng(0)
+    for sizes in ([3, 3], [2, 4]):
+        head = Head(fit_projection(rng.normal(size=(20, 5)).astype(np.float32), None), sizes)
+        raw = torch.from_numpy(rng.normal(size=(8, 6)))
+        labels = torch.cat([torch.from_numpy(rng.dirichlet(np.ones(k), 8)) for k in sizes], dim=1)
+        each = [
+            -(t * torch.log(torch.softmax(r, dim=1))).sum(dim=1).mean()
+            for r, t in zip(torch.split(raw, sizes, dim=1), torch.split(labels, sizes, dim=1), strict=True)
+        ]
+        assert float(soft_cross_entropy(head, raw, labels)) == pytest.approx(float(sum(each) / 2))
+
+
+def test_dropout_drops_its_share_keeps_the_mean_and_rests_outside_training():
+    through = Projection(np.zeros(4, np.float32), np.ones(4, np.float32))
+    head = Head(through, [1], hidden=8, dropout=0.25, input_dropout=0.4)
+    x = torch.ones(500, 200)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        for layer, share in ((head.trunk[0], 0.4), (head.trunk[4], 0.25)):
+            dropped = layer(x)
+            n_zero = int((dropped == 0).sum())
+            assert binomtest(n_zero, x.numel(), share).pvalue > 1e-3
+            np.testing.assert_allclose(dropped[dropped != 0].numpy(), 1 / (1 - share), rtol=1e-6)
+    head.eval()
+    assert (head.trunk[0](x) == x).all()
+    for share in (-0.1, 1.0, float("nan")):
+        with pytest.raises(VisionError, match="dropout must be at least 0 and less than 1"):
+            Head(through, [1], dropout=share)
+
+
+def test_regression_shares_the_trunk():
+    x, _ = toy()
+    y = x[:, :2] * 0.5
+    head = fit_head(
+        x, y, [1, 1], mean_squared_error, TrainingConfig(epochs=60, hidden=32, dropout=0.0, learning_rate=1e-2)
+    )
+    assert np.sqrt(np.mean((predict_values(head, x) - y) ** 2)) < 0.15
+
+
+def test_training_goes_on_where_it_was_stopped(tmp_path):
+    x, y = toy()
+    config = TrainingConfig(epochs=25, hidden=16)
+    epochs = []
+
+    def stop_at_15(done, _):
+        epochs.append(done)
+        if done == 15:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop_at_15)
+    assert list(tmp_path.rglob("last.ckpt"))
+    again = []
+    fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: again.append(d))
+    assert again[0] == 11  # from the state kept at 10
+    assert again[-1] == 25
+    assert not list(tmp_path.rglob("last.ckpt"))
+
+
+def test_state_of_other_data_is_not_taken_up(tmp_path):
+    x, y = toy()
+    config = TrainingConfig(epochs=11, hidden=16)
+
+    def stop(done, _):
+        if done == 10:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop)
+    seen = []
+    fit_head(x + 1, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: seen.append(d))
+    assert seen[0] == 1
+
+
+def test_head_splits_its_outputs_by_target():
+    head = Head(Projection(np.zeros(4, np.float32), np.ones(4, np.float32)), [2, 3])
+    blocks = head.split(head(torch.zeros(5, 4)))
+    assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
+
+
+@pytest.mark.parametrize("epochs", [1, 5, 10, 11])
+def test_training_of_few_steps_comes_to_its_end(epochs):
+    x = np.random.default_rng(0).normal(size=(8, 3)).astype(np.float32)
+    config = replace(CONFIG, epochs=epochs, batch_size=8)
+    head = fit_head(x, np.tile([1.0, 0.0], (8, 1)), [2], soft_cross_entropy, config)
+    assert np.isfinite(head.trained().predict_proba(x)[0]).all()
+
+
+def test_too_little_data_is_refused():
+    with pytest.raises(VisionError, match="two samples"):
+        fit_head(np.zeros((1, 3), np.float32), np.zeros((1, 2)), [2], soft_cross_entropy, CONFIG)
+    for loss in (soft_cross_entropy, mean_squared_error):
+        with pytest.raises(VisionError, match="shape of the outputs"):
+            fit_head(np.zeros((8, 3), np.float32), np.zeros((8, 1)), [2], loss, CONFIG)
+
+
+@pytest.mark.parametrize("components", [4, None])
+def test_a_trained_head_answers_as_torch_does(components):
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(300, 12)).astype(np.float32)
+    y = np.concatenate([rng.dirichlet(np.ones(k), 300) for k in (5, 9, 2)], axis=1)
+    head = fit_head(x, y, [5, 9, 2], soft_cross_entropy, replace(CONFIG, components=components))
+    trained = head.trained()
+    with torch.inference_mode():
+        expected = [torch.softmax(block.double(), dim=1).numpy() for block in head.split(head(torch.from_numpy(x)))]
+    found = trained.predict_proba(x)
+    assert [p.shape[1] for p in found] == trained.outputs
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-6)
+        np.testing.assert_allclose(one.sum(axis=1), 1)
+    assert trained.hidden == CONFIG.hidden

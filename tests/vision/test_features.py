@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from conformodal.datasets import ImageError, PixelNoise, thumbnail
+from conformodal.networks import (
+    TorchBackbone,
+)
+from conformodal.vision import (
+    BackboneConfig,
+    FeatureCache,
+    VisionError,
+    extract_features,
+    feature_views,
+)
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    return TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
+
+
+@pytest.fixture
+def images(tmp_path):
+    rng = np.random.default_rng(0)
+    paths = [tmp_path / f"{i}.png" for i in range(5)]
+    for path in paths:
+        Image.fromarray(rng.integers(0, 255, (128, 192, 3), dtype=np.uint8)).save(path)
+    return paths
+
+
+def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backbone, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    clean = extract_features(images, backbone, cache)
+    noise = PixelNoise(0.1)
+    noisy = extract_features(images, backbone, cache, noise=noise)
+    assert np.abs(noisy - clean).max() > 0.1
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=noise), noisy)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
+    shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
+    np.testing.assert_allclose(noisy[0], backbone.describe(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3)
+
+
+def test_features_are_the_networks_map_and_the_thumbnail(backbone):
+    images = np.random.default_rng(0).integers(0, 255, (2, 64, 96, 3), dtype=np.uint8)
+    features = backbone.describe(images).astype(np.float32)
+    views = feature_views(features.shape[1])
+    with torch.inference_mode():
+        network = backbone(torch.from_numpy(images)).numpy()
+    np.testing.assert_allclose(features[:, views.network], network, rtol=1e-3, atol=1e-3)
+    pictures = np.stack([thumbnail(image) for image in images])
+    np.testing.assert_allclose(
+        features[:, views.thumbnail], pictures * np.sqrt(pictures.shape[1]), rtol=1e-3, atol=1e-3
+    )
+    assert features[:, views.both].shape == features.shape
+    with pytest.raises(VisionError, match="768 numbers, got 768"):
+        feature_views(768)
+
+
+def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_path, monkeypatch):
+    cache = FeatureCache(tmp_path / "cache")
+    seen = []
+    first = extract_features(images, backbone, cache, lambda done, total: seen.append((done, total)))
+    assert first.shape == (5, 480 + 768)  # the network's map and the thumbnail
+    assert seen[-1] == (5, 5)
+    np.testing.assert_array_equal(extract_features(images, backbone, FeatureCache(None)), first)
+    monkeypatch.setattr(TorchBackbone, "maps", lambda *_: pytest.fail("the network was run again"))
+    moved = tmp_path / "elsewhere.png"
+    images[2].rename(moved)
+    np.testing.assert_array_equal(extract_features([moved], backbone, cache), first[2:3])
+
+
+def test_damaged_cache_files_are_computed_again(backbone, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    first = extract_features(images, backbone, cache)
+    for path in (tmp_path / "cache").rglob("*.safetensors"):
+        path.write_bytes(path.read_bytes()[:100])
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), first)
+
+
+def test_other_settings_are_other_features(backbone, images, tmp_path):
+    other = TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3), block=4))
+    assert other.fingerprint != backbone.fingerprint
+    cache = FeatureCache(tmp_path / "cache")
+    assert extract_features(images, backbone, cache).shape != extract_features(images, other, cache).shape
+
+
+def test_unreadable_images_are_named(backbone, images, tmp_path):
+    images[3].write_bytes(images[3].read_bytes()[:200])
+    with pytest.raises(ImageError, match=r"3\.png"):
+        extract_features(images, backbone, FeatureCache(None))
+    with pytest.raises(ImageError, match="absent"):
+        extract_features([tmp_path / "absent.png"], backbone, FeatureCache(None))
+
+
+def test_no_images_no_features(backbone):
+    assert extract_features([], backbone, FeatureCache(None)).size == 0
