@@ -1,1 +1,16 @@
 """The command line: one file a verb."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Run the command, or say what to install for it."""
+    try:
+        from .main import app  # noqa: PLC0415 - a table of numbers needs no command line
+    except ModuleNotFoundError as exc:
+        if (exc.name or "").startswith("conformodal"):
+            raise
+        sys.exit(f"error: the command line needs {exc.name}, which is not installed: pip install 'conformodal[run]'")
+    app()

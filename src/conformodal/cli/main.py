@@ -6,18 +6,11 @@ from typing import Annotated
 
 import typer
 
-from conformodal import __version__
-
-from .calibrate import calibrate
-from .data import app as data_app
-from .demo import demo
-from .evaluate import evaluate
-from .reproduce import app as reproduce_app
-from .run import run
-from .train import train
+from .verbs import Verbs
 
 app = typer.Typer(
     name="conformodal",
+    cls=Verbs,
     help="Everywhere your camera could be, with a guarantee; and the one place that motion speaks for.",
     no_args_is_help=True,
     add_completion=False,
@@ -27,6 +20,8 @@ app = typer.Typer(
 
 def _version(value: bool) -> None:
     if value:
+        from conformodal import __version__  # noqa: PLC0415 - the metadata of packages is read for it
+
         typer.echo(__version__)
         raise typer.Exit
 
@@ -36,9 +31,3 @@ def main(
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
     """Everywhere your camera could be, with a guarantee; and the one place that motion speaks for."""
-
-
-for command in (demo, train, calibrate, run, evaluate):
-    app.command()(command)
-app.add_typer(data_app, name="data")
-app.add_typer(reproduce_app, name="reproduce")

@@ -3,6 +3,10 @@
 Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 """
 
+from typing import TYPE_CHECKING
+
+from conformodal.core.late import late
+
 from .bins import QuantileBins
 from .calibration import (
     CrossConformal,
@@ -15,12 +19,16 @@ from .calibration import (
 )
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
 from .errors import ConformalError, ConformodalError, NotCalibratedError
-from .learning import ConformalRegressor, StackedDensity
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, DtAci, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
+
+if TYPE_CHECKING:
+    from .learning import ConformalRegressor, StackedDensity
+
+__getattr__ = late(__name__, dict.fromkeys(("ConformalRegressor", "StackedDensity"), ".learning"))  # scikit-learn's
 
 __all__ = [
     "Aci",

@@ -10,7 +10,6 @@ from numbers import Rational, Real
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
-from sklearn.utils import check_random_state
 
 from .errors import ConformalError
 
@@ -125,6 +124,8 @@ def as_random(random_state: Any) -> np.random.RandomState:
     ConformalError
         If it is none of these.
     """
+    from sklearn.utils import check_random_state  # noqa: PLC0415 - a second to import
+
     try:
         found: np.random.RandomState = check_random_state(random_state)
         return found

@@ -1,13 +1,24 @@
-"""Figures and the result page; the paper's figures are in :mod:`.paper`."""
+"""Figures and the result page; the paper's figures are in :mod:`.paper`. What draws is imported when it is used."""
 
-from .comparison import Section, error_chart, write_comparison
-from .diagnosis import draw_diagnosis
-from .figures import error_figure, plan_figure, trajectory_figure
+from conformodal.core import needing
+
+with needing("run", "a page of results"):
+    import jinja2  # noqa: F401
+
+from typing import TYPE_CHECKING
+
+from conformodal.core.late import late
+
 from .live import LiveView, LiveViewError
 from .page import PageFigure, ReportContent, write_page
-from .table1 import table1_markdown, table1_notes, table1_sections
 from .thumbnails import Thumbnails
 from .viewer import Viewer, make_viewer
+
+if TYPE_CHECKING:
+    from .comparison import Section, error_chart, write_comparison
+    from .diagnosis import draw_diagnosis
+    from .figures import error_figure, plan_figure, trajectory_figure
+    from .table1 import table1_markdown, table1_notes, table1_sections
 
 __all__ = [
     "LiveView",
@@ -29,3 +40,13 @@ __all__ = [
     "write_comparison",
     "write_page",
 ]
+
+__getattr__ = late(
+    __name__,
+    {
+        **dict.fromkeys(("Section", "error_chart", "write_comparison"), ".comparison"),
+        "draw_diagnosis": ".diagnosis",
+        **dict.fromkeys(("error_figure", "plan_figure", "trajectory_figure"), ".figures"),
+        **dict.fromkeys(("table1_markdown", "table1_notes", "table1_sections"), ".table1"),
+    },
+)

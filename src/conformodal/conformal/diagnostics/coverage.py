@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from ..checks import Alpha, as_flags
 from ..errors import ConformalError
@@ -63,7 +62,9 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     k = conformal_rank(n_calibration, alpha)
     if k > n_calibration:
         return 1.0, 1.0
-    law = stats.betabinom(n_test, k, n_calibration + 1 - k)
+    from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
+
+    law = betabinom(n_test, k, n_calibration + 1 - k)
     tail = (1 - level) / 2
     return float(law.ppf(tail)) / n_test, float(law.ppf(1 - tail)) / n_test
 
@@ -94,13 +95,15 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     if n_test < 1:
         raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
     level = as_level(level)
+    from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
+
     law, always = np.ones(1), 0
     for n, m in groups:
         k = conformal_rank(n, alpha)
         if k > n:
             always += m
         elif m:
-            law = np.convolve(law, stats.betabinom(m, k, n + 1 - k).pmf(np.arange(m + 1)))
+            law = np.convolve(law, betabinom(m, k, n + 1 - k).pmf(np.arange(m + 1)))
     below = np.cumsum(law)
     tail = (1 - level) / 2
     low, high = (int(np.searchsorted(below, q)) for q in (tail, 1 - tail))

@@ -1,0 +1,93 @@
+"""The verbs, each imported when it is asked for: help, versions and mistakes are answered at once."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from conformodal.core import MissingPackageError, needing
+
+from .failures import explained
+
+
+class Verb(NamedTuple):
+    """Where a verb is, its line in the list of verbs, and the extra that installs what it needs."""
+
+    place: str
+    help: str
+    extra: str = "run"
+
+
+VERBS = {
+    "demo": Verb(
+        "demo:demo",
+        "Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion.",
+        "train",
+    ),
+    "train": Verb("train:train", "Train on a data set with poses, calibrate, and save the model.", "train"),
+    "export": Verb(
+        "export:export",
+        "Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file.",
+        "train",
+    ),
+    "calibrate": Verb(
+        "calibrate:calibrate", "Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."
+    ),
+    "run": Verb(
+        "run:run",
+        "Find regions and the trajectory of a source with a saved model, frame by frame. "
+        "Ctrl-C stops it, results kept.",
+    ),
+    "evaluate": Verb(
+        "evaluate:evaluate",
+        "Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json.",
+    ),
+    "data": Verb("data:app", "Look at a data set, or convert it."),
+    "reproduce": Verb("reproduce:app", "The paper's results on a data set of your own.", "train"),
+}
+
+
+class _Late(TyperCommand):
+    """A verb that is imported when its arguments are read."""
+
+    def __init__(self, name: str, verb: Verb) -> None:
+        super().__init__(name, help=verb.help)
+        self._verb = verb
+
+    def loaded(self) -> Any:
+        """The command itself."""
+        module, attribute = self._verb.place.split(":")
+        try:
+            with needing(self._verb.extra, f"conformodal {self.name}"):
+                found = getattr(import_module(f"{__package__}.{module}"), attribute)
+        except MissingPackageError as exc:
+            said, code = explained(exc)
+            typer.echo(f"error: {said}", err=True)
+            raise typer.Exit(code) from None
+        app = found
+        if not isinstance(found, typer.Typer):
+            app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+            app.command(self.name)(found)
+        command = get_command(app)
+        command.name = self.name
+        return command
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        """The loaded command's: from here on it is the one that runs."""
+        return self.loaded().make_context(*arguments, **options)
+
+
+class Verbs(TyperGroup):
+    """The group of all verbs."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """All names, in the order of a first use."""
+        return list(VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A verb that is not imported yet."""
+        return _Late(cmd_name, VERBS[cmd_name]) if cmd_name in VERBS else None
