@@ -1,0 +1,94 @@
+"""``conformodal export``: a model with its network in ONNX, for machines without torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from conformodal.core.files import check_writable, write_whole
+from conformodal.datasets import Layout, Sequence
+from conformodal.localization import TARGET_NAMES, HeadSource
+from conformodal.networks import TorchBackbone, exported
+from conformodal.networks.with_head import with_head
+from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
+from conformodal.odometry.results.folders import claimed
+from conformodal.vision import FeatureCache, OnnxBackbone, default_cache_dir
+
+from .console import console, kind_errors, print_where, progress_bars
+from .options import OptionError
+from .sources import FOLLOW_OUTSIDE, open_sequence
+from .train import train_on
+
+NETWORK = "pose_network.onnx"
+
+
+@kind_errors
+def export(
+    model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
+    out: Annotated[Path, typer.Option(help="Folder for the model that runs without torch.")],
+    quantise: Annotated[
+        str,
+        typer.Option(
+            help="int8: the network in eight bits, all else learnt and calibrated anew through it; with --data."
+        ),
+    ] = "none",
+    data: Annotated[
+        Path | None, typer.Option(help="The data set that the model was trained on, for --quantise.")
+    ] = None,
+    layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
+    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+) -> None:
+    """Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file."""
+    if quantise not in ("none", "int8"):
+        raise OptionError(f"--quantise must be int8 or none, got {quantise!r}")
+    if (quantise == "int8") != (data is not None):
+        raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
+    loaded = load_model(model)
+    cache_dir = cache or default_cache_dir()
+    with claimed(out, "train", apart=[model] if data is None else [model, data]):
+        check_writable(cache_dir)
+        if data is None:
+            made = replace(loaded, backbone=in_onnx(loaded, FeatureCache(cache_dir)))
+            save_model(made, out)
+        else:
+            sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
+            check_same_data(loaded, sequence, model)
+            with progress_bars() as report:
+                config = replace(config_of(loaded.configuration), runtime=Runtime.INT8)
+                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
+        head = made.localizer.find(HeadSource)
+        if head is not None:
+            assert isinstance(made.backbone, OnnxBackbone)
+            write_whole(out / NETWORK, with_head(made.backbone, head.head, TARGET_NAMES))
+            console.print(f"network and head, from pixels to probabilities: {NETWORK}")
+    print_where(out)
+
+
+def in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
+    """The network of a model in ONNX."""
+    if isinstance(model.backbone, OnnxBackbone):
+        return model.backbone
+    assert isinstance(model.backbone, TorchBackbone)
+    return exported(model.backbone, cache)
+
+
+def check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
+    """Refuse other data than the model was trained on.
+
+    Raises
+    ------
+    OdometryError
+        Naming how many frames differ.
+    """
+    known, here = model.known_frames, identify(sequence, model.known_frames)
+    same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
+    if same < len(known) or len(here) != len(known):
+        raise OdometryError(
+            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its {len(known)} frames are "
+            f"here in their places, among {len(here)}"
+        )

@@ -1,0 +1,67 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.networks import TorchBackbone
+from conformodal.odometry import load_model, save_model
+from conformodal.vision import OnnxBackbone
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def in_torch(small_world, tmp_path):
+    """The small model with its network in torch."""
+    model = load_model(small_world.model)
+    model.backbone = TorchBackbone(model.backbone.config)
+    save_model(model, tmp_path / "torch")
+    assert not list((tmp_path / "torch").glob("*.onnx"))
+    return tmp_path / "torch"
+
+
+def test_a_model_in_torch_is_exported(small_world, in_torch, tmp_path):
+    result = invoke("export", in_torch, "--out", tmp_path / "out", "--cache", tmp_path / "cache")
+    assert result.exit_code == 0, result.output
+    made = load_model(tmp_path / "out")
+    assert isinstance(made.backbone, OnnxBackbone)
+    assert made.backbone.content == load_model(small_world.model).backbone.content
+    assert (tmp_path / "out" / "pose_network.onnx").is_file()
+    np.testing.assert_array_equal(made.calibration.scores_, load_model(in_torch).calibration.scores_)
+
+
+@pytest.mark.slow
+def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path):
+    out = tmp_path / "int8"
+    arguments = ["--out", out, "--cache", small_world.cache, "--quantise", "int8", "--data", small_world.folder]
+    result = invoke("export", small_world.model, *arguments)
+    assert result.exit_code == 0, result.output
+    whole, made = load_model(small_world.model), load_model(out)
+    assert len(made.backbone.content) < len(whole.backbone.content)
+    assert made.configuration == {**whole.configuration, "runtime": "int8"}
+    np.testing.assert_array_equal(made.split.calibration, whole.split.calibration)
+    assert made.calibration.scores_.shape == whole.calibration.scores_.shape
+    assert (made.calibration.scores_ != whole.calibration.scores_).any()
+    assert json.loads((out / "metrics.json").read_text())["configuration"]["runtime"] == "int8"
+
+
+@pytest.mark.parametrize("arguments", [("--quantise", "int8"), ("--data", "."), ("--quantise", "int4")])
+def test_options_that_do_not_go_together_are_refused(small_world, tmp_path, arguments):
+    result = invoke("export", small_world.model, "--out", tmp_path / "out", *arguments)
+    assert result.exit_code == 2
+    assert "--quantise" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_data_is_refused(small_world, tmp_path):
+    data = shutil.copytree(small_world.folder, tmp_path / "data")
+    (data / "seq-01" / "frame-000000.pose.txt").write_bytes((data / "seq-01" / "frame-000050.pose.txt").read_bytes())
+    arguments = ["--out", tmp_path / "out", "--quantise", "int8", "--data", data]
+    result = invoke("export", small_world.model, *arguments)
+    assert result.exit_code == 1
+    assert "is not the data set" in result.stderr
