@@ -30,13 +30,13 @@ $(READY): pyproject.toml
 	@$(PYTHON) -c 'import venv, ensurepip' || { echo "Python's venv module is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "torch==2.13.*"
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "torch>=2.13,<3"
+	$(BIN)/python -m pip install --quiet --editable '.[train]'
 	@touch $(READY)
 
 # what tests, linters and optional extras need on top
 $(DEV): $(READY) pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable . --group dev
+	$(BIN)/python -m pip install --quiet --editable '.[all]' --group dev
 	@touch $(DEV)
 
 clean:
