@@ -17,8 +17,8 @@ class BeliefSettings:
     least_probability
         Of an inlier and of an outlier: no estimate is either for sure.
     alone
-        Prior probability that an inlier of a later source agrees with no estimate of an earlier one (chosen on seed 20
-        of redkitchen and the corridor; 0.2 gives the same).
+        Prior probability that an inlier of a later source agrees with no estimate of an earlier one. Values from 0.01
+        to 0.2 give nearly the same on seeds 20 and 21 (benchmarks/results/choices.md).
     cells
         The bins of a target are cut into so many cells at least: estimates are finer than bins.
     beyond

@@ -16,8 +16,8 @@ class CandidateSettings:
     most
         Candidates of a frame.
     least_mass
-        Probability below which a candidate is dropped, unless it is the most probable one. At 1e-4, one frame without
-        the true room broke the corridor's path (seeds 20 and 21: 0.71 and 0.048 m; at 1e-6 0.048 m both).
+        Probability below which a candidate is dropped, unless it is the most probable one. Chosen on seeds 20 and 21
+        (benchmarks/results/choices.md): at 1e-4, frames without the true room make the corridor's path 4 times worse.
     valley_share
         Two peaks of a softmax are two modes where the probability between them falls below this share of the lower one.
     norm_sigma
@@ -48,11 +48,12 @@ class SearchSettings:
         The price of a measured relative rotation that is an outlier.
     rotation_sigma_factor
         Errors of relative rotations beside errors of candidates, over what pairs of images claim alone: rotations over
-        several frames share the errors of rolling shutters and lenses. Chosen on seeds 20 and 21 of redkitchen and the
-        corridor: 2, 4 and 8 are alike, 1 is worse at every interval.
+        several frames share the errors of rolling shutters and lenses. Chosen on seeds 20 and 21 of redkitchen
+        `interleaved` (benchmarks/results/choices.md); one path of the corridor speaks for 1.
     own_share
         Probability that a frame which is taken for unknown keeps its own candidates; the rest is its neighbour's. A
-        known place is taken for unknown with the probability of the novelty level. Chosen on the same seeds.
+        known place is taken for unknown with the probability of the novelty level. Chosen on the same seeds, where 0.5
+        and 0.9 are alike and less is worse in the corridor.
     lag
         Frames of a stream whose answer may still change.
     """
