@@ -88,7 +88,8 @@ def run_loop(
     loader: DataLoader[Any] = DataLoader(TensorDataset(torch.zeros(1)))  # epochs; the module holds the samples
     module = _Module(head, x, y, loss, config)
     folder = None if checkpoint_dir is None else checkpoint_dir / _digest(head, x, y, loss, config)
-    fit_module(module, loader, config.epochs, folder, progress)
+    with _one_thread():
+        fit_module(module, loader, config.epochs, folder, progress)
 
 
 def fit_module(
@@ -173,6 +174,19 @@ def _digest(head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: Tr
     digest.update(x.numpy().tobytes())
     digest.update(y.numpy().tobytes())
     return digest.hexdigest()[:32]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """A batch of a small head is too little work to share: threads that wait for each other spin, and where another
+    program has a core, each batch waits for the thread that was put off. Sums come out alike on all machines, too.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @contextmanager
