@@ -1,0 +1,84 @@
+"""One stream in a process of its own, for benchmarks/streaming.py: it imports what running a model needs, no more."""
+
+from __future__ import annotations
+
+import time
+
+BEGAN = time.perf_counter()
+
+import json  # noqa: E402
+import resource  # noqa: E402
+import sys  # noqa: E402
+from collections import defaultdict  # noqa: E402
+from collections.abc import Callable  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any  # noqa: E402
+
+import numpy as np  # noqa: E402
+
+from conformodal.datasets import read_image  # noqa: E402
+from conformodal.localization.landmarks import source as landmarks  # noqa: E402
+from conformodal.localization.neighbours import source as neighbours  # noqa: E402
+from conformodal.motion import MotionFrontEnd  # noqa: E402
+from conformodal.odometry import PoseModel, VisualOdometry  # noqa: E402
+from conformodal.reasoning import OnlineReasoner  # noqa: E402
+from conformodal.vision import Backbone  # noqa: E402
+
+WARM = 10
+PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "search")
+
+
+def answer(model: Path, images: list[str], match_every: int) -> dict[str, Any]:
+    """What one stream costs."""
+    odometry = VisualOdometry.load(model)
+    odometry.match_every = match_every
+    first, spent, frames = 0.0, defaultdict(float), []
+    for k, path in enumerate(images):
+        image = read_image(Path(path))
+        if k == 1:
+            first = time.perf_counter() - BEGAN
+        if k == WARM:
+            watch(odometry, spent)
+        started = time.perf_counter()
+        odometry.step(image, k / 30)
+        if k >= WARM:
+            frames.append(1e3 * (time.perf_counter() - started))
+    return {
+        "median": float(np.median(frames)),
+        "p99": float(np.percentile(frames, 99)),
+        "mean": float(np.mean(frames)),
+        "parts": {name: 1e3 * spent[name] / len(frames) for name in PARTS},
+        "first_s": first,
+        "resident_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+    }
+
+
+def watch(odometry: Any, spent: dict[str, float]) -> None:
+    """Time spent in parts of an estimator, from now on."""
+    watched = [
+        (Backbone, "features_of", "network"),
+        (MotionFrontEnd, "measure", "tracking and relative pose"),
+        (VisualOdometry, "_local_features", "local features"),
+        (landmarks.LandmarkSource, "answer", "landmarks"),
+        (neighbours.NeighbourSource, "answer", "neighbours"),
+        (PoseModel, "regions", "regions"),
+        (OnlineReasoner, "push", "search"),
+    ]
+
+    def wrap(inner: Callable[..., Any], name: str) -> Callable[..., Any]:
+        def timed(*arguments: Any, **options: Any) -> Any:
+            started = time.perf_counter()
+            try:
+                return inner(*arguments, **options)
+            finally:
+                spent[name] += time.perf_counter() - started
+
+        return timed
+
+    for owner, method, name in watched:
+        setattr(owner, method, wrap(getattr(owner, method), name))
+
+
+if __name__ == "__main__":
+    model, images, match_every = json.load(sys.stdin)
+    print(json.dumps(answer(Path(model), images, match_every)))
