@@ -27,7 +27,7 @@ from sklearn.metrics import make_scorer, mean_pinball_loss
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict
 from sklearn.preprocessing import StandardScaler
 
-from conformodal.conformal import ConformalRegressor, StackedDensity
+from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
 from conformodal.conformal.learning.location import StackedLocation
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,6 +41,10 @@ BOOSTING = {"max_iter": 300, "min_samples_leaf": 10, "max_features": 0.5}
 
 
 def conformodal_default(split: Split, alpha: float) -> Sets:
+    return _conformodal(split, alpha, QuickDensity(random_state=split.seed, n_jobs=JOBS), "density")
+
+
+def conformodal_stack(split: Split, alpha: float) -> Sets:
     return _conformodal(split, alpha, StackedDensity(random_state=split.seed, n_jobs=JOBS), "density")
 
 
@@ -323,9 +327,11 @@ def r2ccp(split: Split, alpha: float) -> Sets:
 
 
 OURS = "conformodal"
+STACK = "conformodal, stack"
 PROBE = "crepes on conformodal's learner"
 METHODS: dict[str, Callable[[Split, float], Sets]] = {
     OURS: conformodal_default,
+    STACK: conformodal_stack,
     "MAPIE CQR, boosting": mapie_cqr_boosting,
     "MAPIE CQR, quantile forest": mapie_cqr_forest,
     "crepes, normalised": crepes_normalized,

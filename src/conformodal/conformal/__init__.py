@@ -18,7 +18,7 @@ from .calibration import (
     weighted_quantile,
 )
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
-from .errors import ConformalError, ConformodalError, NotCalibratedError
+from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, DtAci, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
@@ -26,9 +26,11 @@ from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
 
 if TYPE_CHECKING:
-    from .learning import ConformalRegressor, StackedDensity
+    from .learning import ConformalRegressor, QuickDensity, StackedDensity
 
-__getattr__ = late(__name__, dict.fromkeys(("ConformalRegressor", "StackedDensity"), ".learning"))  # scikit-learn's
+__getattr__ = late(
+    __name__, dict.fromkeys(("ConformalRegressor", "QuickDensity", "StackedDensity"), ".learning")
+)  # scikit-learn's
 
 __all__ = [
     "Aci",
@@ -49,8 +51,10 @@ __all__ = [
     "NoveltyTest",
     "OnlineConformal",
     "QuantileBins",
+    "QuickDensity",
     "Regions",
     "Score",
+    "SlowFitWarning",
     "SplitConformal",
     "StackedDensity",
     "WeightedConformal",

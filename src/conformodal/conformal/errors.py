@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from conformodal.core.errors import ConformodalError
 
-__all__ = ["ConformalError", "ConformalTypeError", "ConformodalError", "NotCalibratedError"]
+__all__ = ["ConformalError", "ConformalTypeError", "ConformodalError", "NotCalibratedError", "SlowFitWarning"]
 
 
 class ConformalError(ConformodalError):
@@ -17,3 +17,7 @@ class ConformalTypeError(ConformalError, TypeError):
 
 class NotCalibratedError(ConformalError):
     """A prediction was asked of a calibrator (or bins) that has not been fitted yet."""
+
+
+class SlowFitWarning(UserWarning):
+    """A fit that will take more than ten seconds; says about how many, and what is quicker."""

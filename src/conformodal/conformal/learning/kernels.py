@@ -59,8 +59,10 @@ def log_density(proba: FloatArray, codes: npt.NDArray[np.int64], widths: FloatAr
     return np.asarray(np.log(np.maximum(density, _FLOOR / widths.sum())))
 
 
-def mixture_weights(log_densities: FloatArray, iterations: int = 200) -> FloatArray:
+def mixture_weights(log_densities: FloatArray, iterations: int = 200, weight: FloatArray | None = None) -> FloatArray:
     """Weights (m,) of a mixture that make the samples' densities (n, m) likeliest, by expectation-maximisation.
+
+    `weight` (n,) says how much each sample counts; None: all the same.
 
     Source: the stacking of densities of Smyth and Wolpert (1999).
     """
@@ -69,5 +71,5 @@ def mixture_weights(log_densities: FloatArray, iterations: int = 200) -> FloatAr
     weights = np.full(relative.shape[1], 1 / relative.shape[1])
     for _ in range(iterations):
         shares = relative * weights
-        weights = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)
+        weights = np.average(shares / shares.sum(axis=1, keepdims=True), axis=0, weights=weight)
     return weights

@@ -28,13 +28,21 @@ def spread_codes(y: FloatArray, edges: FloatArray, sigma_bins: float) -> npt.NDA
     return np.clip(np.floor(at[:, None] + offsets), 0, k - 1).astype(np.int64)
 
 
-def fit_classifier(model: Any, X: npt.NDArray[Any], y: FloatArray, edges: FloatArray, sigma_bins: float) -> Any:
-    """Fit a classifier on order-aware labels; a target of a single bin needs none and gives None."""
+def fit_classifier(
+    model: Any,
+    X: npt.NDArray[Any],
+    y: FloatArray,
+    edges: FloatArray,
+    sigma_bins: float,
+    weight: FloatArray | None = None,
+) -> Any:
+    """Fit a classifier on order-aware labels; a target of a single bin needs none, and gives the bin's number."""
     codes = spread_codes(y, edges, sigma_bins)
     if edges.size == 2 or np.unique(codes).size == 1:
         return int(codes[0, 0])
     with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
-        return model.fit(np.repeat(X, codes.shape[1], axis=0), codes.ravel())
+        weights = {} if weight is None else {"sample_weight": np.repeat(weight, codes.shape[1])}
+        return model.fit(np.repeat(X, codes.shape[1], axis=0), codes.ravel(), **weights)
 
 
 def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:

@@ -18,6 +18,8 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from conformodal.core.progress import Progress
+
 FloatArray = npt.NDArray[np.float64]
 
 _FOLDS = 5
@@ -25,7 +27,7 @@ _NETWORKS = 3
 # gradient steps of a network: rows times epochs, within limits
 _ROWS_SEEN = 600_000
 # beyond so many rows a Gaussian process, whose cost is cubic, is left out
-_GAUSSIAN_PROCESS_ROWS = 1500
+GAUSSIAN_PROCESS_ROWS = 1500
 
 
 class StackedLocation:
@@ -46,17 +48,31 @@ class StackedLocation:
         self.random_state = random_state
         self.n_jobs = n_jobs
 
-    def fit(self, X: FloatArray, y: FloatArray) -> Self:
-        """Fit on (n, p) features and (n,) values of about unit spread; n is at least 2."""
+    def fit(self, X: FloatArray, y: FloatArray, progress: Progress | None = None) -> Self:
+        """Fit on (n, p) features and (n,) values of about unit spread; n is at least 2.
+
+        `progress` is called after every fit of a member.
+        """
         members = self._members(y.size)
+        n_folds = min(_FOLDS, y.size)
+        total, done = (n_folds + 1) * len(members), 0
+
+        def fitted(member: Any, rows: Any) -> Any:
+            nonlocal done
+            member.fit(X[rows], y[rows])
+            done += 1
+            if progress is not None:
+                progress(done, total)
+            return member
+
         self.out_of_fold_ = np.empty((y.size, len(members)))
-        folds = KFold(min(_FOLDS, y.size), shuffle=True, random_state=self.random_state)
+        folds = KFold(n_folds, shuffle=True, random_state=self.random_state)
         for seen, left_out in folds.split(X):
             for j, member in enumerate(members):
-                self.out_of_fold_[left_out, j] = clone(member).fit(X[seen], y[seen]).predict(X[left_out])
+                self.out_of_fold_[left_out, j] = fitted(clone(member), seen).predict(X[left_out])
         weights, _ = nnls(self.out_of_fold_, y)
         self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(len(members), 1 / len(members))
-        self.members_ = [member.fit(X, y) for member in members]
+        self.members_ = [fitted(member, slice(None)) for member in members]
         return self
 
     def predict(self, X: FloatArray) -> FloatArray:
@@ -96,7 +112,7 @@ class StackedLocation:
 
         trees = ExtraTreesRegressor(200, n_jobs=self.n_jobs, random_state=seed)
         members = [boosted(31, 500, 10), boosted(8, 1000, 5), trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
-        if n <= _GAUSSIAN_PROCESS_ROWS:
+        if n <= GAUSSIAN_PROCESS_ROWS:
             members.append(make_pipeline(StandardScaler(), _AnisotropicProcess()))
         return members
 

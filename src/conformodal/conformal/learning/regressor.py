@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from types import MethodType
-from typing import Any, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from ..bins import QuantileBins
@@ -18,8 +18,9 @@ from ..errors import ConformalError, ConformalTypeError, NotCalibratedError
 from ..regions import Regions
 from ..scalars import as_number, as_random, brief, shortened
 from ..scores import Score
-from .labels import fit_classifier, proba_of_bins
-from .stacked import StackedDensity
+from .labels import proba_of_bins
+from .learners import announce, as_learner, fit_target, on_stderr
+from .standard import as_sample_weight
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -54,8 +55,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     Parameters
     ----------
     estimator
-        None for :class:`StackedDensity`; or any classifier with ``predict_proba``, fitted on bin numbers; or an object
-        with ``fit_bins(X, y, edges)`` and ``predict_proba``.
+        None or ``"quick"`` for :class:`QuickDensity` (seconds); ``"stack"`` for :class:`StackedDensity` (minutes, and
+        shorter sets); or any classifier with ``predict_proba``, fitted on bin numbers; or an object with
+        ``fit_bins(X, y, edges)`` and ``predict_proba``.
     n_bins
         Bins a target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
@@ -72,6 +74,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         so many bins around where in its bin the value lies. 0 learns each once, as plain classification does.
     random_state
         Seed of the split and of a fresh estimator, or None.
+    verbose
+        Whether a fit that will take more than ten seconds says on standard error how far it has come. It warns with
+        :class:`SlowFitWarning` in any case.
 
     Attributes
     ----------
@@ -105,6 +110,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         calibration_size: float = 0.2,
         label_sigma: float = 0.7,
         random_state: Any = None,
+        verbose: bool = False,
     ) -> None:
         self.estimator = estimator
         self.n_bins = n_bins
@@ -114,6 +120,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.calibration_size = calibration_size
         self.label_sigma = label_sigma
         self.random_state = random_state
+        self.verbose = verbose
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Parameters of the estimator, and of its estimator if `deep`; as in scikit-learn."""
@@ -121,7 +128,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         params = {name: value for name, value in params.items() if not name.startswith("score__")}
         return params | {"score": self.__dict__["score"]}
 
-    def fit(self, X: npt.ArrayLike, y: npt.ArrayLike) -> Self:
+    def fit(self, X: npt.ArrayLike, y: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> Self:
         """Learn and calibrate.
 
         Parameters
@@ -130,15 +137,26 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n, p) features.
         y
             (n,) or (n, d) values.
+        sample_weight
+            (n,) weights of at least 0, for the learner alone; their common factor has no meaning. Samples of weight 0
+            are left out, of calibration too. All others calibrate alike, whatever they weigh: the promise holds for a
+            new sample that is exchangeable with the samples of positive weight, each counted once. It says nothing of
+            a population in which samples are as frequent as they weigh; for that, where the ratio of densities is
+            known, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
 
         Raises
         ------
         ConformalError
-            If a parameter cannot be used, or there are too few samples to split.
+            If a parameter cannot be used, weights are not finite numbers of at least 0, the estimator takes none
+            (``"stack"`` does not), or there are too few samples to split.
         """
         features, values = self._table(X, y)
         self._one_target = values.ndim == 1
         values = values.reshape(len(values), -1)
+        weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
+        if weight is not None:
+            counted = weight > 0
+            features, values, weight = features[counted], values[counted], weight[counted]
         size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
         sigma = as_number(self.label_sigma, "label_sigma", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         random = as_random(self.random_state)
@@ -149,27 +167,18 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformalError(
                 f"X has n_samples={len(features)}, {n_held} of which are held out to calibrate: at least 2 must be left"
             )
-        base = StackedDensity(random_state=random.randint(2**31 - 1)) if self.estimator is None else self.estimator
-        dense = hasattr(base, "fit_bins")
-        for needed in ("fit_bins" if dense else "fit", "predict_proba", "get_params"):
-            if isinstance(base, type) or not callable(getattr(base, needed, None)):
-                raise ConformalError(f"estimator must be None or a classifier with {needed}, got {brief(base)}")
+        base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
         self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
+        told = announce(base, seen.size, features.shape[1], values.shape[1]) and bool(self.verbose)
         self.estimators_ = []
         for j, edges in enumerate(self.bins_.edges_):
-            try:
-                model = clone(base)
-                if dense:
-                    model.fit_bins(features[seen], values[seen, j], edges)
-                else:
-                    model = fit_classifier(model, features[seen], values[seen, j], edges, sigma)
-            except ConformalError:
-                raise
-            except (ValueError, TypeError) as exc:
-                raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
-            self.estimators_.append(model)
+            share = None if weight is None else weight[seen]
+            progress = on_stderr(j, values.shape[1]) if told else None
+            self.estimators_.append(
+                fit_target(base, dense, features[seen], values[seen, j], edges, sigma, share, progress)
+            )
         if self.joint == "max":
             self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
         if n_held:
@@ -188,8 +197,27 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self, "bins_")
         return self._proba(self._table(X, reset=False)[0])
 
-    def predict(self, X: npt.ArrayLike) -> FloatArray:
-        """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes."""
+    @overload
+    def predict(self, X: npt.ArrayLike, region: Literal[False] = False, alpha: Alpha | None = None) -> FloatArray: ...
+
+    @overload
+    def predict(self, X: npt.ArrayLike, region: Literal[True], alpha: Alpha | None = None) -> Regions: ...
+
+    def predict(self, X: npt.ArrayLike, region: bool = False, alpha: Alpha | None = None) -> FloatArray | Regions:
+        """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes.
+
+        With ``region=True`` it is :meth:`predict_region`, for where scikit-learn knows of ``predict`` only: the regions
+        of a pipeline are ``pipeline.predict(X, region=True)``.
+
+        Raises
+        ------
+        ConformalError
+            If `alpha` is given and `region` is not.
+        """
+        if region:
+            return self.predict_region(X, alpha)
+        if alpha is not None:
+            raise ConformalError(f"alpha must be None unless region=True, got {brief(alpha)}")
         centers = zip(self.predict_bins(X), self.bins_.centers, strict=True)
         means = np.column_stack([proba @ c for proba, c in centers])
         return means[:, 0] if self._one_target else means

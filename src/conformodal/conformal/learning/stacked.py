@@ -1,4 +1,4 @@
-"""The default density: a likelihood-weighted mixture of residual and direct conditional distributions."""
+"""The slow and sharp density: a likelihood-weighted mixture of residual and direct conditional distributions."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from sklearn.base import BaseEstimator
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
 
-from ..bins import QuantileBins
-from ..checks import as_finite
-from ..errors import ConformalError
+from conformodal.core.progress import Progress
+
 from ..scalars import as_count, as_random
 from .forest import LeafForest, group_values
 from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
-from .location import StackedLocation
+from .location import GAUSSIAN_PROCESS_ROWS, StackedLocation
+from .standard import as_features, standardised
 
 FloatArray = npt.NDArray[np.float64]
 
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300
 _ROWS_AT_ONCE = 4096
+# of a fit, as measured; the last where there is a Gaussian process
+_LEAST_SECONDS, _SECONDS_A_ROW, _SECONDS_A_CUBE = 15.0, 4e-3, 1.1e-8
 # every member keeps a little weight, so that no density is exactly zero and far values can be told apart
 _LEAST_WEIGHT = 1e-3
-# of values, so that distances in units of it are finite
-_LEAST_SPREAD = 1e-150
 
 
 class StackedDensity(BaseEstimator):  # type: ignore[misc]
@@ -69,8 +69,12 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
         self.n_jobs = n_jobs
 
-    def fit_bins(self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike) -> Self:
+    def fit_bins(
+        self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, progress: Progress | None = None
+    ) -> Self:
         """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
+
+        `progress` is called with the parts that are done and all parts, nearly all of which are of the location.
 
         Raises
         ------
@@ -78,28 +82,16 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
             With fewer than two samples, shapes that do not fit, values that are not finite or too large, or edges that
             do not increase.
         """
-        features, values = _as_features(X), as_finite(y, "y", "(n,)")
-        if values.shape != features.shape[:1]:
-            raise ConformalError(f"y must have one value a row of X ({features.shape[0]}), got {values.size}")
-        if values.size < 2:
-            raise ConformalError(f"X must have at least 2 rows to learn a density, got n_samples={values.size}")
-        (self.edges_,) = QuantileBins.from_edges([edges]).edges_
         as_count(self.n_trees, "n_trees", 1)
+        table = standardised(X, y, edges)
+        features, z = table.X, table.z
+        self.edges_, self._z_edges = table.edges, table.z_edges
         seed = int(as_random(self.random_state).randint(2**31 - 1))
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.center_, self.scale_ = float(values.mean()), float(values.std()) or 1.0
-        if not (np.isfinite([self.center_, self.scale_]).all() and self.scale_ >= _LEAST_SPREAD):
-            raise ConformalError(
-                f"y has a spread that float64 cannot work with, {self.scale_:g} around {self.center_:g}"
-            )
-        z = (values - self.center_) / self.scale_
-        self._z_edges = (self.edges_ - self.center_) / self.scale_
-        inner = self._z_edges[1:-1]
-        codes = np.searchsorted(inner, z, side="right")
+        codes = table.codes
         widths = np.diff(self._z_edges)
 
         with _quiet():
-            self.location_ = StackedLocation(seed, self.n_jobs).fit(features, z)
+            self.location_ = StackedLocation(seed, self.n_jobs).fit(features, z, progress)
         summary = self.location_.summary(self.location_.out_of_fold_)
         extended = np.column_stack((features, summary))
         residual = z - summary[:, 0]
@@ -166,11 +158,16 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
         cut = [slice(start, start + _ROWS_AT_ONCE) for start in rows]
         return np.concatenate([shifted_masses(masses[r], self._grid, loc[r], spread[r], self._z_edges) for r in cut])
 
+    def expected_seconds(self, n_rows: int, n_features: int) -> float:
+        """About how long a fit takes on one core."""
+        cubic = n_rows**3 * n_features if n_rows <= GAUSSIAN_PROCESS_ROWS else 0
+        return _LEAST_SECONDS + _SECONDS_A_ROW * n_rows + _SECONDS_A_CUBE * cubic
+
     def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
         """Probabilities of the bins, (n, K)."""
         if not hasattr(self, "weights_"):
             raise NotFittedError("StackedDensity is not fitted yet: call fit_bins(X, y, edges) first")
-        features = _as_features(X)
+        features = as_features(X)
         parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
         return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
 
@@ -188,14 +185,6 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
 
 # the members that are distributions of residuals, by their place in the mixture
 _RESIDUAL = (1, 2)
-
-
-def _as_features(X: npt.ArrayLike) -> FloatArray:
-    features = as_finite(X, "X", "(n, p)")
-    most = float(np.finfo(np.float32).max)
-    if not features.shape[1] or (features.size and np.abs(features).max() > most):
-        raise ConformalError(f"X must have a column and numbers that float32 can hold, up to {most:.3g}, as trees do")
-    return features
 
 
 def _pooled(groups: npt.NDArray[np.int64], n: int) -> FloatArray:

@@ -1,0 +1,118 @@
+"""Learners by name, fitted on one target; how long that will take, and how far it has come."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import clone
+
+from conformodal.core.progress import Progress
+
+from ..errors import ConformalError, SlowFitWarning
+from ..scalars import brief, shortened
+from .labels import fit_classifier
+from .quick import QuickDensity
+from .stacked import StackedDensity
+
+FloatArray = npt.NDArray[np.float64]
+LearnerName = Literal["quick", "stack"]
+
+# a fit of more seconds is announced
+_SLOW_S = 10.0
+
+
+def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
+    """The learner that `estimator` names or is, and whether it learns densities over bins.
+
+    Raises
+    ------
+    ConformalError
+        If it is neither None, a name, nor an object with the methods of a classifier or a density.
+    """
+    if isinstance(estimator, str) and estimator not in get_args(LearnerName):
+        raise ConformalError(
+            f"estimator must be one of {list(get_args(LearnerName))}, None or a classifier, got {brief(estimator)}"
+        )
+    if estimator is None or isinstance(estimator, str):
+        return (StackedDensity if estimator == "stack" else QuickDensity)(random_state=random_state), True
+    dense = hasattr(estimator, "fit_bins")
+    for needed in ("fit_bins" if dense else "fit", "predict_proba", "get_params"):
+        if isinstance(estimator, type) or not callable(getattr(estimator, needed, None)):
+            raise ConformalError(f"estimator must be None or a classifier with {needed}, got {brief(estimator)}")
+    return estimator, dense
+
+
+def fit_target(
+    base: Any,
+    dense: bool,
+    X: npt.NDArray[Any],
+    y: FloatArray,
+    edges: FloatArray,
+    label_sigma: float,
+    weight: FloatArray | None,
+    progress: Progress | None,
+) -> Any:
+    """A clone of the learner, fitted on one target.
+
+    Raises
+    ------
+    ConformalError
+        If it refuses the data, or takes no weights and is given some.
+    """
+    model = clone(base)
+    known = _parameters(model.fit_bins if dense else model.fit)
+    if weight is not None and "sample_weight" not in known:
+        method = "fit_bins" if dense else "fit"
+        raise ConformalError(f"sample_weight needs an estimator whose {method} takes it, got {brief(base)}")
+    options: dict[str, Any] = {} if weight is None else {"sample_weight": weight}
+    try:
+        if not dense:
+            return fit_classifier(model, X, y, edges, label_sigma, weight)
+        if progress is not None and "progress" in known:
+            options["progress"] = progress
+        return model.fit_bins(X, y, edges, **options)
+    except ConformalError:
+        raise
+    except (ValueError, TypeError) as exc:
+        raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
+
+
+def announce(base: Any, n_rows: int, n_features: int, n_targets: int) -> bool:
+    """Warn of a fit that will take more than ten seconds; whether it will."""
+    tell: Callable[[int, int], float] | None = getattr(base, "expected_seconds", None)
+    seconds = 0.0 if tell is None else n_targets * tell(n_rows, n_features)
+    if seconds <= _SLOW_S:
+        return False
+    spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
+    hint = '; estimator="quick" takes seconds' if isinstance(base, StackedDensity) else ""
+    warnings.warn(
+        f"fitting {n_rows} rows and {n_targets} target(s) will take about {spent}{hint}", SlowFitWarning, stacklevel=3
+    )
+    return True
+
+
+def on_stderr(target: int, n_targets: int) -> Progress:
+    """A line on standard error for every part of a fit that is done."""
+    start = time.monotonic()
+
+    def show(done: int, total: int) -> None:
+        spent = time.monotonic() - start
+        print(
+            f"target {target + 1} of {n_targets}: {done} of {total} parts, {spent:.0f} s", file=sys.stderr, flush=True
+        )
+
+    return show
+
+
+def _parameters(method: Any) -> Any:
+    try:
+        return inspect.signature(method).parameters
+    except (ValueError, TypeError):  # of a compiled method
+        return {}

@@ -1,0 +1,192 @@
+"""The default density: a mixture of residual and direct conditional distributions that takes seconds."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
+
+from ..scalars import as_count, as_random
+from .forest import group_values
+from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
+from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
+from .shared_forest import SharedForest, rank_cosines
+from .standard import Standardised, as_features, standardised
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+_GRID_CELLS = 300
+_ROWS_AT_ONCE = 2048
+# of a fit, as measured
+_LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
+# up to so many rows: so many trees a forest
+_TREES = ((3000, 60), (5000, 40))
+_FEWEST_TREES = 30
+# held-out rows that choose bandwidths and weights
+_JUDGES = 1000
+# every member keeps a little weight, so that no density is exactly zero and far values can be told apart
+_LEAST_WEIGHT = 1e-3
+# of the members, in the mixture's order: whether they are distributions of residuals
+_RESIDUAL = (False, True, True, False, False)
+
+
+class QuickDensity(BaseEstimator):  # type: ignore[misc]
+    """Conditional density of a value over bins in about the time of a few boostings; order-aware.
+
+    A smaller :class:`~conformodal.conformal.StackedDensity`. Boosted trees, a Gaussian process (up to 10 000 rows)
+    and a forest, predicted out of fold, give every sample a location; boosted trees its spread. Five distributions are
+    mixed by the weights that make held-out values likeliest:
+
+    - the marginal distribution of the values;
+    - residuals from the location, scaled by the spread, the same for all samples;
+    - scaled residuals, weighted by a forest on features and location (:class:`~.shared_forest.SharedForest`);
+    - values, weighted by the same forest;
+    - values, weighted by a forest on the features alone: for values that have no location, being here or there.
+
+    Each is smoothed by Gaussian kernels, narrower where values are dense, as wide as held-out likelihood asks.
+
+    Parameters
+    ----------
+    max_rows
+        Rows that are learnt from, drawn at random if there are more.
+    random_state
+        Seed, or None.
+    n_jobs
+        Parallel jobs of the forests, as in scikit-learn.
+
+    Attributes
+    ----------
+    edges_ : (K + 1,) edges of the bins
+    weights_ : (5,) of the mixture, in the order above
+    """
+
+    edges_: FloatArray
+    weights_: FloatArray
+
+    def __init__(self, max_rows: int = 30_000, random_state: Any = None, n_jobs: int | None = None) -> None:
+        self.max_rows = max_rows
+        self.random_state = random_state
+        self.n_jobs = n_jobs
+
+    def fit_bins(
+        self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
+    ) -> Self:
+        """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
+
+        Rows of weight 0 are left out; bandwidths are chosen as if all others weighed the same.
+
+        Raises
+        ------
+        ConformalError
+            With fewer than two samples, shapes that do not fit, values that are not finite or too large, edges that
+            do not increase, or weights that are not finite numbers of at least 0.
+        """
+        most = as_count(self.max_rows, "max_rows", 2)
+        random = as_random(self.random_state)
+        table = standardised(X, y, edges, sample_weight)
+        seed = int(random.randint(2**31 - 1))
+        if table.z.size > most:
+            kept = random.permutation(table.z.size)[:most]
+            table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
+        self.edges_, self._z_edges = table.edges, table.z_edges
+        judges = random.permutation(table.z.size)[:_JUDGES]
+        loc, spread, groups, weights = self._learn(table, judges, seed)
+        scaled = (table.z - loc) / spread
+        reach = (scaled.max() - scaled.min()) or 1.0
+        ends = np.quantile(scaled, np.linspace(0, 1, _GRID_CELLS + 1))
+        self._grid = np.unique(np.concatenate(([ends[0] - reach / 2], ends, [ends[-1] + reach / 2])))
+        pooled = [np.bincount(of, table.weight)[None] / table.weight.sum() for of, _ in groups]
+        self._pooled = pooled[0], pooled[1]
+        held_out = [*pooled, weights[0], weights[1], weights[2]]
+        z_at, scaled_at = groups[0][1], groups[1][1]
+        at = [z_at, scaled_at, scaled_at, z_at, z_at]
+        self._smooth(held_out, at, table, scaled, judges, (loc[judges], spread[judges]))
+        return self
+
+    def _learn(self, table: Standardised, judges: IntArray, seed: int) -> tuple[Any, ...]:
+        """Location, spread, groups of values and of scaled residuals, and the judges' weights out of bag."""
+        X, z, weight = table.X, table.z, table.weight
+        n_trees = next((trees for most, trees in _TREES if z.size <= most), _FEWEST_TREES)
+        values, z_at = group_values(z)
+        direct = SharedForest(n_trees, 3, seed, self.n_jobs)
+        direct.fit(X, rank_cosines(z, 4), z, weight, [(values, z_at.size)], judges)
+        self.location_ = QuickLocation(seed).fit(X, z, weight, direct.out_of_bag_mean_)
+        summary = self.location_.summary(self.location_.out_of_fold_)
+        loc, extended = summary[:, 0], np.column_stack((X, summary))
+        residual = np.abs(z - loc)
+        # a tenth of the median keeps one lucky guess from standing for a spread of zero
+        least = float(0.1 * np.median(residual)) or 1e-6
+        make = boosting(0.1, 40, 8, 20, seed)
+        of_spread = np.log(residual + least)
+        log_spread, self.spread_ = fit_out_of_fold(make, extended, of_spread, weight, folds_of(z.size, seed, 3))
+        spread = np.exp(log_spread)
+        scaled = (z - loc) / spread
+        residuals, scaled_at = group_values(scaled)
+        guided = SharedForest(n_trees, 5, seed + 1, self.n_jobs)
+        both = np.column_stack((rank_cosines(scaled, 2), rank_cosines(z, 4)))
+        guided.fit(extended, both, z, weight, [(residuals, scaled_at.size), (values, z_at.size)], judges)
+        self.forests_ = direct, guided
+        groups = (values, z_at), (residuals, scaled_at)
+        return loc, spread, groups, [*guided.out_of_bag_, *direct.out_of_bag_]
+
+    def _smooth(
+        self,
+        held_out: list[FloatArray],
+        at: list[FloatArray],
+        table: Standardised,
+        scaled: FloatArray,
+        judges: IntArray,
+        place: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Choose every member's bandwidth, then the weights, by the likelihood of held-out values."""
+        codes, widths, weight = table.codes[judges], np.diff(table.z_edges), table.weight[judges]
+        self._kernels: list[FloatArray] = []
+        likelihoods = []
+        for residual, weights, centers in zip(_RESIDUAL, held_out, at, strict=True):
+            sample, edges = (scaled, self._grid) if residual else (table.z, table.z_edges)
+            found = []
+            for factor in _FACTORS:
+                kernel = kernel_masses(centers, sample, edges, factor)
+                masses = np.broadcast_to(weights @ kernel, (judges.size, edges.size - 1))
+                each = log_density(self._shifted(masses, *place) if residual else masses, codes, widths)
+                found.append((float(np.average(each, weights=weight)), kernel, each))
+            _, kernel, each = max(found, key=lambda one: one[0])
+            self._kernels.append(kernel)
+            likelihoods.append(each)
+        mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight=weight), _LEAST_WEIGHT)
+        self.weights_ = mixed / mixed.sum()
+
+    def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
+        return shifted_masses(masses, self._grid, loc, spread, self._z_edges)
+
+    def expected_seconds(self, n_rows: int, n_features: int) -> float:
+        """About how long a fit takes on one core."""
+        return _LEAST_SECONDS + _SECONDS_A_NUMBER * min(n_rows, self.max_rows) * n_features
+
+    def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
+        """Probabilities of the bins, (n, K)."""
+        if not hasattr(self, "weights_"):
+            raise NotFittedError("QuickDensity is not fitted yet: call fit_bins(X, y, edges) first")
+        features = as_features(X)
+        parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
+        return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
+
+    def _proba(self, features: FloatArray) -> FloatArray:
+        direct, guided = self.forests_
+        leaves = direct.apply(features)
+        summary = self.location_.summary(self.location_.predict(features, direct.means(leaves)))
+        extended = np.column_stack((features, summary))
+        weights = [*self._pooled, *guided.weights(guided.apply(extended)), *direct.weights(leaves)]
+        masses = [share * (w @ k) for share, w, k in zip(self.weights_, weights, self._kernels, strict=True)]
+        residual = np.sum(self.weights_[[*_RESIDUAL]])
+        # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
+        shifted = self._shifted(
+            (masses[1] + masses[2]) / residual, summary[:, 0], np.exp(self.spread_.predict(extended))
+        )
+        total = masses[0] + masses[3] + masses[4] + residual * shifted
+        return np.asarray(total / total.sum(axis=1, keepdims=True))

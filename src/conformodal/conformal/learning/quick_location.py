@@ -1,0 +1,108 @@
+"""Boosted trees, a Gaussian process and a forest, each out of fold, as one guess of where a value lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import nnls
+from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.model_selection import KFold
+
+from .process import Folds, SparseProcess
+
+FloatArray = npt.NDArray[np.float64]
+
+# up to so many rows: so many folds
+_FOLDS = ((1500, 5), (8000, 3))
+_FEWEST_FOLDS = 2
+# up to so many rows a second boosting, of smaller trees, is worth its time
+_SECOND_ROWS = 1500
+# up to so many rows the process is
+_PROCESS_ROWS = 10_000
+
+
+class QuickLocation:
+    """Non-negative least squares over boosting, :class:`~.process.SparseProcess` and a forest's means out of bag.
+
+    Attributes
+    ----------
+    out_of_fold_ : (n, m) predictions of every training value by models that did not see it
+    weights_ : (m,), sum to one
+    """
+
+    out_of_fold_: FloatArray
+    weights_: FloatArray
+
+    def __init__(self, random_state: int) -> None:
+        self.random_state = random_state
+
+    def fit(self, X: FloatArray, y: FloatArray, weight: FloatArray, forest: FloatArray) -> Self:
+        """Fit on (n, p) features, (n,) values of about unit spread, their weights and `forest`, its means (n,)."""
+        folds = folds_of(y.size, self.random_state)
+        out_of_fold, self._models = [], []
+        boosters = [boosting(0.15, 150, 15, 5, self.random_state)]
+        if y.size <= _SECOND_ROWS:
+            boosters.append(boosting(0.1, 300, 8, 5, self.random_state))
+        for make in boosters:
+            guess, model = fit_out_of_fold(make, X, y, weight, folds)
+            out_of_fold.append(guess)
+            self._models.append(model)
+        if y.size <= _PROCESS_ROWS:
+            try:
+                process = SparseProcess(self.random_state).fit(X, y, weight, folds)
+                out_of_fold.append(process.out_of_fold_)
+                self._models.append(process)
+            except np.linalg.LinAlgError:  # the others answer
+                pass
+        self.out_of_fold_ = np.column_stack([*out_of_fold, forest])
+        root = np.sqrt(weight)
+        weights, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
+        self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(weights.size, 1 / weights.size)
+        return self
+
+    def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
+        """Predictions of all members, (n, m); `forest` are its means (n,)."""
+        return np.column_stack([*(model.predict(X) for model in self._models), forest])
+
+    def summary(self, predictions: FloatArray) -> FloatArray:
+        """The weighted mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
+        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
+
+
+def folds_of(n: int, random_state: int, most_folds: int = 5) -> Folds:
+    """Folds of `n` rows, at least 2: fewer where rows are many and hold out well enough."""
+    n_folds = next((folds for most, folds in _FOLDS if n <= most), _FEWEST_FOLDS)
+    return list(KFold(min(n_folds, most_folds, n), shuffle=True, random_state=random_state).split(np.empty((n, 1))))
+
+
+def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Callable[[], Any]:
+    """What makes a boosting of trees."""
+
+    def make() -> Any:
+        return HistGradientBoostingRegressor(
+            learning_rate=rate,
+            max_iter=rounds,
+            max_leaf_nodes=leaves,
+            min_samples_leaf=least,
+            l2_regularization=1.0,
+            max_features=0.5,
+            early_stopping=False,
+            random_state=random_state,
+        )
+
+    return make
+
+
+def fit_out_of_fold(
+    make: Callable[[], Any], X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds
+) -> tuple[FloatArray, Any]:
+    """Predictions (n,) of every value by a model of the other folds, and a model of all."""
+    found = np.empty(y.size)
+    # boosting takes several times as long with weights, equal ones too
+    some: list[FloatArray | None] = [weight[seen] if np.ptp(weight) else None for seen, _ in folds]
+    for (seen, left_out), share in zip(folds, some, strict=True):
+        found[left_out] = make().fit(X[seen], y[seen], sample_weight=share).predict(X[left_out])
+    return found, make().fit(X, y, sample_weight=weight if np.ptp(weight) else None)
