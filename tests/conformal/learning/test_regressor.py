@@ -9,7 +9,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
 from conformodal.conformal import ConformalError, ConformalRegressor, NotCalibratedError, check_coverage
+from conformodal.conformal.learning import process, quick, quick_location
 from conformodal.conformal.learning.kernels import shifted_masses
+from conformodal.conformal.learning.quick_location import boosting
 
 
 def forest():
@@ -55,11 +57,14 @@ def test_grid_search_sees_the_parameters():
     assert search.fit(X, y).best_params_["n_bins"] in (5, 10)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_the_default_passes_the_checks_of_scikit_learn():
-    quick = ConformalRegressor(n_bins=10, random_state=0)
-    check_estimator(quick, on_skip=None, expected_failed_checks=NOT_OF_SPLITS)
+def test_the_default_passes_the_checks_of_scikit_learn(monkeypatch):
+    for module in (quick, quick_location):  # hundreds of fits: short ones
+        monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
+    monkeypatch.setattr(process, "_STAGES", ((30, 3),))
+    monkeypatch.setattr(quick, "_TREES", ((3000, 5),))
+    default = ConformalRegressor(n_bins=10, random_state=0)
+    check_estimator(default, on_skip=None, expected_failed_checks=NOT_OF_SPLITS)
 
 
 @pytest.mark.slow
@@ -119,7 +124,7 @@ def test_weights_of_zero_leave_samples_out_of_all():
     reg = ConformalRegressor(forest(), n_bins=10, random_state=0)
     weighted = reg.fit(X, y, weight).predict_bins(X)
     thresholds = reg.calibrator_.thresholds_
-    plain = reg.fit(X[weight > 0], y[weight > 0]).predict_bins(X)
+    plain = reg.fit(X[weight > 0], y[weight > 0], np.ones((weight > 0).sum())).predict_bins(X)
     np.testing.assert_array_equal(weighted, plain)
     np.testing.assert_array_equal(thresholds, reg.calibrator_.thresholds_)
 

@@ -14,9 +14,10 @@ FloatArray = npt.NDArray[np.float64]
 Folds: TypeAlias = list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]
 
 # Rows and evaluations of the likelihood: a rough search on few rows, then a finer one from where it ended.
-_STAGES = ((250, 40), (600, 12))
-# up to so many rows all are points of the process; beyond, so many
-_EXACT_ROWS, _INDUCING = 1200, 700
+_STAGES = ((250, 40), (600, 20))
+# up to so many rows all are points of the process; beyond, so many; and beyond many rows, fewer
+_EXACT_ROWS = 1200
+_INDUCING, _MANY_ROWS, _FEWER_INDUCING = 900, 5000, 600
 # beyond so many features they share one length scale
 _MOST_LENGTHS = 40
 # standard deviations at which a feature is cut off
@@ -28,8 +29,8 @@ _JITTER = 1e-8
 class SparseProcess:
     """Matern 3/2 process (Rasmussen and Williams 2006, chapters 4, 5 and 8.3.1), its scales by marginal likelihood.
 
-    Beyond 1200 rows it is a regression on 700 rows drawn at random (subset of regressors). A sample's weight divides
-    the variance of its noise, so that a whole-number weight is worth as many repetitions.
+    Beyond 1200 rows it is a regression on 600 to 900 rows drawn at random (subset of regressors). A sample's weight
+    divides the variance of its noise, so that a whole-number weight is worth as many repetitions.
 
     Attributes
     ----------
@@ -67,7 +68,8 @@ class SparseProcess:
         self._noise = float(np.exp(found[-1] - found[-2]))  # relative to the kernel's variance
         features = features * self._inverse
         small = y.size <= _EXACT_ROWS
-        self._points = features if small else features[order[:_INDUCING]]
+        n_points = _INDUCING if y.size <= _MANY_ROWS else _FEWER_INDUCING
+        self._points = features if small else features[order[:n_points]]
         solve = self._solve_exact if small else self._solve_sparse
         self.out_of_fold_ = solve(features, values, weight, folds) + self._mean
         return self

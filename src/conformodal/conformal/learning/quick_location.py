@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 _FOLDS = ((1500, 5), (8000, 3))
 _FEWEST_FOLDS = 2
 # up to so many rows a second boosting, of smaller trees, is worth its time
-_SECOND_ROWS = 1500
+_SECOND_ROWS = 700
 # up to so many rows the process is
 _PROCESS_ROWS = 10_000
 
