@@ -22,6 +22,7 @@ from .quick import QuickDensity
 from .stacked import StackedDensity
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 LearnerName = Literal["quick", "stack"]
 
 # a fit of more seconds is announced
@@ -47,6 +48,17 @@ def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
         if isinstance(estimator, type) or not callable(getattr(estimator, needed, None)):
             raise ConformalError(f"estimator must be None or a classifier with {needed}, got {brief(estimator)}")
     return estimator, dense
+
+
+def split_off(n: int, share: float, random: np.random.RandomState) -> tuple[IntArray, IntArray]:
+    """Samples held out to calibrate, and the others, of which at least 2 must be left."""
+    order = random.permutation(n)
+    n_held = int(np.ceil(share * n))
+    if n - n_held < 2:
+        raise ConformalError(
+            f"X has n_samples={n}, {n_held} of which are held out to calibrate: at least 2 must be left"
+        )
+    return order[:n_held], order[n_held:]
 
 
 def fit_target(

@@ -19,7 +19,7 @@ from ..regions import Regions
 from ..scalars import as_number, as_random, brief, shortened
 from ..scores import Score
 from .labels import proba_of_bins
-from .learners import announce, as_learner, fit_target, on_stderr
+from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .standard import as_sample_weight
 
 FloatArray = npt.NDArray[np.float64]
@@ -57,8 +57,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
         (``benchmarks/peers/run.py``: 2 to 7 seconds a target and 27 to 129; 0.88 and 0.81 of the length of the best
-        peer's sets, in the geometric mean over seven data sets); or any classifier with ``predict_proba``, fitted on bin numbers; or an object with
-        ``fit_bins(X, y, edges)`` and ``predict_proba``.
+        peer's sets, in the geometric mean over seven data sets); or any classifier with ``predict_proba``, fitted on
+        bin numbers; or an object with ``fit_bins(X, y, edges)`` and ``predict_proba``.
     n_bins
         Bins a target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
@@ -156,18 +156,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         values = values.reshape(len(values), -1)
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
         if weight is not None:
-            counted = weight > 0
-            features, values, weight = features[counted], values[counted], weight[counted]
+            features, values, weight = features[weight > 0], values[weight > 0], weight[weight > 0]
         size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
         sigma = as_number(self.label_sigma, "label_sigma", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         random = as_random(self.random_state)
-        order = random.permutation(len(features))
-        n_held = int(np.ceil(size * len(features)))
-        held, seen = order[:n_held], order[n_held:]
-        if seen.size < 2:
-            raise ConformalError(
-                f"X has n_samples={len(features)}, {n_held} of which are held out to calibrate: at least 2 must be left"
-            )
+        held, seen = split_off(len(features), size, random)
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
@@ -175,14 +168,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         told = announce(base, seen.size, features.shape[1], values.shape[1]) and bool(self.verbose)
         self.estimators_ = []
         for j, edges in enumerate(self.bins_.edges_):
-            share = None if weight is None else weight[seen]
             progress = on_stderr(j, values.shape[1]) if told else None
+            share = None if weight is None else weight[seen]
             self.estimators_.append(
                 fit_target(base, dense, features[seen], values[seen, j], edges, sigma, share, progress)
             )
         if self.joint == "max":
             self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
-        if n_held:
+        if held.size:
             self.calibrator_.calibrate(self._proba(features[held]), values[held])
         return self
 
