@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
+from threadpoolctl import threadpool_limits
 
 from ..scalars import as_count, as_random
 from .forest import group_values
@@ -95,7 +96,8 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
             table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
         self.edges_, self._z_edges = table.edges, table.z_edges
         judges = random.permutation(table.z.size)[:_JUDGES]
-        loc, spread, groups, weights = self._learn(table, judges, seed)
+        with threadpool_limits(1):  # threads that wait for each other spin: a core that is busy elsewhere costs minutes
+            loc, spread, groups, weights = self._learn(table, judges, seed)
         scaled = (table.z - loc) / spread
         reach = (scaled.max() - scaled.min()) or 1.0
         ends = np.quantile(scaled, np.linspace(0, 1, _GRID_CELLS + 1))
