@@ -1,0 +1,183 @@
+"""Code in the how-to pages runs and prints what they say; commands in all pages are ones that the command line knows.
+
+`<!-- given: NAME -->` before a block says what it takes as given. A `text` block after it is what it prints; numbers
+may differ a little between versions.
+"""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.ensemble import RandomForestClassifier
+from typer.main import get_command
+
+from conformodal.cli.main import app
+from conformodal.conformal import QuantileBins
+
+ROOT = Path(__file__).parents[2]
+HOW_TO = sorted((ROOT / "docs" / "howto").glob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"(?:<!-- given: (\w+) -->\n)?```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL)
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+
+
+def arm(rng, n):
+    """Elbow angle in degrees given the reach in metres: up or down."""
+    reach = rng.uniform(0.4, 1.9, n)
+    elbow = np.degrees(np.arccos(reach**2 / 2 - 1))
+    return reach[:, None], rng.choice([-1, 1], n) * elbow + rng.normal(0, 4, n)
+
+
+def table():
+    rng = np.random.default_rng(0)
+    (X, y), (X_new, y_new) = arm(rng, 3000), arm(rng, 1000)
+    return {"X": X, "y": y, "X_new": X_new, "y_new": y_new}
+
+
+def probabilities():
+    """A classifier's, of calibration and new samples."""
+    rng = np.random.default_rng(0)
+    (X, y), (X_cal, y_cal), (X_new, y_new) = (arm(rng, n) for n in (2000, 1000, 1000))
+    bins = QuantileBins(30, margin=0.1).fit(y)
+    forest = RandomForestClassifier(min_samples_leaf=20, random_state=0).fit(X, bins.encode(y)[:, 0])
+    near = [np.where(table[:, 0] < 1.15, "near", "far") for table in (X_cal, X_new)]
+    return {
+        "bins": bins,
+        "proba_cal": forest.predict_proba(X_cal),
+        "proba": forest.predict_proba(X_new),
+        "y_cal": y_cal,
+        "y_new": y_new,
+        "groups_cal": near[0],
+        "groups": near[1],
+        "weights_cal": X_cal[:, 0],
+        "weights": X_new[:, 0],
+        "person_cal": np.repeat(np.arange(50), 20),
+    }
+
+
+def poses():
+    times_s = np.arange(5.0)
+    quats = np.tile([1.0, 0, 0, 0], (5, 1))
+    return {"times_s": times_s, "positions_xyz": np.zeros((5, 3)), "orientations_quat_wxyz": quats}
+
+
+GIVEN = {"nothing": dict, "table": table, "probabilities": probabilities, "poses": poses, "camera": dict}
+
+
+def snippets(*, camera):
+    found = [(page.stem, block) for page in HOW_TO for block in BLOCK.findall(page.read_text(encoding="utf-8"))]
+    return [pytest.param(*block, id=f"{page}-{k}") for k, (page, block) in enumerate(found) if _on(block, camera)]
+
+
+def _on(block, camera):
+    return (block[0] == "camera") is camera
+
+
+def check(code, names, said):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(code, names)
+    if not said:
+        return
+    found = printed.getvalue()
+    assert NUMBER.sub("#", found) == NUMBER.sub("#", said)
+    for a, b in zip(NUMBER.findall(found), NUMBER.findall(said), strict=True):
+        assert float(a) == pytest.approx(float(b), rel=0.2, abs=3 if "." not in b else 0.03)
+
+
+@pytest.mark.parametrize(("given", "code", "said"), snippets(camera=False))
+def test_a_snippet_runs_and_prints_what_the_page_says(given, code, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert given in GIVEN, "say what the block takes as given"
+    check(code, GIVEN[given](), said)
+
+
+@pytest.fixture(scope="module")
+def in_world(small_world, tmp_path_factory):
+    """A folder in which the names that the pages use are: model, recording, scene, and the results of a short run."""
+    from typer.testing import CliRunner
+
+    folder = tmp_path_factory.mktemp("world")
+    for name, target in (
+        ("model", small_world.model),
+        ("recording", small_world.folder),
+        ("scene", small_world.folder),
+    ):
+        (folder / name).symlink_to(target, target_is_directory=True)
+    arguments = ["run", folder / "model", folder / "recording", "--out", folder / "out", "--limit", 20]
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("given", "code", "said"), snippets(camera=True))
+def test_a_snippet_runs_on_a_small_world(given, code, said, in_world, monkeypatch):
+    monkeypatch.chdir(in_world)
+    check(code, {}, said)
+
+
+# ---- commands
+
+
+def verbs():
+    """Every verb's command, by its words."""
+    group = get_command(app)
+    for name in group.list_commands(None):
+        command = group.get_command(None, name).loaded()
+        if hasattr(command, "commands"):
+            yield from (((name, inner), found) for inner, found in command.commands.items())
+        else:
+            yield (name,), command
+
+
+VERBS = dict(verbs())
+OPTIONS = {option for command in VERBS.values() for param in command.params for option in param.opts} | {"--help"}
+FIRST = {words[0] for words in VERBS}
+CHOSEN = {"LAYOUT": "images"}  # for a word that stands for one of several
+OF_OTHERS = {"--quick", "--seeds", "--places"}  # of scripts in benchmarks/
+
+
+def find(words):
+    """The verb that words begin with, and the rest."""
+    for n in (2, 1):
+        if tuple(words[:n]) in VERBS:
+            return VERBS[tuple(words[:n])], list(words[n:])
+    return None, list(words)
+
+
+def lines_of(text):
+    """Commands of blocks, and code in the text that begins with the program's name or a verb and has an option."""
+    for block in re.findall(r"^```(?:sh|bash)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        for line in block.splitlines():
+            if line.startswith("conformodal "):
+                yield True, shlex.split(line, comments=True)[1:]
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    for code in re.findall(r"`([^`]+)`", prose):
+        words = code.replace("\n", " ").split()
+        if words[:1] == ["conformodal"]:
+            yield False, words[1:]
+        elif words and (words[0].startswith("--") or (words[0] in FIRST and any("--" in word for word in words))):
+            yield False, words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_commands_on_a_page_are_known(page):
+    for whole, words in lines_of(page.read_text(encoding="utf-8")):
+        said = " ".join(words)
+        if words[:1] in ([], ["VERB"]) or (not whole and words in (["demo"], ["data"], ["reproduce"])):
+            continue
+        command, rest = find(words)
+        options = [word.split("=")[0] for word in rest if word.startswith("--")]
+        if command is None and words[0].startswith("--"):
+            assert set(options) <= OPTIONS | OF_OTHERS, said
+            continue
+        assert command is not None, f"no such verb: {said}"
+        known = {option for param in command.params for option in param.opts} | {"--help"}
+        assert set(options) <= known, f"no such option: {said}"
+        if whole and "[" not in said:  # is parsed as if it were typed; nothing is run
+            command.make_context("conformodal", [CHOSEN.get(word, word) for word in rest])
