@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEV := $(VENV)/.ready-dev
+DOCS := $(VENV)/.ready-docs
 # The CPU build of torch: the default one brings gigabytes of CUDA. Set TORCH_INDEX to another index for a GPU.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test lint check setup clean
+.PHONY: demo test lint check docs setup clean
 
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
@@ -22,6 +23,10 @@ lint: $(DEV)
 	$(BIN)/lint-imports
 
 check: test lint
+
+# the site, in site/; a warning is an error
+docs: $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 setup: $(DEV)
 
@@ -39,5 +44,12 @@ $(DEV): $(READY) pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[all]' --group dev
 	@touch $(DEV)
 
+# the site is made from the source alone: nothing of the package is installed for it
+$(DOCS): pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --group docs
+	@touch $(DOCS)
+
 clean:
-	rm -rf $(VENV) demo-out
+	rm -rf $(VENV) demo-out site

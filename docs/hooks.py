@@ -1,0 +1,262 @@
+"""What the site has beside the pages in docs/: front page, tables, examples, reference and gallery; nothing is copied.
+
+MkDocs calls the functions ``on_*``, see mkdocs.yml. The others need the standard library only.
+"""
+
+from __future__ import annotations
+
+import ast
+import posixpath
+import re
+from collections.abc import Callable
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "conformodal"
+TABLES = "benchmarks/results"
+AT_ROOT = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "SECURITY.md": "security.md",
+}
+INTERNAL = {"cli", "core"}  # packages without a page in the reference
+GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
+LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
+FENCE = re.compile(r"^(```|~~~).*?^\1[ \t]*$", re.DOTALL | re.MULTILINE)
+ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):<code>(~?)([\w.]+)</code>")
+
+
+def added_pages() -> dict[str, Callable[[], str]]:
+    """Pages that are not files of docs/, by their place on the site; each function gives the Markdown."""
+    pages: dict[str, Callable[[], str]] = {site: (ROOT / path).read_text for path, site in AT_ROOT.items()}
+    pages |= {f"tables/{path.name}": path.read_text for path in sorted((ROOT / TABLES).glob("*.md"))}
+    pages |= {f"reference/{name}.md": lambda name=name: package_page(name) for name in packages()}  # type: ignore[misc]
+    pages["tables/index.md"] = tables_page
+    pages["reference/index.md"] = reference_page
+    pages["examples.md"] = examples_page
+    pages["gallery.md"] = gallery_page
+    return pages
+
+
+def origin(site: str) -> str:
+    """Path in the repository that a page's links are relative to."""
+    named = {page: path for path, page in AT_ROOT.items()}
+    if site in named:
+        return named[site]
+    if site.startswith("tables/") and site != "tables/index.md":
+        return f"{TABLES}/{posixpath.basename(site)}"
+    return f"docs/{site}"
+
+
+def place(path: str) -> str | None:
+    """Page of the site, with its anchor, that shows a path of the repository; None if no page does."""
+    if path in AT_ROOT:
+        return AT_ROOT[path]
+    folder, name = posixpath.split(path)
+    if folder == TABLES and name.endswith(".md"):
+        return f"tables/{name}"
+    if folder == "examples" and name.endswith(".py"):
+        return f"examples.md#{name.removesuffix('.py')}"
+    parts = path.split("/")
+    if parts[:2] == ["src", "conformodal"] and len(parts) > 2:
+        return reference_of(ROOT / path, parts[2]) if parts[2] in packages() else None
+    return path.removeprefix("docs/") if parts[0] == "docs" and not path.endswith(".py") else None
+
+
+def rewritten(markdown: str, site: str) -> str:
+    """The page's Markdown with links between files of the repository made links between pages of the site.
+
+    A link to a file that no page shows becomes its text; a link to nothing stays, and the strict build refuses it.
+    """
+    if site in GENERATED:
+        return markdown
+    here = posixpath.dirname(origin(site))
+
+    def link(match: re.Match[str]) -> str:
+        image, text, target = match.groups()
+        path, hash_, anchor = target.partition("#")
+        if not path or re.match(r"[a-z]+:", target):
+            return match[0]
+        full = posixpath.normpath(posixpath.join(here, path))
+        if not (ROOT / full).exists():
+            return match[0]
+        page = place(full)
+        if page is None:
+            return text
+        page, own, section = page.partition("#")
+        return f"{image}[{text}]({relative(page, site)}{own or hash_}{section or anchor})"
+
+    kept = list(FENCE.finditer(markdown))
+    starts, ends = [0, *(m.end() for m in kept)], [*(m.start() for m in kept), len(markdown)]
+    prose = [LINK.sub(link, markdown[start:end]) for start, end in zip(starts, ends, strict=True)]
+    return prose[0] + "".join(fence[0] + after for fence, after in zip(kept, prose[1:], strict=True))
+
+
+def reference_of(path: Path, package: str) -> str:
+    """Place in the reference of what a file or folder of the source defines first, or of its package."""
+    file = path / "__init__.py" if path.is_dir() else path
+    known = exported(SOURCE / package)
+    for node in ast.parse(file.read_text(encoding="utf-8")).body if file.suffix == ".py" else ():
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name in known:
+            return f"reference/{package}.md#conformodal.{package}.{node.name}"
+    return f"reference/{package}.md"
+
+
+def relative(page: str, site: str) -> str:
+    """Link from one page of the site to another."""
+    return posixpath.relpath(page, posixpath.dirname(site) or ".")
+
+
+def short_title(site: str) -> Any:
+    """Entry of the navigation for a page that a pattern names: tables by their files, decisions with their numbers."""
+    stem = posixpath.basename(site).removesuffix(".md")
+    if site.startswith("decisions/"):
+        return {f"{stem[:2]} {title((ROOT / 'docs' / site).read_text(encoding='utf-8'))}": site}
+    return {stem: site}
+
+
+def title(markdown: str) -> str:
+    """First heading of a page."""
+    found = re.search(r"^# (.+)$", markdown, re.MULTILINE)
+    return found[1] if found else ""
+
+
+def packages() -> list[str]:
+    """Packages that have a page in the reference."""
+    return sorted({path.parent.name for path in SOURCE.glob("*/__init__.py")} - INTERNAL)
+
+
+def exported(folder: Path) -> list[str]:
+    """Names in a package's ``__all__``."""
+    for node in ast.parse((folder / "__init__.py").read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return [str(name) for name in ast.literal_eval(node.value)]
+    return []
+
+
+def package_page(name: str) -> str:
+    """A package's reference: its public names, and those that only its subpackages have."""
+    folder = SOURCE / name
+    known = set(exported(folder))
+    parts = [f"# {name}\n\n::: conformodal.{name}\n"]
+    for inner in sorted(folder.glob("*/__init__.py")):
+        own = [n for n in exported(inner.parent) if n not in known]
+        if own:
+            dotted = f"conformodal.{name}.{inner.parent.name}"
+            parts.append(f"## {dotted}\n\n::: {dotted}\n    options:\n      heading_level: 3\n      members: {own}\n")
+    return "\n".join(parts)
+
+
+def reference_page() -> str:
+    """All packages, and the names that the top package has."""
+    lines = ["# Reference", "", "| package | what |", "| --- | --- |"]
+    for name in packages():
+        said = ast.get_docstring(ast.parse((SOURCE / name / "__init__.py").read_text(encoding="utf-8"))) or ""
+        first = re.sub(r":\w+:`~?\.?([\w.]+)`", r"`\1`", said.split("\n\n")[0].replace("\n", " "))
+        lines.append(f"| [conformodal.{name}]({name}.md) | {first} |")
+    lines += ["", "`import conformodal as cm` has the names that most programs need:", ""]
+    where = {n: name for name in packages() for n in exported(SOURCE / name)}
+    lines += [f"- [`cm.{n}`][conformodal.{where[n]}.{n}]" for n in exported(SOURCE)]
+    return "\n".join([*lines, "", "Options of the command line: `conformodal VERB --help`.", ""])
+
+
+def tables_page() -> str:
+    """All committed tables by their titles."""
+    tables = sorted((ROOT / TABLES).glob("*.md"))
+    rows = [f"| [{path.stem}]({path.name}) | {title(path.read_text(encoding='utf-8'))} |" for path in tables]
+    said = "Each is written by a script in `benchmarks/`, and says by which command."
+    return "\n".join(["# Tables", "", said, "", "| table | about |", "| --- | --- |", *rows, ""])
+
+
+def examples_page() -> str:
+    """The files of examples/, whole."""
+    parts = ["# Add a part of your own\n\nFiles of `examples/`; each runs as it is.\n"]
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        code = path.read_text(encoding="utf-8")
+        said = (ast.get_docstring(ast.parse(code)) or "").split("\n")[0]
+        parts.append(f"## {path.name} {{#{path.stem}}}\n\n{said}\n\n```python\n{code}```\n")
+    return "\n".join(parts)
+
+
+def gallery_page() -> str:
+    """Every picture of docs/images/ with the text and the page that it stands in."""
+    pages = AT_ROOT | {f"docs/{path.name}": path.name for path in sorted((ROOT / "docs").glob("*.md"))}
+    shown: dict[str, tuple[str, str, str]] = {}
+    for path, site in pages.items():
+        text = (ROOT / path).read_text(encoding="utf-8")
+        for image, alt, target in LINK.findall(text):
+            name = posixpath.basename(target)
+            if image and name not in shown:
+                shown[name] = alt, site, title(text)
+    parts = ["# Gallery\n"]
+    for picture in sorted((ROOT / "docs" / "images").glob("*.*")):
+        alt, site, named = shown[picture.name]
+        parts.append(f"![{alt}](images/{picture.name})\n\n{alt} From [{named}]({site}).\n")
+    return "\n".join(parts)
+
+
+def linked_roles(html: str, package: str) -> str:
+    """Cross-references of docstrings as links of the reference; those to nothing there as code."""
+
+    def link(match: re.Match[str]) -> str:
+        short, name = match.groups()
+        name = name.lstrip(".")
+        full = name if name.startswith("conformodal.") else f"conformodal.{package}.{name}"
+        shown = name.rpartition(".")[2] if short else name
+        return f'<autoref identifier="{full}" optional><code>{shown}</code></autoref>'
+
+    return ROLE.sub(link, html)
+
+
+def on_config(config: Any) -> Any:
+    """Put the pages that a pattern of the navigation means in its place."""
+    docs = Path(config["docs_dir"])
+    sites = sorted({*added_pages(), *(path.relative_to(docs).as_posix() for path in docs.rglob("*.md"))})
+    named: set[str] = set()
+
+    def collect(item: Any) -> None:
+        for inner in item.values() if isinstance(item, dict) else item if isinstance(item, list) else ():
+            collect(inner)
+        if isinstance(item, str):
+            named.add(item)
+
+    def expand(item: Any) -> Any:
+        if isinstance(item, dict):
+            return {key: expand(value) for key, value in item.items()}
+        if not isinstance(item, list):
+            return item
+        found: list[Any] = []
+        for inner in item:
+            pattern = isinstance(inner, str) and "*" in inner
+            fitting = [site for site in sites if pattern and fnmatch(site, inner) and site not in named]
+            found += [short_title(site) for site in fitting] if pattern else [expand(inner)]
+        return found
+
+    collect(config["nav"])
+    config["nav"] = expand(config["nav"])
+    return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are not files of docs/."""
+    from mkdocs.structure.files import File  # noqa: PLC0415 - the site's own needs
+
+    for site, read in added_pages().items():
+        files.append(File.generated(config, site, content=read()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Links of the repository become links of the site; a page without neighbours needs no list of them."""
+    if page.parent is None:
+        page.meta["hide"] = ["navigation"]
+    return rewritten(markdown, page.file.src_uri)
+
+
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Cross-references in docstrings become links."""
+    folder, name = posixpath.split(page.file.src_uri)
+    return linked_roles(html, name.removesuffix(".md")) if folder == "reference" else html

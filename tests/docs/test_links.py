@@ -1,0 +1,77 @@
+"""Links between files of the repository lead somewhere, on their own and on the site (without MkDocs)."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+HOOKS = runpy.run_path(str(ROOT / "docs" / "hooks.py"))
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks" / "results").glob("*.md")],
+)
+ADDED = HOOKS["added_pages"]()
+SITE = {*ADDED, *(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md"))}
+FILES = SITE | {f"images/{path.name}" for path in (ROOT / "docs" / "images").iterdir()}
+
+
+def markdown_of(site):
+    return ADDED[site]() if site in ADDED else (ROOT / "docs" / site).read_text(encoding="utf-8")
+
+
+def links_of(markdown):
+    prose = HOOKS["FENCE"].sub("", markdown)
+    targets = [target for _, _, target in HOOKS["LINK"].findall(prose)]
+    return [target for target in targets if not re.match(r"[a-z]+:", target)]
+
+
+def anchors_of(markdown):
+    headings = re.findall(r"^#+ (.+)$", HOOKS["FENCE"].sub("", markdown), re.MULTILINE)
+    named = set(re.findall(r"\{#([\w-]+)\}", markdown))
+    return named | {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_of_a_file_lead_to_files(page):
+    for target in links_of(page.read_text(encoding="utf-8")):
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        if anchor:
+            assert anchor in anchors_of(found.read_text(encoding="utf-8")), target
+
+
+@pytest.mark.parametrize("site", sorted(SITE))
+def test_links_of_a_page_lead_to_pages(site):
+    for target in links_of(HOOKS["rewritten"](markdown_of(site), site)):
+        path, _, anchor = target.partition("#")
+        found = (Path("/") / Path(site).parent / path).resolve().relative_to("/").as_posix() if path else site
+        assert found in FILES, target
+        if anchor and found.startswith("reference/"):
+            *_, package, name = anchor.split(".")
+            assert name in HOOKS["exported"](HOOKS["SOURCE"] / package), target
+        elif anchor:
+            assert anchor in anchors_of(markdown_of(found)), target
+
+
+def test_files_that_no_page_shows_become_text():
+    rewritten = HOOKS["rewritten"]
+    assert rewritten("[the command](src/conformodal/cli/run.py)", "index.md") == "the command"
+    assert rewritten("```\n[a](docs/data.md)\n```", "index.md") == "```\n[a](docs/data.md)\n```"
+    assert rewritten("[a](docs/data.md)", "index.md") == "[a](data.md)"
+    assert rewritten("[a](nowhere.md)", "index.md") == "[a](nowhere.md)"
+    assert rewritten("[a](../examples/custom_score.py)", "tutorial.md") == "[a](examples.md#custom_score)"
+    rank = "reference/conformal.md#conformodal.conformal.conformal_rank"
+    assert rewritten("[a](../src/conformodal/conformal/rank.py)", "tutorial.md") == f"[a]({rank})"
+
+
+def test_every_picture_is_in_the_gallery():
+    gallery = markdown_of("gallery.md")
+    assert not [path.name for path in (ROOT / "docs" / "images").iterdir() if f"images/{path.name}" not in gallery]
+
+
+def test_code_that_decisions_name_is_there():
+    for page in (ROOT / "docs" / "decisions").glob("*.md"):
+        for path in re.findall(r"`((?:[a-z_0-9]+/)+(?:\w+\.py)?)`", page.read_text(encoding="utf-8")):
+            assert (ROOT / "src" / "conformodal" / path).exists() or (ROOT / path).exists(), f"{page.name}: {path}"
