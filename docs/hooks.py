@@ -101,7 +101,7 @@ def reference_of(path: Path, package: str) -> str:
     known = exported(SOURCE / package)
     for node in ast.parse(file.read_text(encoding="utf-8")).body if file.suffix == ".py" else ():
         if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name in known:
-            return f"reference/{package}.md#conformodal.{package}.{node.name}"
+            return f"reference/{package}.md#{identifier(f'conformodal.{package}.{node.name}')}"
     return f"reference/{package}.md"
 
 
@@ -137,16 +137,36 @@ def exported(folder: Path) -> list[str]:
     return []
 
 
+def identifier(name: str) -> str:
+    """What the reference calls a public name: a function in a file of its own name stands there, beside the file."""
+    package, _, last = name.rpartition(".")
+    folder = ROOT / "src" / package.replace(".", "/")
+    if not (folder / "__init__.py").is_file() or last not in exported(folder):
+        return name
+    for path in sorted(folder.rglob(f"{last}.py")):
+        return ".".join([*path.relative_to(ROOT / "src").with_suffix("").parts, last])
+    return name
+
+
+def apart(dotted: str) -> str:
+    """Reference of the functions of a package that lie in a file of their own name, which the package's own lacks."""
+    public = [f"{dotted}.{name}" for name in exported(ROOT / "src" / dotted.replace(".", "/"))]
+    names = [identifier(name) for name in public if identifier(name) != name]
+    shown = "    options: {show_root_heading: true, show_root_toc_entry: true, show_root_full_path: false}\n"
+    return "\n".join(f"::: {name}\n{shown}" for name in names)
+
+
 def package_page(name: str) -> str:
     """A package's reference: its public names, and those that only its subpackages have."""
     folder = SOURCE / name
     known = set(exported(folder))
-    parts = [f"# {name}\n\n::: conformodal.{name}\n"]
+    parts = [f"# {name}\n\n::: conformodal.{name}\n", apart(f"conformodal.{name}")]
     for inner in sorted(folder.glob("*/__init__.py")):
         own = [n for n in exported(inner.parent) if n not in known]
         if own:
             dotted = f"conformodal.{name}.{inner.parent.name}"
             parts.append(f"## {dotted}\n\n::: {dotted}\n    options:\n      heading_level: 3\n      members: {own}\n")
+            parts.append(apart(dotted).replace("{", "{heading_level: 3, "))
     return "\n".join(parts)
 
 
@@ -206,7 +226,7 @@ def linked_roles(html: str, package: str) -> str:
         name = name.lstrip(".")
         full = name if name.startswith("conformodal.") else f"conformodal.{package}.{name}"
         shown = name.rpartition(".")[2] if short else name
-        return f'<autoref identifier="{full}" optional><code>{shown}</code></autoref>'
+        return f'<autoref identifier="{identifier(full)}" optional><code>{shown}</code></autoref>'
 
     return ROLE.sub(link, html)
 

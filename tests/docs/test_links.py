@@ -49,7 +49,7 @@ def test_links_of_a_page_lead_to_pages(site):
         found = (Path("/") / Path(site).parent / path).resolve().relative_to("/").as_posix() if path else site
         assert found in FILES, target
         if anchor and found.startswith("reference/"):
-            *_, package, name = anchor.split(".")
+            _, package, name, *_ = anchor.split(".")
             assert name in HOOKS["exported"](HOOKS["SOURCE"] / package), target
         elif anchor:
             assert anchor in anchors_of(markdown_of(found)), target
