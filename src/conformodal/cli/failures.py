@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from conformodal.conformal import ConformodalError
+from conformodal.core.errors import ConformodalError
 
 # 0 all went well; 1 `data check` found something; 128 + n stopped by signal n, as shells say it
 BAD_INPUT, BROKE_OFF, REFUSED, OWN_FAULT = 2, 3, 4, 70

@@ -13,7 +13,6 @@ app = typer.Typer(
     cls=Verbs,
     help="Everywhere your camera could be, with a guarantee; and the one place that motion speaks for.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 

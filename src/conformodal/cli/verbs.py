@@ -46,6 +46,11 @@ VERBS = {
         "evaluate:evaluate",
         "Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json.",
     ),
+    "view": Verb("view:view", "Open the page of results."),
+    "info": Verb(
+        "info:info",
+        "Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here.",
+    ),
     "data": Verb("data:app", "Look at a data set, or convert it."),
     "reproduce": Verb("reproduce:app", "The paper's results on a data set of your own.", "train"),
 }

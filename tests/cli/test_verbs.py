@@ -1,0 +1,72 @@
+import inspect
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from conformodal.cli import info as info_module
+from conformodal.cli import view as view_module
+from conformodal.cli.main import app
+from conformodal.cli.verbs import VERBS
+from conformodal.odometry import EvidenceKind, load_model
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_the_list_says_what_the_verb_says_of_itself(name):
+    group = get_command(app)
+    verb = group.get_command(None, name)
+    loaded = verb.loaded()
+    assert loaded.name == name
+    assert inspect.cleandoc(loaded.help).split("\n\n")[0].replace("\n", " ") == VERBS[name].help
+
+
+def test_help_imports_nothing_heavy():
+    script = "import sys; from conformodal.cli.main import app\ntry:\n app(['--help'])\nexcept SystemExit: pass\n"
+    script += "print([m for m in ('torch', 'scipy', 'sklearn', 'cv2', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(("words", "offered"), [("conformodal tr", "train"), ("conformodal run --par", "--part")])
+def test_the_shell_completes_verbs_and_options(words, offered):
+    asked = {"_CONFORMODAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    result = CliRunner(env=asked).invoke(app, [], prog_name="conformodal")
+    assert offered in result.output.split()
+
+
+def test_info_says_what_the_model_knows_and_promises(small_world):
+    found = json.loads(invoke("info", small_world.model, "--json").stdout)
+    model = load_model(small_world.model)
+    assert found["frames"] == {part: len(model.split.part(part)) for part in ("train", "calibration", "test")}
+    assert found["alpha"] == 0.2
+    assert found["sources"] == ["head", "neighbours", "landmarks"]
+    assert found["runtime"] == "onnx"
+    assert found["network_ms"] > 0
+    assert found["bytes"]["weights.safetensors"] == (small_world.model / "weights.safetensors").stat().st_size
+    assert set(found["bounded_regions"]) == {kind.name.lower() for kind in EvidenceKind}
+    assert not found["bounded_regions"]["unknown"]
+    lines = info_module.said(found)
+    assert any("with probability at least 0.8" in line for line in lines)
+    assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])
+
+
+def test_a_page_is_opened(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(view_module.webbrowser, "open", lambda address: opened.append(address) or True)
+    assert invoke("view", tmp_path).exit_code == 2
+    page = tmp_path / "report.html"
+    page.write_text("<html></html>")
+    for place in (tmp_path, page):
+        result = invoke("view", place)
+        assert result.exit_code == 0, result.output
+        assert str(page) in result.stdout.replace("\n", "")
+    assert opened == [page.as_uri()] * 2
+    assert invoke("view", page, "--no-browser").exit_code == 0
+    assert len(opened) == 2
