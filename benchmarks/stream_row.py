@@ -7,7 +7,6 @@ import time
 BEGAN = time.perf_counter()
 
 import json  # noqa: E402
-import resource  # noqa: E402
 import sys  # noqa: E402
 from collections import defaultdict  # noqa: E402
 from collections.abc import Callable  # noqa: E402
@@ -49,8 +48,14 @@ def answer(model: Path, images: list[str], match_every: int) -> dict[str, Any]:
         "mean": float(np.mean(frames)),
         "parts": {name: 1e3 * spent[name] / len(frames) for name in PARTS},
         "first_s": first,
-        "resident_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "resident_mb": peak_mb(),
     }
+
+
+def peak_mb() -> float:
+    """Most memory that was resident; rusage would have the parent's too."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1e3
 
 
 def watch(odometry: Any, spent: dict[str, float]) -> None:

@@ -63,5 +63,5 @@ def test_other_data_is_refused(small_world, tmp_path):
     (data / "seq-01" / "frame-000000.pose.txt").write_bytes((data / "seq-01" / "frame-000050.pose.txt").read_bytes())
     arguments = ["--out", tmp_path / "out", "--quantise", "int8", "--data", data]
     result = invoke("export", small_world.model, *arguments)
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "is not the data set" in result.stderr
