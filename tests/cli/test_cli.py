@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
 from conformodal.cli.main import app
-from conformodal.cli.verbs import VERBS
 from conformodal.cli.model_notes import said_of_landmarks
+from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.odometry import Estimate, EvidenceKind, load_model, read_region_parquet, read_region_records
 from conformodal.poses import Trajectory, read_tum, write_tum
