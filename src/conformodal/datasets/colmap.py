@@ -1,4 +1,4 @@
-"""COLMAP text models (Schoenberger and Frahm 2016): ``cameras.txt`` and ``images.txt``.
+"""COLMAP models (Schoenberger and Frahm 2016): ``cameras.txt`` and ``images.txt``, or the same in ``.bin``.
 
 COLMAP stores world-to-camera poses, quaternion ``wxyz`` first, in cameras with x right and y down, as here.
 """
@@ -14,6 +14,7 @@ from conformodal.poses import PinholeCamera, matrix_from_quat_wxyz
 from conformodal.poses.text import number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
+from .colmap_binary import binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .draft import Draft
 from .errors import DatasetError
@@ -34,14 +35,19 @@ _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 
 
 def model_folder(folder: Path) -> Path | None:
-    """Where in a folder a text model lies, if there is one."""
-    places = (folder / place for place in _PLACES)
-    return next((p for p in places if (p / "images.txt").is_file() and (p / "cameras.txt").is_file()), None)
+    """Where in a folder a model lies, if there is one."""
+    return next((place for place in (folder / name for name in _PLACES) if _ending(place)), None)
+
+
+def _ending(place: Path) -> str | None:
+    """``txt`` or ``bin``, of a folder that holds a model; the text where there are both."""
+    whole = (e for e in ("txt", "bin") if all((place / f"{n}.{e}").is_file() for n in ("images", "cameras")))
+    return next(whole, None)
 
 
 @reader
 def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
-    """Read the registered images of a text model, in the natural order of their names, without decoding them.
+    """Read the registered images of a model, in the natural order of their names, without decoding them.
 
     Parameters
     ----------
@@ -62,18 +68,22 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     folder = Path(folder).resolve()
     place = model_folder(folder)
     if place is None:
-        raise DatasetError(f"{folder}: holds no cameras.txt with images.txt; expected a COLMAP text model")
-    rows = _images(place / "images.txt")
-    cameras = _lines_of_cameras(place / "cameras.txt")
+        raise DatasetError(
+            f"{folder}: holds no cameras.txt with images.txt, nor cameras.bin with images.bin; expected a COLMAP model"
+        )
+    ending = _ending(place)
+    of_images, of_cameras = place / f"images.{ending}", place / f"cameras.{ending}"
+    rows = _images(of_images) if ending == "txt" else binary_images(of_images)
+    cameras = _lines_of_cameras(of_cameras) if ending == "txt" else binary_cameras(of_cameras)
     used = sorted({camera for _, _, camera in rows.values()})
     if len(used) != 1 or used[0] not in cameras:
-        raise DatasetError(f"{place / 'images.txt'}: uses cameras {used}, expected one of {sorted(cameras)}")
+        raise DatasetError(f"{of_images}: uses cameras {used}, expected one of {sorted(cameras)}")
     names = sorted(rows, key=natural_key)
     base = folder / "images" if (folder / "images").is_dir() else folder
-    image = Inside(folder, place / "images.txt", follow_outside=follow_outside)
+    image = Inside(folder, of_images, follow_outside=follow_outside)
     images = [image(base, name) for name in names]
     remarks: list[Remark] = []
-    camera = _camera(place / "cameras.txt", *cameras[used[0]], common_size(images), remarks)
+    camera = _camera(of_cameras, *cameras[used[0]], common_size(images), remarks)
     quats = np.array([rows[name][0] for name in names])
     shifts = np.array([rows[name][1] for name in names])
     faults = pose_faults(shifts, quats)
@@ -85,8 +95,7 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     poses[known, :3, :3] = rotations.transpose(0, 2, 1)
     poses[known, :3, 3] = -np.einsum("nji,nj->ni", rotations, shifts[known])
     why = {
-        i: f"{place / 'images.txt'}: {faults.get(i, 'its pose holds NaN or infinity')}"
-        for i in np.flatnonzero(~known).tolist()
+        i: f"{of_images}: {faults.get(i, 'its pose holds NaN or infinity')}" for i in np.flatnonzero(~known).tolist()
     }
     times, recording = even_times(folder, len(names)), np.zeros(len(names), dtype=np.int64)
     draft = Draft(folder.name, images, times, recording, table_of(poses), why, remarks)
@@ -131,14 +140,14 @@ def _images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
     return found
 
 
-def _lines_of_cameras(path: Path) -> dict[int, tuple[int, list[str]]]:
-    """Line number and fields by camera."""
+def _lines_of_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
+    """Place in the file and fields by camera."""
     found = {}
     for at, line in enumerate(read_lines(path), start=1):
         if not line.strip() or line.startswith("#"):
             continue
         try:
-            found[whole_number(line.split()[0])] = (at, line.split())
+            found[whole_number(line.split()[0])] = (f"line {at}", line.split())
         except ValueError:
             raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}") from None
     if not found:
@@ -146,7 +155,7 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[int, list[str]]]:
     return found
 
 
-def _camera(path: Path, at: int, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera:
+def _camera(path: Path, at: str, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera:
     line = " ".join(fields)
     try:
         model, width, height = fields[1], whole_number(fields[2]), whole_number(fields[3])
@@ -158,9 +167,7 @@ def _camera(path: Path, at: int, fields: list[str], size: Size, remarks: list[Re
         distortion = tuple(0.0 if i is None else values[i] for i in lens)
     except KeyError:
         known = ", ".join(_MODELS)
-        raise DatasetError(
-            f"{path}, line {at}: camera model {fields[1][:40]} is none of {known}: {UNDISTORT}"
-        ) from None
+        raise DatasetError(f"{path}, {at}: camera model {fields[1][:40]} is none of {known}: {UNDISTORT}") from None
     except (ValueError, IndexError) as exc:
-        raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}: {exc}") from exc
-    return camera_of(f"{path}, line {at}", pixels, size, distortion, stated=(width, height), remarks=remarks)
+        raise DatasetError(f"{path}, {at}: is no camera: {line[:80]!r}: {exc}") from exc
+    return camera_of(f"{path}, {at}", pixels, size, distortion, stated=(width, height), remarks=remarks)

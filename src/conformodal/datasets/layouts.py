@@ -68,7 +68,9 @@ _READERS = {
         "mav0/cam0",
         lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0")),
     ),
-    Layout.COLMAP: _Reader(read_colmap, "cameras.txt and images.txt", lambda f: model_folder(f) is not None),
+    Layout.COLMAP: _Reader(
+        read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: model_folder(f) is not None
+    ),
     Layout.NERF: _Reader(read_nerf, FILE, lambda f: (f / FILE).is_file()),
     Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt", _is_image_folder),
 }

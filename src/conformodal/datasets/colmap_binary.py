@@ -1,0 +1,118 @@
+"""COLMAP binary models: ``cameras.bin`` and ``images.bin``, little-endian, as COLMAP's documentation describes them."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from .errors import DatasetError
+
+# By number in the file: name and how many parameters.
+_MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+)
+_POINT_BYTES = 24  # x, y and the number of a point
+_LONGEST_NAME = 4096
+
+
+class _Bytes:
+    """A file that is read from front to back."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.at = path, 0
+        try:
+            self.content = path.read_bytes()
+        except OSError as exc:
+            raise DatasetError(f"{path}: cannot be read: {exc.strerror}") from exc
+
+    def take(self, form: str) -> tuple[float, ...]:
+        """The next numbers, of a form of :mod:`struct`."""
+        try:
+            found = struct.unpack_from(f"<{form}", self.content, self.at)
+        except struct.error:
+            raise self.damaged(f"ends after {len(self.content)} bytes, within a record") from None
+        self.at += struct.calcsize(f"<{form}")
+        return found
+
+    def skip(self, n_bytes: int) -> None:
+        """Pass over bytes."""
+        if n_bytes > len(self.content) - self.at:
+            raise self.damaged(f"ends after {len(self.content)} bytes, within a record")
+        self.at += n_bytes
+
+    def name(self) -> str:
+        """The next name, which a zero byte ends."""
+        end = self.content.find(b"\0", self.at, self.at + _LONGEST_NAME)
+        if end < 0:
+            raise self.damaged("a name has no end")
+        raw, self.at = self.content[self.at : end], end + 1
+        return raw.decode("utf-8", errors="surrogateescape")
+
+    def end(self) -> None:
+        """Refuse a file that goes on."""
+        if self.at != len(self.content):
+            raise self.damaged(f"{len(self.content) - self.at} bytes follow the last record")
+
+    def damaged(self, what: str) -> DatasetError:
+        """The error of a file that is none of COLMAP's."""
+        return DatasetError(f"{self.path}: is no binary model of COLMAP, byte {self.at}: {what}")
+
+
+def binary_images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
+    """Quaternion, translation and camera by image name.
+
+    Raises
+    ------
+    DatasetError
+        If the file is damaged, holds no image, or names one twice.
+    """
+    file = _Bytes(path)
+    found: dict[str, tuple[list[float], list[float], int]] = {}
+    (n,) = file.take("Q")
+    for _ in range(int(n)):
+        _, *pose = file.take("i7d")
+        (camera,) = file.take("i")
+        name = file.name()
+        if name in found:
+            raise DatasetError(f"{path}: names {name[:80]!r} a second time, expected one pose for an image")
+        found[name] = (list(pose[:4]), list(pose[4:]), int(camera))
+        (points,) = file.take("Q")
+        file.skip(int(points) * _POINT_BYTES)
+    file.end()
+    if not found:
+        raise DatasetError(f"{path}: holds no image")
+    return found
+
+
+def binary_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
+    """Place in the file and fields, as a text model has them, by camera.
+
+    Raises
+    ------
+    DatasetError
+        If the file is damaged, or holds no camera or one of an unknown model.
+    """
+    file = _Bytes(path)
+    found = {}
+    (n,) = file.take("Q")
+    for k in range(int(n)):
+        camera, model, width, height = (int(v) for v in file.take("iiQQ"))
+        if not 0 <= model < len(_MODELS):
+            raise file.damaged(f"camera {camera} has the model {model}, expected 0 to {len(_MODELS) - 1}")
+        name, n_parameters = _MODELS[model]
+        values = file.take(f"{n_parameters}d")
+        found[camera] = (f"record {k + 1}", [str(camera), name, str(width), str(height), *(repr(v) for v in values)])
+    file.end()
+    if not found:
+        raise DatasetError(f"{path}: holds no camera")
+    return found
