@@ -303,3 +303,9 @@ def test_a_data_set_streams_the_frames_between_too(redkitchen):
     np.testing.assert_array_equal(frames[2].image, sequence.image(5))
     with pytest.raises(DatasetError, match="no such folder"):
         open_stream(redkitchen / "absent")
+
+
+@pytest.mark.parametrize("address", ["rtsp://10.0.0.1/live", "http://camera/video", "RTSP:/10.0.0.1/live"])
+def test_addresses_on_a_network_are_refused(address):
+    with pytest.raises(SourceError, match="is an address on a network, and none is opened"):
+        open_stream(address)

@@ -9,11 +9,12 @@ from conformodal.poses import PinholeCamera
 
 from ..layouts import Layout, read_sequence
 from .bag import BagStream, is_bag
-from .frames import FrameStream
+from .frames import FrameStream, SourceError
 from .stored import SequenceStream
 from .video import CameraStream, VideoStream
 
 _CAMERA = re.compile(r"camera:([0-9]{1,9})$")
+_ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*):/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of the slashes
 
 
 def open_stream(
@@ -47,6 +48,12 @@ def open_stream(
     match = _CAMERA.match(str(source))
     if match:
         return CameraStream(int(match[1]), camera)
+    address = _ADDRESS.match(str(source))
+    if address and not Path(source).exists():
+        raise SourceError(
+            f"{source}: {address[1]} is an address on a network, and none is opened here; expected a folder, a video, "
+            "a ROS recording or camera:0. A program that receives it can push its frames with VisualOdometry.step"
+        )
     path = Path(source)
     if layout is Layout.AUTO and is_bag(path):
         return BagStream(path, topic, camera)
