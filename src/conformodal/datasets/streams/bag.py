@@ -7,29 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-import numpy.typing as npt
-
 from conformodal.poses import PinholeCamera
 
-from ..cameras import UNDISTORT, camera_of, check_matrix
-from ..decoding import decode
-from ..errors import DatasetError
 from .frames import Frame, SourceError
+from .ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of
 
-_RAW, _COMPRESSED, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
-# encoding: (channels, conversion to RGB or None)
-_ENCODINGS: dict[str, tuple[int, int | None]] = {
-    "rgb8": (3, None),
-    "bgr8": (3, cv2.COLOR_BGR2RGB),
-    "8UC3": (3, cv2.COLOR_BGR2RGB),
-    "rgba8": (4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (4, cv2.COLOR_BGRA2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "8UC1": (1, cv2.COLOR_GRAY2RGB),
-}
-_LENSES = ("plumb_bob", "radtan")
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 
@@ -65,7 +47,7 @@ class BagStream:
         if not self.path.exists():
             raise SourceError(f"{self.path}: no such recording")
         with _reader(self.path) as reader:
-            images = [c for c in reader.connections if c.msgtype in (_RAW, _COMPRESSED)]
+            images = [c for c in reader.connections if c.msgtype in (RAW, COMPRESSED)]
             topics = sorted({c.topic for c in images if c.msgcount})
             if not topics:
                 others = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})
@@ -119,7 +101,7 @@ class BagStream:
                     raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
                 image, problem = None, ""
                 try:
-                    image = _decode(message, item[0].msgtype)
+                    image = image_of(message, item[0].msgtype)
                 except ValueError as exc:
                     problem = f"{self.path}, message {done} of {self.topic}: {exc}"
                 yield Frame(f"{self.path.stem}-{done:06d}", time_s, image, problem)
@@ -128,41 +110,14 @@ class BagStream:
     def _info(self, reader: Any) -> PinholeCamera | None:
         """The camera of the first CameraInfo in the images' name space."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
-        infos = [c for c in reader.connections if c.msgtype == _INFO and c.topic.rpartition("/")[0] == space]
+        infos = [c for c in reader.connections if c.msgtype == INFO and c.topic.rpartition("/")[0] == space]
         for connection, _, raw in reader.messages(connections=infos) if infos else ():
             try:
                 message = reader.deserialize(raw, connection.msgtype)
             except Exception as exc:  # as above
                 raise SourceError(f"{self.path}: {connection.topic} cannot be decoded: {exc}") from exc
-            k = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
-            d = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
-            lens = tuple(d.tolist()) if np.any(d) else ()
-            size = int(message.width), int(message.height)
-            source = f"{self.path}: {connection.topic} holds a camera that cannot be used"
-            if lens and message.distortion_model not in _LENSES:
-                raise SourceError(f"{source}: {message.distortion_model}, expected {_LENSES[0]}: {UNDISTORT}")
-            try:
-                if min(size) < 1:
-                    raise DatasetError(f"{source}: it has {size[0]}x{size[1]} pixels")
-                check_matrix(source, k.reshape(3, 3))
-                return camera_of(source, k[[0, 4, 2, 5]].tolist(), size, lens)
-            except DatasetError as exc:
-                raise SourceError(str(exc)) from exc
+            return camera_of_info(message, f"{self.path}: {connection.topic}")
         return None
-
-
-def _decode(message: Any, kind: str) -> npt.NDArray[np.uint8]:
-    if kind == _COMPRESSED:
-        return decode(bytes(message.data), f"{message.format} data")
-    if message.encoding not in _ENCODINGS:
-        raise ValueError(f"encoding {message.encoding} is none of {', '.join(_ENCODINGS)}")
-    channels, conversion = _ENCODINGS[message.encoding]
-    data = np.asarray(message.data, dtype=np.uint8)
-    if data.size != message.height * message.step or message.step < message.width * channels:
-        raise ValueError(f"{data.size} bytes do not make {message.width}x{message.height} pixels {message.encoding}")
-    rows = data.reshape(message.height, message.step)[:, : message.width * channels]
-    image: npt.NDArray[np.uint8] = np.ascontiguousarray(rows.reshape(message.height, message.width, channels))
-    return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), dtype=np.uint8)
 
 
 def _reader(path: Path) -> Any:
