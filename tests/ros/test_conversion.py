@@ -1,0 +1,218 @@
+"""Messages against independent oracles: SciPy's rotations, sampling, and the region's own intervals."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.odometry import EvidenceKind
+from conformodal.poses import Trajectory
+from conformodal.reasoning import Candidates
+from conformodal.ros import TOPICS, Conventions, Conversion, Covariance, RosError, mixture_covariance
+from conformodal.ros.messages import Pose
+
+SEEDS = range(5)
+
+
+def matrix_of(message):
+    return message.pose.covariance.reshape(6, 6)
+
+
+def rotation_of(orientation):
+    """SciPy takes the real part last, as ROS does."""
+    return Rotation.from_quat([orientation.x, orientation.y, orientation.z, orientation.w])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_orientations_have_the_real_part_last(make_estimate, seed):
+    estimate = make_estimate(seed=seed)
+    found = Conversion().messages(estimate)
+    expected = estimate.pose.poses_se3[0]
+    for pose in (found["pose"].pose.pose, found["candidates"].poses[0], found["path"].poses[0].pose):
+        np.testing.assert_allclose(rotation_of(pose.orientation).as_matrix(), expected[:3, :3], atol=1e-12)
+        np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z], expected[:3, 3])
+
+
+def test_a_camera_that_looks_along_x_has_the_quaternion_of_the_textbook():
+    """REP 103: optical frame against body frame, x of the world forward and z up."""
+    looks = np.column_stack(([0, -1, 0], [0, 0, -1], [1, 0, 0]))  # its right, down and forward, in the world
+    quat = Trajectory.from_poses_se3([0.0], [np.block([[looks, np.zeros((3, 1))], [np.eye(4)[3:]]])])
+    q = Pose.of(quat.positions_xyz[0], quat.orientations_quat_wxyz[0]).orientation
+    sign = np.sign(q.w)
+    np.testing.assert_allclose(sign * np.array([q.x, q.y, q.z, q.w]), [-0.5, 0.5, -0.5, 0.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", list(Covariance))
+@pytest.mark.parametrize("seed", SEEDS)
+def test_covariances_are_symmetric_and_positive_definite(make_estimate, kind, seed):
+    message = Conversion(Conventions(covariance=kind)).messages(make_estimate(seed=seed))["pose"]
+    assert message.pose.covariance.shape == (36,)
+    found = matrix_of(message)
+    np.testing.assert_array_equal(found, found.T)
+    assert np.linalg.eigvalsh(found).min() > 0
+
+
+def test_the_covariance_is_that_of_samples_in_the_order_of_ros(some_candidates):
+    rng = np.random.default_rng(1)
+    one = some_candidates(rng, 3)
+    # orientations near each other, as rotation vectors of samples are compared
+    tilts = Rotation.from_rotvec(rng.normal(size=(3, 3)) * (0.05, 0.2, 0.4))
+    base = Rotation.random(rng=rng)
+    quats = (tilts * base).as_quat(scalar_first=True)
+    mixture = Candidates(one.positions_xyz, one.position_spreads, quats, one.orientation_spreads_rad, one.log_mass)
+    place = one.positions_xyz[0]
+    n = 400_000
+    which = rng.choice(3, n, p=np.exp(one.log_mass))
+    positions = mixture.positions_xyz[which] + rng.normal(size=(n, 3)) * mixture.position_spreads[which]
+    small = Rotation.from_rotvec(rng.normal(size=(n, 3)) * mixture.orientation_spreads_rad[which, None])
+    turned = small * Rotation.from_quat(mixture.orientations_quat_wxyz, scalar_first=True)[which]
+    chosen = Rotation.from_quat(quats[0], scalar_first=True)
+    off = np.column_stack((positions - place, (turned * chosen.inv()).as_rotvec()))  # x y z, about fixed x y z
+    expected = off.T @ off / n
+    found = mixture_covariance(mixture, place, quats[0])
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=0.02)
+    assert np.abs((found / scale)[:3, 3:]).max() > 0.2  # position and rotation go together here
+
+
+def test_turning_the_world_turns_both_halves_of_the_covariance(some_candidates):
+    """Rotations are about axes of the world: those about axes of the camera would not turn with it."""
+    rng = np.random.default_rng(2)
+    one = some_candidates(rng, 5)
+    world = Rotation.random(rng=rng)
+    even = Candidates(  # spreads alike along all axes: theirs are along the axes of the world
+        one.positions_xyz,
+        np.full((5, 3), 0.2),
+        one.orientations_quat_wxyz,
+        one.orientation_spreads_rad,
+        one.log_mass,
+    )
+    before = mixture_covariance(even, even.positions_xyz[0], even.orientations_quat_wxyz[0])
+    quats = (world * Rotation.from_quat(one.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
+    after = Candidates(
+        world.apply(one.positions_xyz), even.position_spreads, quats, one.orientation_spreads_rad, one.log_mass
+    )
+    both = np.kron(np.eye(2), world.as_matrix())
+    found = mixture_covariance(after, after.positions_xyz[0], quats[0])
+    np.testing.assert_allclose(found, both @ before @ both.T, atol=1e-10)
+
+
+def test_one_candidate_has_its_own_spreads_and_the_sign_of_a_quaternion_says_nothing(some_candidates):
+    rng = np.random.default_rng(3)
+    one = some_candidates(rng, 1)
+    found = mixture_covariance(one, one.positions_xyz[0], -one.orientations_quat_wxyz[0])
+    own = np.append(one.position_spreads[0], [one.orientation_spreads_rad[0]] * 3) ** 2
+    np.testing.assert_allclose(found, np.diag(own), atol=1e-11)
+
+
+def test_the_chosen_spread_is_that_of_the_estimate(make_estimate):
+    estimate = make_estimate(position_spread_m=0.6, orientation_spread_rad=0.2)
+    found = matrix_of(Conversion(Conventions(covariance=Covariance.CHOSEN)).messages(estimate)["pose"])
+    assert np.trace(found[:3, :3]) == pytest.approx(0.36)
+    np.testing.assert_allclose(np.diag(found)[3:], 0.04)
+
+
+@pytest.mark.parametrize("kind", [None, EvidenceKind.UNKNOWN])
+def test_lost_frames_say_no_pose(make_estimate, kind):
+    conversion = Conversion()
+    before = conversion.messages(make_estimate(1.0))
+    assert matrix_of(before["pose"]).max() < 100
+    found = conversion.messages(make_estimate(2.0, kind))
+    np.testing.assert_array_equal(matrix_of(found["pose"]), np.eye(6) * 1e6)
+    pose = found["pose"].pose.pose
+    assert [pose.position.x, pose.position.y, pose.position.z] == [0, 0, 0]
+    assert [pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w] == [0, 0, 0, 1]
+    assert found["candidates"].poses == []
+    assert len(found["candidate_weights"].data) == 0
+    assert [marker.action for marker in found["region"].markers] == [3]  # what was drawn before is removed
+    assert found["status"].status[0].level == 2
+    assert [p.header.stamp.sec for p in conversion.path(3_000_000_000).poses] == [1]
+    assert found["pose"].header.stamp.sec == 2
+
+
+def test_before_the_first_answer_the_covariance_is_very_large(make_estimate):
+    found = Conversion().messages(make_estimate(0.0, None))
+    assert np.diag(matrix_of(found["pose"])).min() == 1e6
+    assert "path" not in found
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_boxes_are_the_region(make_estimate, seed):
+    estimate = make_estimate(seed=seed)
+    intervals = estimate.region.intervals(0)[:3]
+    expected = sorted(tuple(np.ravel(box)) for box in product(*intervals))
+    clear, *markers = Conversion().messages(estimate)["region"].markers
+    assert clear.action == 3
+    assert [marker.type for marker in markers] == [1] * len(markers)
+    assert len({marker.id for marker in markers}) == len(markers) <= 256
+    found = []
+    for marker in markers:
+        middle, size = marker.pose.position, marker.scale
+        found.append(
+            [end for a, s in zip("xyz", "xyz", strict=True)
+             for end in (getattr(middle, a) - getattr(size, s) / 2, getattr(middle, a) + getattr(size, s) / 2)]
+        )  # fmt: skip
+    np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
+
+
+def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate):
+    estimate = make_estimate()
+    all_of_them = Conversion().messages(estimate)["region"].markers[1:]
+    few = Conversion(Conventions(most_boxes=3)).messages(estimate)
+    assert [m.pose for m in few["region"].markers[1:]] == [m.pose for m in all_of_them[:3]]
+    shares = [marker.color.a for marker in all_of_them]
+    assert shares == sorted(shares, reverse=True)
+    said = {pair.key: pair.value for pair in few["status"].status[0].values}
+    assert (said["boxes"], said["boxes_shown"]) == (str(len(all_of_them)), "3")
+
+
+def test_a_whole_line_ends_in_the_distance(make_estimate):
+    estimate = make_estimate()
+    region = type(estimate.region)(estimate.region.bins, estimate.region.masks, np.ones((1, 7), bool))
+    (_, marker) = Conversion(Conventions(range_m=10)).messages(make_estimate(region=region))["region"].markers
+    assert (marker.scale.x, marker.scale.y, marker.scale.z) == (20, 20, 20)
+
+
+def test_weights_stand_beside_the_candidates(make_estimate):
+    estimate = make_estimate()
+    found = Conversion().messages(estimate)
+    weights = np.asarray(found["candidate_weights"].data)
+    np.testing.assert_allclose(weights, np.exp(estimate.candidates.log_mass))
+    assert weights.sum() == pytest.approx(1)
+    assert len(found["candidates"].poses) == found["candidate_weights"].layout.dim[0].size == len(weights)
+
+
+def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
+    conversion = Conversion(Conventions(longest_path=4, path_every=3))
+    quats = np.tile([1.0, 0, 0, 0], (9, 1))
+    said = []
+    for i in range(7):
+        times = np.arange(max(0, i - 1), i + 1, dtype=float)  # the frame before is revised
+        places = np.column_stack((times, np.full((len(times), 2), float(i))))
+        kind = EvidenceKind.UNKNOWN if i == 4 else EvidenceKind.GLOBAL
+        revised = Trajectory(times, places, quats[: len(times)])
+        said.append("path" in conversion.messages(make_estimate(float(i), kind, revised=revised)))
+    assert said == [True, False, False, True, False, False, True]
+    path = conversion.path(6_000_000_000)
+    found = [(p.header.stamp.sec, p.pose.position.y) for p in path.poses]
+    assert found == [(2, 3), (3, 4), (5, 6), (6, 6)]  # each as the frame after it has it; 4 was lost
+    conversion.reset()
+    assert conversion.path(0).poses == []
+
+
+def test_stamps_and_frames(make_estimate):
+    estimate = make_estimate(1700000000.25)
+    found = Conversion(Conventions(world_frame="hall")).messages(estimate)
+    header = found["pose"].header
+    assert (header.stamp.sec, header.stamp.nanosec, header.frame_id) == (1700000000, 250_000_000, "hall")
+    exact = Conversion().messages(estimate, stamp_ns=1700000000_123456789)["pose"].header
+    assert (exact.stamp.sec, exact.stamp.nanosec, exact.frame_id) == (1700000000, 123456789, "map")
+    assert set(found) == set(TOPICS)
+    assert all(isinstance(found[name], kind) for name, kind in TOPICS.items())
+
+
+@pytest.mark.parametrize("time_s", [-0.5, 2.0**31])
+def test_times_that_ros_has_not_are_named(make_estimate, time_s):
+    with pytest.raises(RosError, match="a time of ROS must lie within"):
+        Conversion().messages(make_estimate(time_s))
