@@ -44,6 +44,7 @@ def _plain(value: float) -> str:
     return str(int(value)) if value == int(value) else f"{value:g}"
 
 
+RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
 _SHARE = Range(0, 1, low_open=True, high_open=True)
 _MANY = 1_000_000
 # By the name of the parameter, whatever the command.
@@ -110,6 +111,7 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
         place = given.get(name)
         if isinstance(place, Path):
             _check_place(name, place)
+    _check_recording(given.get("save"), given)
 
 
 def _check_shares(given: Mapping[str, Any]) -> None:
@@ -134,8 +136,17 @@ def _check_place(name: str, place: Path) -> None:
         raise OptionError(f"{_flag(name)}: {str(place)!r} cannot be used: {exc}") from exc
     if wrong:
         raise OptionError(f"{_flag(name)} must be a {'file' if name == 'save' else 'folder'}, {place} is none")
-    if name == "save" and place.suffix.lower() != ".rrd":  # it would be written over, whatever it is
-        raise OptionError(f"{_flag(name)} must name a file .rrd, got {str(place)!r}")
+    suffixes = (RERUN_SUFFIX, ROS_SUFFIX)
+    if name == "save" and place.suffix.lower() not in suffixes:  # it would be written over, whatever it is
+        raise OptionError(f"{_flag(name)} must name a file {' or '.join(suffixes)}, got {str(place)!r}")
+
+
+def _check_recording(save: Path | None, given: Mapping[str, Any]) -> None:
+    """Refuse a recording over its own source, and images that no file is for."""
+    if save is not None and "source" in given and save.absolute() == Path(given["source"]).absolute():
+        raise OptionError(f"--save would write over the source, {save}; name another file")
+    if given.get("save_images") and (save is None or save.suffix.lower() != ROS_SUFFIX):
+        raise OptionError(f"--save-images needs --save FILE{ROS_SUFFIX}, got {save or 'no --save'}")
 
 
 def _flag(name: str) -> str:

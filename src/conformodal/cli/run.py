@@ -37,13 +37,14 @@ from conformodal.odometry import (
 )
 from conformodal.odometry.results.folders import check_no_stray, claimed, result_digests
 from conformodal.poses import Trajectory
-from conformodal.report import LiveView, ReportContent, Thumbnails, make_viewer, write_page
+from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
 from .console import StatusLine, kind_errors, print_where, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
 from .outcome import Known, Part, part_frames, run_metrics, say, summary
 from .sources import FOLLOW_OUTSIDE, open_source
+from .watching import Watcher, watchers
 
 INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
@@ -83,7 +84,11 @@ def run(
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
-    save: Annotated[Path | None, typer.Option(help="Record for Rerun: a file .rrd (extra 'view').")] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Record: a file .rrd for Rerun (extra 'view'), or .mcap with ROS 2 messages (extra 'ros')."),
+    ] = None,
+    save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
     with claimed(out, "run", apart=[model, Path(source)]):
@@ -104,9 +109,9 @@ def run(
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
-        live = LiveView(stream.name, loaded.calibration.alpha, spawn=view, save=save) if view or save else None
+        watching = watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images)
         how = StreamOptions(part, pace, limit, match_every, model_digest(model))
-        metrics, whole_space = stream_through(loaded, stream, out, how, live)
+        metrics, whole_space = stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
         say_strongly(f"stopped early: {metrics['stopped']}")
@@ -140,7 +145,7 @@ class StreamOptions:
 class _Shown:
     """What people see of a stream while it runs and afterwards."""
 
-    live: LiveView | None
+    watching: tuple[Watcher, ...]
     truth: Trajectory | None
     pictures: Thumbnails = field(default_factory=Thumbnails)
     whole_space: bool = False
@@ -150,12 +155,13 @@ class _Shown:
             self.pictures.add(frame.name, frame.image)
             for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
             self.whole_space = self.whole_space or bool(for_want)
-        if self.live is not None:
-            self.live.log(frame, estimate, None if self.truth is None else self.truth[frame.index : frame.index + 1])
+        truth = None if self.truth is None else self.truth[frame.index : frame.index + 1]
+        for watcher in self.watching:
+            watcher.log(frame, estimate, truth)
 
 
 def stream_through(
-    model: PoseModel, stream: FrameStream, out: Path, how: StreamOptions, live: LiveView | None = None
+    model: PoseModel, stream: FrameStream, out: Path, how: StreamOptions, watching: tuple[Watcher, ...] = ()
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
@@ -167,7 +173,7 @@ def stream_through(
         If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
-    shown = _Shown(live, None if sequence is None else sequence.truth)
+    shown = _Shown(watching, None if sequence is None else sequence.truth)
     lossy = stream.live or how.pace is Pace.CAMERA
     odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
@@ -202,8 +208,8 @@ def _push_all(
     except SourceError as exc:
         return str(exc), False
     finally:
-        if shown.live is not None:
-            shown.live.close()
+        for watcher in shown.watching:
+            watcher.close()
     return "", False
 
 

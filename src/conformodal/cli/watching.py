@@ -1,0 +1,59 @@
+"""Who watches a run: Rerun in a window or as a recording, and recordings of ROS messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from conformodal.datasets.streams import Frame
+from conformodal.odometry import Estimate
+from conformodal.poses import Trajectory
+from conformodal.report import LiveView
+from conformodal.ros import BagWriter
+
+from .options import ROS_SUFFIX
+
+
+class Watcher(Protocol):
+    """Is shown every frame, and what was made of it."""
+
+    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
+        """Take a frame; `truth` is a trajectory of one, or None."""
+        ...
+
+    def close(self) -> None:
+        """Everything is written afterwards."""
+        ...
+
+
+def watchers(
+    name: str, alpha: object, *, view: bool = False, save: Path | None = None, images: bool = False
+) -> tuple[Watcher, ...]:
+    """Those that a run was asked for.
+
+    Parameters
+    ----------
+    name
+        Of the source.
+    alpha
+        Of the regions.
+    view
+        Open Rerun's window.
+    save
+        File of a recording: ``.rrd`` for Rerun, ``.mcap`` with ROS messages.
+    images
+        Whether ROS messages hold the images too; Rerun's recordings always do.
+
+    Raises
+    ------
+    LiveViewError, MissingPackageError, RosError
+        If what is needed is not installed, or the file cannot be written.
+    """
+    ros = save is not None and save.suffix.lower() == ROS_SUFFIX
+    found: list[Watcher] = []
+    if save is not None and ros:
+        found.append(BagWriter(save, images=images))
+    rerun = None if ros else save
+    if view or rerun is not None:
+        found.append(LiveView(name, alpha, spawn=view, save=rerun))
+    return tuple(found)

@@ -1,0 +1,232 @@
+"""What a run has written as MCAP, read back with rosbags, against what it has written beside it."""
+
+import json
+import sys
+from itertools import product
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.core import MissingPackageError
+from conformodal.datasets.streams import Frame, open_stream
+from conformodal.odometry import EvidenceKind, read_region_records, read_trajectories
+from conformodal.poses import Trajectory
+from conformodal.ros import TOPICS, BagWriter, Conventions, RosError
+
+pytest.importorskip("rosbags")
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def read(path):
+    """Messages by topic, with their times in nanoseconds."""
+    from rosbags.highlevel import AnyReader
+
+    found = {}
+    with AnyReader([path]) as reader:
+        for connection in reader.connections:
+            found[connection.topic] = []
+        for connection, log_ns, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            assert message.__msgtype__ == connection.msgtype
+            found[connection.topic].append((log_ns, message))
+    return found
+
+
+def seconds(stamp):
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def position(pose):
+    return [pose.position.x, pose.position.y, pose.position.z]
+
+
+def angles(orientations, quats_wxyz):
+    """Between ROS's and the project's, by SciPy alone."""
+    theirs = Rotation.from_quat([[q.x, q.y, q.z, q.w] for q in orientations])
+    ours = Rotation.from_quat(quats_wxyz, scalar_first=True)
+    return (theirs * ours.inv()).magnitude()
+
+
+@pytest.fixture(scope="module")
+def recorded(small_world, tmp_path_factory):
+    """A run on the test part, as files and as MCAP."""
+    out = tmp_path_factory.mktemp("recorded")
+    arguments = [small_world.model, small_world.folder, "--part", "test", "--limit", 240, "--out", out / "out"]
+    result = invoke("run", *arguments, "--save", out / "run.mcap", "--save-images")
+    assert result.exit_code == 0, result.output
+    assert [path.name for path in out.iterdir() if path.name != "out"] == ["run.mcap"]  # nothing else stays
+    return out / "out", out / "run.mcap"
+
+
+def test_a_run_is_recorded_frame_by_frame(recorded):
+    out, path = recorded
+    records, found = read_region_records(out / "regions.jsonl"), read(path)
+    assert set(found) == {f"/conformodal/{name}" for name in (*TOPICS, "truth", "image/compressed")}
+    times = [record["timestamp_s"] for record in records]
+    for name in ("pose", "candidates", "candidate_weights", "region", "status", "truth", "image/compressed"):
+        log_s = [1e-9 * ns for ns, _ in found[f"/conformodal/{name}"]]
+        np.testing.assert_allclose(log_s, times, atol=1e-6)
+    for record, (ns, pose), (_, status) in zip(
+        records, found["/conformodal/pose"], found["/conformodal/status"], strict=True
+    ):
+        assert seconds(pose.header.stamp) == pytest.approx(1e-9 * ns, abs=1e-9)
+        assert pose.header.frame_id == "map"
+        covariance = pose.pose.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(covariance, covariance.T)
+        assert np.linalg.eigvalsh(covariance).min() > 0
+        unknown = record["evidence"] == "unknown"
+        assert (covariance[0, 0] == 1e6) == unknown
+        values = {pair.key: pair.value for pair in status.status[0].values}
+        assert values["evidence"] == record["evidence"]
+        assert status.status[0].level == (2 if unknown else 0 if record["reliable"] else 1)
+
+
+def test_boxes_are_those_of_regions_jsonl(recorded):
+    out, path = recorded
+    compared = 0
+    for record, (_, region) in zip(
+        read_region_records(out / "regions.jsonl"), read(path)["/conformodal/region"], strict=True
+    ):
+        clear, *markers = region.markers
+        assert clear.action == 3
+        intervals = [record["intervals"][axis] for axis in "xyz"]
+        ends = [end for part in intervals for pair in part for end in pair]
+        if record["evidence"] == "unknown":
+            assert markers == []
+        elif None not in ends and not np.isinf(np.array(ends, float)).any():
+            expected = np.array(list(product(*intervals))).reshape(-1, 3, 2)
+            assert len(markers) == min(len(expected), 256)
+            size = np.array([[m.scale.x, m.scale.y, m.scale.z] for m in markers])
+            middle = np.array([position(m.pose) for m in markers])
+            boxes = np.stack((middle - size / 2, middle + size / 2), axis=2)
+            away = np.abs(boxes[:, None] - expected[None]).max(axis=(2, 3))
+            assert (away.min(axis=1) < 1e-5).all()
+            assert len(set(away.argmin(axis=1))) == len(markers)
+            compared += 1
+    assert compared > 30
+
+
+def test_the_last_path_is_the_online_trajectory_and_poses_are_its_first_words(recorded):
+    out, path = recorded
+    found, expected = read(path), read_trajectories(out)["online"]
+    last = found["/conformodal/path"][-1][1]
+    known = [r["timestamp_s"] for r in read_region_records(out / "regions.jsonl") if r["evidence"] != "unknown"]
+    kept = np.isin(np.round(expected.timestamps_s, 5), np.round(known, 5))
+    assert len(last.poses) == kept.sum() > 40
+    times = [seconds(pose.header.stamp) for pose in last.poses]
+    np.testing.assert_allclose(times, expected.timestamps_s[kept], atol=1e-5)
+    places = np.array([position(pose.pose) for pose in last.poses])
+    np.testing.assert_allclose(places, expected.positions_xyz[kept], atol=1e-5)
+    turned = angles([pose.pose.orientation for pose in last.poses], expected.orientations_quat_wxyz[kept])
+    assert turned.max() < 1e-4
+    said = [message for _, message in found["/conformodal/pose"] if message.pose.covariance[0] < 1e6]
+    off = np.linalg.norm([position(message.pose.pose) for message in said] - places, axis=1)
+    assert np.mean(off < 1e-4) > 0.5  # the rest was revised
+
+
+def test_candidates_hold_the_pose_and_weights_sum_to_one(recorded):
+    found = read(recorded[1])
+    topics = [found[f"/conformodal/{name}"] for name in ("pose", "candidates", "candidate_weights")]
+    for (_, pose), (_, candidates), (_, weights) in zip(*topics, strict=True):
+        assert len(candidates.poses) == len(weights.data) == weights.layout.dim[0].size
+        if len(weights.data):
+            assert weights.data.sum() == pytest.approx(1)
+            near = [np.linalg.norm(np.subtract(position(one), position(pose.pose.pose))) for one in candidates.poses]
+            assert min(near) < 1e-9
+
+
+def test_images_are_those_of_the_source(recorded, small_world):
+    from conformodal.datasets import read_sequence
+    from conformodal.odometry import load_model
+
+    sequence, frames = read_sequence(small_world.folder), load_model(small_world.model).split.test
+    messages = read(recorded[1])["/conformodal/image/compressed"]
+    _, first = messages[0]
+    assert first.header.frame_id == "camera_optical_frame"
+    seen = cv2.cvtColor(cv2.imdecode(first.data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+    assert np.abs(seen.astype(int) - sequence.image(int(frames[0]))).mean() < 6
+    stream = open_stream(recorded[1])  # such a recording is a source again
+    assert stream.n_frames == len(messages)
+    assert next(iter(stream)).image.shape == seen.shape
+
+
+def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
+    truth = Trajectory([0.0], [[1, 2, 3.0]], [[0.5, -0.5, 0.5, -0.5]])
+    writer = BagWriter(tmp_path / "deep" / "a.mcap", Conventions(namespace="/robot/camera"))
+    for i, kind in enumerate([None, EvidenceKind.GLOBAL, EvidenceKind.UNKNOWN, None, EvidenceKind.LANDMARKS]):
+        writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
+    writer.close()
+    writer.close()
+    found = read(tmp_path / "deep" / "a.mcap")
+    poses = [message.pose for _, message in found["/robot/camera/pose"]]
+    lost = [bool(np.array_equal(pose.covariance.reshape(6, 6), np.eye(6) * 1e6)) for pose in poses]
+    assert lost == [True, False, True, True, False]
+    assert all((position(pose.pose) == [0, 0, 0]) == gone for pose, gone in zip(poses, lost, strict=True))
+    paths = [(ns, [p.header.stamp.sec for p in path.poses]) for ns, path in found["/robot/camera/path"]]
+    assert paths == [(10**9, [1]), (3 * 10**9, [1]), (4 * 10**9, [4]), (4 * 10**9, [4])]
+    _, true = found["/robot/camera/truth"][0]
+    q = true.pose.orientation
+    assert (q.x, q.y, q.z, q.w) == (-0.5, 0.5, -0.5, 0.5)
+    assert "/robot/camera/image/compressed" not in found
+
+
+def test_a_file_that_is_there_is_replaced_at_the_end_only(make_estimate, tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"before")
+    writer = BagWriter(path)
+    writer.log(Frame("0", 0.0, None), make_estimate(0.0))
+    assert path.read_bytes() == b"before"
+    writer.close()
+    assert path.read_bytes().startswith(b"\x89MCAP0\r\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_what_cannot_be_written_is_named(make_estimate, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RosError, match="cannot be written"):
+        BagWriter(tmp_path / "file" / "a.mcap")
+    writer = BagWriter(tmp_path / "a.mcap")
+    with pytest.raises(RosError, match="a time of ROS"):
+        writer.log(Frame("0", -1.0, None), make_estimate(-1.0))
+    writer.close()
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[ros\]'"):
+        BagWriter(tmp_path / "b.mcap")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--save-images"], "--save-images needs --save FILE.mcap, got no --save"),
+        (["--save", "v.rrd", "--save-images"], "--save-images needs --save FILE.mcap, got v.rrd"),
+        (["--save", "source.mcap"], "--save would write over the source"),
+        (["--save", "v.bag"], "--save must name a file .rrd or .mcap"),
+    ],
+)
+def test_options_that_say_nothing(options, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = invoke("run", "model", tmp_path / "source.mcap", "--out", "out", *options)
+    assert result.exit_code == 2
+    assert said in " ".join(result.output.split())
+
+
+def test_the_layout_of_foxglove_names_topics_that_there_are():
+    from pathlib import Path
+
+    text = (Path(__file__).parents[2] / "docs" / "robots.foxglove.json").read_text(encoding="utf-8")
+    layout = json.loads(text)
+    how = Conventions()
+    known = {how.topic(name) for name in (*TOPICS, "truth", "image/compressed")}
+    named = {word.split(".")[0] for word in text.replace('"', "\n").splitlines() if word.startswith(how.namespace)}
+    assert named <= known
+    assert {how.topic(name) for name in ("pose", "candidates", "region", "path", "status")} <= named
+    panels = set(layout["configById"])
+    placed = {word for word in json.dumps(layout["layout"]).replace('"', "\n").splitlines() if "!" in word}
+    assert placed == panels
