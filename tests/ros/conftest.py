@@ -1,4 +1,9 @@
-"""Estimates made by hand."""
+"""Estimates made by hand, and a stand-in for rclpy."""
+
+import sys
+from array import array
+from functools import partial
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -60,3 +65,130 @@ def make_estimate():
         )
 
     return make
+
+
+BASES = {"string": str, "bool": bool, "float32": float, "float64": float, "byte": bytes}
+CODES = {"float64": "d", "float32": "f", "uint8": "B", "byte": "B"}
+
+
+class Messages:
+    """Classes of messages made from the definitions that rosbags has."""
+
+    def __init__(self):
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store, self.classes = get_typestore(Stores.ROS2_JAZZY), {}
+
+    def of(self, kind):
+        if kind not in self.classes:
+            definitions = self.store.fielddefs[kind][1]
+            self.classes[kind] = type(kind.rpartition("/")[2], (), {"__init__": self.constructor(definitions)})
+        return self.classes[kind]
+
+    def constructor(self, definitions):
+        def construct(this, **given):
+            assert set(given) <= {name for name, _ in definitions}, given
+            for name, (node, what) in definitions:
+                if name in given:
+                    self.check(given[name], int(node), what)
+                setattr(this, name, given[name] if name in given else self.default(int(node), what))
+
+        return construct
+
+    def default(self, node, what):
+        if node == 1:
+            return b"\0" if what[0] == "byte" else BASES.get(what[0], int)()
+        if node == 2:
+            return self.of(what)()
+        base = what[0][1]
+        if node == 3:
+            return np.zeros(what[1])
+        return [] if int(what[0][0]) == 2 or base[0] == "string" else array(CODES[base[0]])
+
+    def check(self, value, node, what):
+        if node == 1:
+            kind = BASES.get(what[0], int)
+            assert type(value) is kind, (value, what)
+            assert kind is not bytes or len(value) == 1
+        elif node == 2:
+            assert type(value) is self.of(what), (value, what)
+        elif int(what[0][0]) == 2:
+            assert isinstance(value, list)
+            assert all(type(item) is self.of(what[0][1]) for item in value)
+        elif node == 3:
+            assert isinstance(value, np.ndarray)
+            assert (value.dtype, value.shape) == (np.float64, (what[1],))
+        else:
+            assert isinstance(value, array)
+            assert value.typecode == CODES[what[0][1][0]]
+
+
+class Node:
+    """What the node asks of rclpy's."""
+
+    def __init__(self, given):
+        self.given, self.declared = given, []
+        self.now_ns, self.said, self.logged, self.subscribed, self.destroyed = 0, [], [], {}, False
+
+    def declare_parameter(self, name, default):
+        self.declared.append(name)
+        return SimpleNamespace(value=self.given.get(name, default))
+
+    def create_publisher(self, kind, topic, depth):
+        return SimpleNamespace(publish=lambda message: self.said.append((topic, message)))
+
+    def create_subscription(self, kind, topic, callback, profile):
+        assert profile == "sensor data"
+        self.subscribed[topic] = (kind, callback)
+
+    def create_timer(self, period_s, callback):
+        self.timer = (period_s, callback)
+
+    def get_logger(self):
+        return SimpleNamespace(**{level: partial(self.log, level) for level in ("info", "warning", "error")})
+
+    def log(self, level, text):
+        self.logged.append((level, text))
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.now_ns))
+
+    def destroy_node(self):
+        self.destroyed = True
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """A stand-in for rclpy and the packages of messages; `given` are parameters, `spin` what happens meanwhile."""
+    messages = Messages()
+    found = SimpleNamespace(messages=messages, make_node=Node, given={}, spin=lambda node: None, node=None, ended=0)
+
+    class Package(ModuleType):
+        def __getattr__(self, name):
+            if name.startswith("__"):
+                raise AttributeError(name)
+            return messages.of(f"{self.__name__.removesuffix('.msg')}/msg/{name}")
+
+    for package in {name.split("/")[0] for name in messages.store.fielddefs}:
+        monkeypatch.setitem(sys.modules, package, ModuleType(package))
+        monkeypatch.setitem(sys.modules, f"{package}.msg", Package(f"{package}.msg"))
+
+    def create_node(name):
+        assert name == "conformodal"
+        found.node = Node(found.given)
+        return found.node
+
+    def try_shutdown():
+        found.ended += 1
+
+    def spin(node):  # tests set it later
+        found.spin(node)
+
+    rclpy, executors, qos = ModuleType("rclpy"), ModuleType("rclpy.executors"), ModuleType("rclpy.qos")
+    rclpy.init, rclpy.create_node, rclpy.try_shutdown = lambda args: None, create_node, try_shutdown
+    rclpy.spin = spin
+    executors.ExternalShutdownException = type("ExternalShutdownException", (Exception,), {})
+    qos.qos_profile_sensor_data = "sensor data"
+    for module in (rclpy, executors, qos):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return found

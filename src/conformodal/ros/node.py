@@ -1,0 +1,253 @@
+"""A ROS 2 node: images in, poses with covariances, candidates, regions and the path out.
+
+``python -m conformodal.ros.node --ros-args -p model:=MODEL -r image:=/camera/image_raw
+-r camera_info:=/camera/camera_info``
+
+rclpy comes with ROS and is imported when the node starts.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+from conformodal.core import MissingPackageError
+from conformodal.core.errors import ConformodalError
+from conformodal.datasets.streams import COMPRESSED, INFO, RAW, SourceError, camera_of_info, image_of
+from conformodal.odometry import Estimate, OdometryError, PaperOdometry, VisualOdometry, load_model, odometry_of
+
+from . import messages as ros
+from .building import build
+from .conventions import TOPICS, Conventions, Covariance
+from .conversion import Conversion
+from .errors import RosError
+
+_NAME, _DEPTH = "conformodal", 10
+_JUMP_BACK_S = 1.0  # a clock that goes back by more was set anew: a recording is played again
+BAD_INPUT = 2
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node, by their names in ROS.
+
+    Attributes
+    ----------
+    model
+        Folder of a saved model.
+    world_frame, covariance
+        See :class:`Conventions`.
+    match_every
+        Local features are matched in every so many images: it takes time.
+    compressed
+        Whether images are ``sensor_msgs/CompressedImage``.
+    silent_s
+        After so many seconds without an image the pose counts as lost; also the time between two such messages.
+    """
+
+    model: str = ""
+    world_frame: str = "map"
+    covariance: str = Covariance.MIXTURE.value
+    match_every: int = 6
+    compressed: bool = False
+    silent_s: float = 1.0
+
+
+class PoseNode:
+    """Subscribes and publishes; the work is done by :class:`Conversion` and the model's odometry.
+
+    Images are answered one after the other. ROS keeps a few that come meanwhile and drops the others, as for any
+    sensor.
+
+    Parameters
+    ----------
+    node
+        Of rclpy.
+    odometry
+        Of the model.
+    how
+        Names and limits.
+    compressed, silent_s
+        See :class:`Parameters`.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        odometry: VisualOdometry | PaperOdometry,
+        how: Conventions | None = None,
+        *,
+        compressed: bool = False,
+        silent_s: float = 1.0,
+    ) -> None:
+        self.odometry, self._node, self._silent_s = odometry, node, silent_s
+        self._log = node.get_logger()
+        self._conversion = Conversion(how)
+        self._kind = COMPRESSED if compressed else RAW
+        self._last_s: float | None = None
+        self._seen_ns: int | None = None
+        self._camera: Any = None  # what was last said of it
+        self._refused = ""
+        odometry.reset()
+        topic = self._conversion.how.topic
+        self._publishers = {
+            name: node.create_publisher(message_class(kind.TYPE), topic(name), _DEPTH) for name, kind in TOPICS.items()
+        }
+        sensor = import_module("rclpy.qos").qos_profile_sensor_data
+        node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
+        node.create_subscription(message_class(INFO), "camera_info", self.on_camera_info, sensor)
+        node.create_timer(silent_s, self.on_time)
+
+    def on_camera_info(self, message: Any) -> None:
+        """Compare the camera with the model's; images of another one are answered as lost."""
+        said = (message.width, message.height, tuple(message.k), tuple(message.d), message.distortion_model)
+        if said == self._camera:
+            return
+        self._camera, before = said, self._refused
+        try:
+            self.odometry.model.check_camera(camera_of_info(message, "camera_info"))
+            self._refused = ""
+            if before:
+                self._log.info("the camera is the model's again")
+        except (SourceError, OdometryError) as exc:
+            self._refused = str(exc)
+            self._log.error(f"images are not answered: {exc}")
+
+    def on_image(self, message: Any) -> None:
+        """Answer an image, with messages that have its time."""
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * ros.NANOSECONDS + stamp.nanosec
+        time_s = stamp.sec + stamp.nanosec / ros.NANOSECONDS
+        if not self._is_new(time_s):
+            return
+        self._publish(self._answer(message, time_s), stamp_ns)
+        self._seen_ns = self._node.get_clock().now().nanoseconds
+
+    def _answer(self, message: Any, time_s: float) -> Estimate:
+        if self._refused:
+            return _lost(time_s, self._refused)
+        try:
+            image = image_of(message, self._kind)
+        except ValueError as exc:
+            return replace(self.odometry.step(None, time_s), problem=str(exc))
+        return self.odometry.step(image, time_s)
+
+    def on_time(self) -> None:
+        """Say that the pose is lost where no image comes: nobody shall go on with the last one."""
+        now_ns = self._node.get_clock().now().nanoseconds
+        if self._seen_ns is not None and 0 <= now_ns - self._seen_ns < self._silent_s * ros.NANOSECONDS:
+            return
+        self._publish(_lost(now_ns / ros.NANOSECONDS, f"no image for {self._silent_s:g} s"), now_ns)
+
+    def _is_new(self, time_s: float) -> bool:
+        """Whether a time follows the last one; if it lies far before it, a new recording has begun."""
+        if self._last_s is not None and time_s <= self._last_s:
+            if time_s > self._last_s - _JUMP_BACK_S:
+                self._log.warning(f"an image of {time_s:.9f} s came after that of {self._last_s:.9f} s and is left out")
+                return False
+            self._log.info("time was set back: the path begins anew")
+            self.odometry.reset()
+            self._conversion.reset()
+        self._last_s = time_s
+        return True
+
+    def _publish(self, estimate: Estimate, stamp_ns: int) -> None:
+        for name, message in self._conversion.messages(estimate, stamp_ns).items():
+            self._publishers[name].publish(build(message, message_class))
+
+
+def message_class(kind: str) -> Any:
+    """ROS's own class of a type, such as ``geometry_msgs/msg/Pose``.
+
+    Raises
+    ------
+    MissingPackageError
+        If ROS is not there.
+    """
+    package, _, name = kind.split("/")
+    with _needing_ros():
+        found = getattr(import_module(f"{package}.msg"), name)
+    if kind != ros.DiagnosticStatus.TYPE:
+        return found
+    return lambda level, **rest: found(level=bytes([level]), **rest)  # ROS's Python has one byte as bytes
+
+
+@contextmanager
+def _needing_ros() -> Iterator[None]:
+    """Around imports of what comes with ROS and not from pip."""
+    try:
+        yield
+    except ModuleNotFoundError as exc:
+        raise MissingPackageError(
+            f"the node needs {exc.name}, which comes with ROS 2 and not from pip: install ROS 2 Jazzy or newer, "
+            "source /opt/ros/DISTRO/setup.bash, and run the node with ROS's Python (a virtual environment needs "
+            "--system-site-packages)"
+        ) from exc
+
+
+def _lost(time_s: float, problem: str) -> Estimate:
+    return Estimate(time_s, None, None, None, None, None, False, problem)
+
+
+def parameters_of(node: Any) -> Parameters:
+    """Declare the parameters and read what was given.
+
+    Raises
+    ------
+    RosError
+        If one cannot be used.
+    """
+    given = {name: node.declare_parameter(name, value).value for name, value in vars(Parameters()).items()}
+    found = Parameters(**given)
+    if not found.model:
+        raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
+    if found.covariance not in list(Covariance):
+        raise RosError(f"parameter covariance must be one of {', '.join(Covariance)}, got {found.covariance!r}")
+    if not found.silent_s > 0:
+        raise RosError(f"parameter silent_s must be more than 0 s, got {found.silent_s}")
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node until ROS or a signal ends it; returns an exit code.
+
+    Parameters
+    ----------
+    arguments
+        For ROS; by default those of the command line.
+    """
+    try:
+        with _needing_ros():
+            import rclpy  # noqa: PLC0415 - comes with ROS
+            from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
+    except MissingPackageError as exc:
+        return _failed(exc)
+    rclpy.init(args=arguments)
+    node = rclpy.create_node(_NAME)
+    try:
+        said = parameters_of(node)
+        how = Conventions(world_frame=said.world_frame, covariance=Covariance(said.covariance))
+        odometry = odometry_of(load_model(said.model), said.match_every)
+        PoseNode(node, odometry, how, compressed=said.compressed, silent_s=said.silent_s)
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except ConformodalError as exc:
+        return _failed(exc)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _failed(error: Exception) -> int:
+    print(f"error: {error}", file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
