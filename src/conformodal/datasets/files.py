@@ -193,6 +193,23 @@ def read_numbers(path: Path) -> FloatArray:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 
 
+def frame_times(folder: Path, n_frames: int) -> FloatArray:
+    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones.
+
+    Raises
+    ------
+    DatasetError
+        If the file holds another number of times, or ``frame-rate.txt`` no positive number.
+    """
+    path = folder / "times.txt"
+    if not path.is_file():
+        return even_times(folder, n_frames)
+    times = read_numbers(path)
+    if times.size != n_frames:
+        raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
+    return times
+
+
 def even_times(folder: Path, n_frames: int) -> FloatArray:
     """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz.
 
