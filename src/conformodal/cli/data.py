@@ -91,6 +91,9 @@ def convert(
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+    binary: Annotated[
+        bool, typer.Option("--binary", help="Write a COLMAP model in binary files, not as text.")
+    ] = False,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
     """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
@@ -111,9 +114,13 @@ def convert(
             truth,
             lambda number: report("frames", number, max(total, number)),
             max_difference_s=0.0 if poses is None else MAX_TIME_DIFFERENCE_S,
+            binary=binary,
         )
+    how_many = (
+        "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
+    )
     console.print(
-        f"{done.n_frames} frames written as {to}, {'with' if truth is not None else 'without'} poses; left out: "
+        f"{done.n_frames} frames written as {to}, {how_many} poses; left out: "
         f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose"
         + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
         soft_wrap=True,
