@@ -18,7 +18,7 @@ from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
 from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import provenance, write_metrics
-from conformodal.poses import PinholeCamera, Trajectory, read_tum
+from conformodal.poses import PinholeCamera, read_tum
 
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
@@ -100,7 +100,8 @@ def convert(
     stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
-    truth = read_tum(poses) if poses is not None else _truth(stream)
+    own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
+    truth = own if poses is None else read_tum(poses)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources that say no camera, and {stream.name} says {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
@@ -128,13 +129,6 @@ def convert(
     for note in done.notes:
         console.print(f"note: {note}", soft_wrap=True)
     print_where(out)
-
-
-def _truth(stream: FrameStream) -> Trajectory | None:
-    """The source's own poses, of all frames or of those that have one."""
-    if not isinstance(stream, SequenceStream):
-        return None
-    return stream.sequence.known_poses if stream.sequence.truth is None else stream.sequence.truth
 
 
 def _check_out(out: Path) -> None:

@@ -41,10 +41,19 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """True poses of the answered frames, and what is known of their regions."""
+    """True poses of answered frames, and what is known of these frames' regions.
+
+    Attributes
+    ----------
+    truth, regions
+        Of the frames.
+    frames
+        Which of the answered frames they are, counted from 0; None for all.
+    """
 
     truth: Trajectory
     regions: RegionStatistics
+    frames: npt.NDArray[np.int64] | None = None
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
@@ -132,8 +141,12 @@ def run_metrics(
     }
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     radius = model.radius if whole and matched_all and part is Part.ALL else None
-    metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth, recording)
+    truth, frames = (None, None) if known is None else (known.truth, known.frames)
+    metrics["radius"] = radius_table(radius, trajectories, truth, recording, frames)
     if known is not None:
+        metrics["n_with_truth"] = len(known.truth)
+        if frames is not None:
+            trajectories = {name: trajectory[frames] for name, trajectory in trajectories.items()}
         metrics["errors"] = error_table(trajectories, known.truth)
         shown = known.regions.kinds != EvidenceKind.UNKNOWN
         if shown.any() and not shown.all():
@@ -184,6 +197,8 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
     if "errors" in metrics:
+        if metrics["n_with_truth"] < metrics["n_answered"]:
+            console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
         console.print(

@@ -146,16 +146,14 @@ class _Shown:
     """What people see of a stream while it runs and afterwards."""
 
     watching: tuple[Watcher, ...]
-    truth: Trajectory | None
     pictures: Thumbnails = field(default_factory=Thumbnails)
     whole_space: bool = False
 
-    def take(self, frame: Frame, estimate: Estimate) -> None:
+    def take(self, frame: Frame, estimate: Estimate, truth: Trajectory | None) -> None:
         if estimate.region is not None and frame.image is not None:
             self.pictures.add(frame.name, frame.image)
             for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
             self.whole_space = self.whole_space or bool(for_want)
-        truth = None if self.truth is None else self.truth[frame.index : frame.index + 1]
         for watcher in self.watching:
             watcher.log(frame, estimate, truth)
 
@@ -173,14 +171,15 @@ def stream_through(
         If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
-    shown = _Shown(watching, None if sequence is None else sequence.truth)
+    shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
     odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
         write_metrics(writer.place, _unfinished(model, how.part, how.digest))
-        runner = StreamRunner(odometry, writer, truth=shown.truth)
+        truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
+        runner = StreamRunner(odometry, writer, truth=truth, posed=posed)
         stopped, limited = _push_all(runner, stream, shown, how, stop)
         runner.finish()
         seconds = time.perf_counter() - started
@@ -201,7 +200,7 @@ def _push_all(
             for number, frame in enumerate(prefetch(stream, pace=how.pace), start=1):
                 estimate = runner.push(frame)
                 if estimate is not None:
-                    shown.take(frame, estimate)
+                    shown.take(frame, estimate, runner.true_pose(frame))
                     status.update(number, estimate)
                 if stop or number == how.limit:
                     return INTERRUPTED if stop else "", number == how.limit
@@ -225,8 +224,8 @@ def _write_results(
 ) -> dict[str, Any]:
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None
-    if shown.truth is not None:
-        known = Known(shown.truth[np.array(runner.answered)], runner.statistics)
+    if runner.truth is not None:
+        known = Known(runner.truth, runner.statistics, np.array(runner.known))
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     metrics = run_metrics(

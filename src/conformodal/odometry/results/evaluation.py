@@ -142,6 +142,7 @@ def radius_table(
     trajectories: dict[str, Trajectory],
     truth: Trajectory | None,
     recording: npt.NDArray[np.int64] | None = None,
+    frames: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any] | None:
     """The chosen pose's radius, what it promises, and how many frames it held if the truth is known.
 
@@ -152,16 +153,19 @@ def radius_table(
     trajectories
         By method.
     truth
-        Of the same frames, or None.
+        Of the same frames, or of `frames`; or None.
     recording
         (n,) number of each frame's recording; None where all are one. A sized radius is the mean over recordings.
+    frames
+        Indices of the frames that `truth` is of; None for all.
     """
     if radius is None:
         return None
     estimate = trajectories[radius.method]
     numbers = np.zeros(len(estimate), dtype=np.int64) if recording is None else recording
     sizes = radius.sizes_of(estimate, numbers)
-    held = None if truth is None else float(radius.holds(estimate, truth, sizes).mean())
+    of = np.arange(len(estimate)) if frames is None else frames
+    held = None if truth is None else float(radius.holds(estimate[of], truth, sizes[of]).mean())
     by_recording = [float(sizes[numbers == k][0]) for k in np.unique(numbers)]
     return {
         "radius_m": _finite(np.mean([radius.radius_m * size for size in by_recording])),
