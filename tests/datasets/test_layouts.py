@@ -420,3 +420,11 @@ def test_colmap_and_nerf_take_times_from_a_file(tmp_path, layout):
     (tmp_path / "times.txt").write_text("1 2 4\n")
     with pytest.raises(DatasetError, match=r"times\.txt: holds 3 times for 5 images"):
         read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("how", ["./{}", "../images/{}", "{root}/images/{}"])
+def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
+    assert len(read_sequence(tmp_path, require_poses=False)) == N

@@ -89,11 +89,7 @@ def check_round_trip(source, layout, **how):
     scale = np.abs(truth.positions_xyz).max()
     np.testing.assert_allclose(after.known_poses.positions_xyz, truth.positions_xyz, atol=1e-12 * scale, rtol=0)
     np.testing.assert_allclose(after.known_poses.poses_se3[:, :3, :3], truth.poses_se3[:, :3, :3], atol=1e-12)
-    its, mine = after.camera, before.camera
-    assert (its.fx, its.fy, its.cx, its.cy, its.width, its.height) == (mine.fx, mine.fy, mine.cx, mine.cy, *SIZE)
-    lens = np.zeros(5), np.zeros(5)
-    lens[0][: len(its.distortion)], lens[1][: len(mine.distortion)] = its.distortion, mine.distortion
-    np.testing.assert_array_equal(*lens)
+    assert after.camera == before.camera
 
 
 few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])

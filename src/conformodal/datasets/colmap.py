@@ -5,6 +5,7 @@ COLMAP stores world-to-camera poses, quaternion ``wxyz`` first, in cameras with 
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -88,12 +89,15 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     if len(used) != 1 or used[0] not in cameras:
         raise DatasetError(f"{of_images}: uses cameras {used}, expected one of {sorted(cameras)}")
     base = folder / "images" if (folder / "images").is_dir() else folder
-    names = sorted({*rows, *_unregistered(base, folder, rows)}, key=natural_key)
     image = Inside(folder, of_images, follow_outside=follow_outside)
-    images = [image(base, name) for name in names]
-    registered = [path for path, name in zip(images, names, strict=True) if name in rows]
+    registered = {name: image(base, name) for name in rows}
+    others = [] if base == folder else _unregistered(base, list(registered.values()))
+    found = registered | {name: image(base, name) for name in others}
+    names = sorted(found, key=natural_key)
+    images = [found[name] for name in names]
     remarks: list[Remark] = []
-    camera = _camera(of_cameras, *cameras[used[0]], common_size(registered), remarks)
+    size = common_size([registered[name] for name in sorted(registered, key=natural_key)])
+    camera = _camera(of_cameras, *cameras[used[0]], size, remarks)
     if isinstance(camera, Fisheye):
         images, camera = undistorted(images, camera), camera.pinhole
     poses, why = _poses(of_images, names, rows)
@@ -102,12 +106,10 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     return draft.sequence(camera, require_poses=require_poses)
 
 
-def _unregistered(base: Path, folder: Path, rows: _Rows) -> list[str]:
-    """Images beside the registered ones, in their own folder ``images``: COLMAP found no pose for them."""
-    if base == folder:
-        return []
-    stems = {Path(name).stem for name in rows}
-    return [path.name for path in image_files(base) if path.name not in rows and path.stem not in stems]
+def _unregistered(base: Path, registered: list[Path]) -> list[str]:
+    """Names of the images beside the registered ones, in their own folder: COLMAP found no pose for them."""
+    known = {os.path.splitext(os.path.realpath(path))[0] for path in registered}
+    return [path.name for path in image_files(base) if os.path.splitext(os.path.realpath(path))[0] not in known]
 
 
 def _poses(path: Path, names: list[str], rows: _Rows) -> tuple[FloatArray, Damaged]:
