@@ -6,9 +6,12 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_colmap, read_nerf, read_sequence
+from conformodal.datasets.fisheye import fisheye_of
 from conformodal.datasets.streams import SequenceStream
 from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera
@@ -225,3 +228,19 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
         DatasetError, match=r"file/undistorted: undistorted images cannot be kept there.*CONFORMODAL_CACHE"
     ):
         read_colmap(write_colmap(tmp_path / "a"))
+
+
+numbers = st.one_of(st.floats(), st.floats(-2, 2), st.floats(1, 1000))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@given(pixels=st.tuples(*[numbers] * 4), lens=st.tuples(*[numbers] * 4))
+@settings(deadline=None, max_examples=300)
+def test_any_numbers_are_a_lens_that_does_not_fold_or_are_refused(pixels, lens):
+    try:
+        found = fisheye_of("file", pixels, (W, H), lens, stated=None, remarks=[])
+    except DatasetError:
+        return
+    x, y = found.maps()
+    assert np.isfinite(x).all()
+    assert np.isfinite(y).all()
