@@ -136,7 +136,10 @@ def verbs():
 
 
 VERBS = dict(verbs())
-OPTIONS = {option for command in VERBS.values() for param in command.params for option in param.opts} | {"--help"}
+OPTIONS = {
+    option for command in (get_command(app), *VERBS.values()) for param in command.params for option in param.opts
+}
+OPTIONS |= {"--help"}
 FIRST = {words[0] for words in VERBS}
 CHOSEN = {"LAYOUT": "images"}  # for a word that stands for one of several
 OF_OTHERS = {"--quick", "--seeds", "--places"}  # of scripts in benchmarks/
