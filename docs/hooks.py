@@ -192,9 +192,9 @@ def tables_page() -> str:
 
 
 def examples_page() -> str:
-    """The files of examples/, whole."""
-    parts = ["# Add a part of your own\n\nFiles of `examples/`; each runs as it is.\n"]
-    for path in sorted((ROOT / "examples").glob("*.py")):
+    """The files of examples/, whole: those that use the package, then those that add to it."""
+    parts = ["# Examples\n\nFiles of `examples/`; each runs as it is.\n"]
+    for path in sorted((ROOT / "examples").glob("*.py"), key=lambda path: (path.stem.startswith("custom_"), path.stem)):
         code = path.read_text(encoding="utf-8")
         said = (ast.get_docstring(ast.parse(code)) or "").split("\n")[0]
         parts.append(f"## {path.name} {{#{path.stem}}}\n\n{said}\n\n```python\n{code}```\n")
