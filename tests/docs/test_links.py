@@ -13,7 +13,7 @@ PAGES = sorted(
 )
 ADDED = HOOKS["added_pages"]()
 SITE = {*ADDED, *(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md"))}
-FILES = SITE | {f"images/{path.name}" for path in (ROOT / "docs" / "images").iterdir()}
+FILES = SITE | {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*") if path.is_file()}
 
 
 def markdown_of(site):
