@@ -44,7 +44,9 @@ def test_a_name_has_an_example_or_names_one(package, name):
     said = inspect.getdoc(value)
     if examples_of(value):
         return
-    others = [public("conformodal.conformal").get(target) for target in re.findall(r":\w+:`~?(?:[\w.]+\.)?(\w+)`", said)]
+    others = [
+        public("conformodal.conformal").get(target) for target in re.findall(r":\w+:`~?(?:[\w.]+\.)?(\w+)`", said)
+    ]
     files = [ROOT / path for path in re.findall(r"``((?:examples|docs)/[\w./-]+)``", said)]
     for path in files:
         assert re.search(rf"\b{name}\b", path.read_text(encoding="utf-8")), f"{path.name} does not use it"

@@ -63,7 +63,9 @@ def test_files_that_no_page_shows_become_text():
     assert rewritten("[a](docs/data.md)", "index.md") == "[a](data.md)"
     assert rewritten("[a](nowhere.md)", "index.md") == "[a](nowhere.md)"
     assert rewritten("[a](../notebooks/table.ipynb)", "tutorial.md") == "[a](notebooks/table.md)"
-    assert rewritten("[a](../docs/data.md), [b](camera.ipynb)", "notebooks/table.md") == "[a](../data.md), [b](camera.md)"
+    assert (
+        rewritten("[a](../docs/data.md), [b](camera.ipynb)", "notebooks/table.md") == "[a](../data.md), [b](camera.md)"
+    )
     assert rewritten("[a](../examples/custom_score.py)", "tutorial.md") == "[a](examples.md#custom_score)"
     rank = "reference/conformal.md#conformodal.conformal.conformal_rank"
     assert rewritten("[a](../src/conformodal/conformal/rank.py)", "tutorial.md") == f"[a]({rank})"

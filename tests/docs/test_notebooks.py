@@ -8,6 +8,7 @@ versions.
 import json
 import re
 import runpy
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -44,7 +45,7 @@ def test_a_notebook_is_small_and_was_run_from_top_to_bottom(name):
     assert {output["name"] for output in outputs_of(code) if "name" in output} == {"stdout"}  # no warning is shown
     for cell in code:
         kinds = [output["output_type"] for output in cell["outputs"]]
-        assert ("stream", "stream") not in zip(kinds, kinds[1:], strict=False), "not in pieces"
+        assert ("stream", "stream") not in pairwise(kinds), "not in pieces"
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
