@@ -42,6 +42,15 @@ class QuantileBins:
     Attributes
     ----------
     edges_ : list of d arrays (K_d + 1,), strictly increasing, in the target's own unit
+
+    Examples
+    --------
+    >>> from conformodal.conformal import QuantileBins
+    >>> bins = QuantileBins(n_bins=2).fit([0.0, 0.1, 0.2, 5.0, 9.0])
+    >>> bins.edges_[0]  # narrow where values are dense
+    array([0. , 0.2, 9. ])
+    >>> bins.encode([0.15, 7.0, 10.0])[:, 0]  # -1 lies outside
+    array([ 0,  1, -1])
     """
 
     edges_: list[npt.NDArray[np.float64]]

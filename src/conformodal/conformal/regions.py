@@ -24,6 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 class Regions:
     """Regions of n samples in d targets.
 
+    Calibrators make them; for an example see :class:`SplitConformal`.
+
     Parameters
     ----------
     bins

@@ -30,6 +30,8 @@ class Score(Protocol):
     threshold over all of them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
     ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never rises with the
     probability; sets are then found without computing a score.
+
+    A whole score of one's own is in ``examples/custom_score.py``.
     """
 
     name: str
@@ -43,6 +45,14 @@ class Lac:
     """Least ambiguous set-valued classifier, the paper's score: one minus the bin's probability.
 
     Source: Sadinle, Lei and Wasserman (2019); the paper, section 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Lac
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Lac().of_bins(proba, widths)
+    array([[0.5, 0.7, 0.8]])
     """
 
     name = "lac"
@@ -58,6 +68,14 @@ class Density:
 
     For bins of unequal width, level sets of the density are the shortest sets of a given probability; level sets
     of the probability are not.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Density
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Density().of_bins(proba, widths)  # the widest bin is no longer the first
+    array([[-0.25, -0.3 , -0.2 ]])
     """
 
     name = "density"
@@ -80,6 +98,15 @@ class LinearDensity:
     ----------
     cells
         Cells a bin, at least 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import LinearDensity
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> LinearDensity(cells=2).of_bins(proba, widths)  # two cells a bin
+    array([[-0.25      , -0.26666667, -0.29166667, -0.275     , -0.225     ,
+            -0.2       ]])
     """
 
     name = "linear_density"
@@ -140,6 +167,14 @@ class Aps:
     own_share
         That fixed share: 1 makes sets larger, and never empty; one half makes them as large as random shares do, on
         average.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aps
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Aps(randomized=False).of_bins(proba, widths)
+    array([[0.5, 0.8, 1. ]])
     """
 
     normalised = True  # a share of the row's probability, whatever the target

@@ -30,6 +30,8 @@ from .store import load_model
 class VisualOdometry:
     """Poses of one camera, frame by frame (:meth:`step`) or for a whole sequence (:meth:`run`).
 
+    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
+
     Parameters
     ----------
     model

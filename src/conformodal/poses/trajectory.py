@@ -31,6 +31,15 @@ class Trajectory:
     ------
     PoseError
         If shapes differ or a value is not finite.
+
+    Examples
+    --------
+    >>> from conformodal import Trajectory
+    >>> path = Trajectory([0.0, 0.1], [[0, 0, 0], [1, 0, 0]], [[1, 0, 0, 0], [2, 0, 0, 0]])
+    >>> path.orientations_quat_wxyz[1]  # of unit length, w first
+    array([1., 0., 0., 0.])
+    >>> len(path[1:])
+    1
     """
 
     timestamps_s: FloatArray

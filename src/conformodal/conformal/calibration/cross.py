@@ -35,6 +35,18 @@ class CrossConformal(Calibrator):
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     joint
         ``"none"`` or ``"bonferroni"``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import CrossConformal, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> y, folds = np.tile([0.5, 2.5], 20), np.repeat([0, 1], 20)
+    >>> proba = np.tile([0.45, 0.1, 0.45], (40, 1))  # of each row by the model that has not seen its fold
+    >>> cross = CrossConformal(bins, alpha=0.1).calibrate(proba, y, folds)
+    >>> cross.predict({0: proba[:1], 1: proba[:1]}).intervals(0)  # a new sample, by both models
+    [array([[0., 1.],
+           [2., 3.]])]
     """
 
     scores_: dict[Hashable, npt.NDArray[np.floating[Any]]]

@@ -44,6 +44,12 @@ def weighted_quantile(
     ------
     ConformalError
         If weights are negative, not finite, or of another shape; if scores hold NaN.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import weighted_quantile
+    >>> weighted_quantile([0.1, 0.2, 0.3], [1, 1, 2], new_weights=[1, 9], alpha=0.5)  # the second stands far off
+    array([0.3, inf])
     """
     scores, own = as_scores(scores), as_weights(weights, "weights")
     new = as_weights(new_weights, "new_weights")
@@ -103,6 +109,17 @@ class WeightedConformal(Calibrator):
     ----------
     bins, alpha, score, joint, empty
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, WeightedConformal
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> y, proba = np.tile([0.5, 2.5], 20), np.tile([0.45, 0.1, 0.45], (40, 1))
+    >>> shifted = WeightedConformal(bins, alpha=0.1).calibrate(proba, y, weights=np.linspace(0.5, 1.5, 40))
+    >>> shifted.predict(proba[:1], weights=[1.5]).intervals(0)
+    [array([[0., 1.],
+           [2., 3.]])]
     """
 
     scores_: npt.NDArray[np.floating[Any]]

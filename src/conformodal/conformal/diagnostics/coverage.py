@@ -21,6 +21,8 @@ class CoverageCheck:
     With n calibration samples, rank k and m test samples, all exchangeable and without ties, the number of
     covered test samples follows BetaBinomial(m, k, n + 1 - k).
 
+    For an example see :func:`check_coverage`.
+
     Attributes
     ----------
     n_covered, n_test, n_calibration, rank
@@ -57,6 +59,14 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     ------
     ConformalError
         If `n_test` is below 1 or `level` outside (0, 1).
+
+    Examples
+    --------
+    >>> from conformodal.conformal import coverage_band
+    >>> coverage_band(n_calibration=1000, n_test=1000, alpha=0.1)
+    (0.863, 0.932)
+    >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: the whole space, always right
+    (1.0, 1.0)
     """
     n_test, level = as_count(n_test, "n_test", 1), as_level(level)
     k = conformal_rank(n_calibration, alpha)
@@ -86,6 +96,12 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     ------
     ConformalError
         If there are no test samples or `level` is outside (0, 1).
+
+    Examples
+    --------
+    >>> from conformodal.conformal import grouped_coverage_band
+    >>> grouped_coverage_band([(1000, 500), (300, 500)], alpha=0.1)
+    (0.862, 0.933)
     """
     try:
         groups = [(as_count(n, "calibration samples"), as_count(m, "test samples")) for n, m in groups]
@@ -133,6 +149,13 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     ------
     ConformalError
         If `inside` is no vector of booleans, or is empty.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import check_coverage
+    >>> check = check_coverage([True] * 93 + [False] * 7, n_calibration=200, alpha=0.1)
+    >>> check.coverage, check.inside
+    (0.93, True)
     """
     arr = as_flags(inside, "inside", 1)
     if arr.size == 0:

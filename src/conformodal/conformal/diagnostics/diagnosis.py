@@ -66,6 +66,8 @@ class ColumnDiagnosis:
 class Diagnosis:
     """What :func:`diagnose` found. ``print`` it for the report, or see its attributes.
 
+    For an example see :func:`diagnose`.
+
     Attributes
     ----------
     columns

@@ -64,6 +64,17 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
     ----------
     edges_ : (K + 1,) edges of the bins
     weights_ : (5,) of the mixture, in the order above
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuickDensity
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.random((60, 1))
+    >>> y = X[:, 0] + rng.choice([-1, 1], 60)
+    >>> density = QuickDensity(random_state=0).fit_bins(X, y, edges=[-1, 0, 1, 2])
+    >>> density.predict_proba([[0.5]]).shape
+    (1, 3)
     """
 
     edges_: FloatArray

@@ -46,6 +46,8 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
 
     Each is smoothed by Gaussian kernels, narrower where values are dense, as wide as held-out likelihood asks.
 
+    ``ConformalRegressor("stack")`` uses it. It is used by itself as :class:`QuickDensity` is, where an example is.
+
     Parameters
     ----------
     n_trees
