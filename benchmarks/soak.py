@@ -98,9 +98,9 @@ def main() -> None:
         f"local features matched in every {MATCH_EVERY}th frame. Memory is read every {READ_EVERY} frames; while a "
         f"window of {WINDOW} frames is answered in a thread, it is larger for a moment. Between the rows' medians "
         f"there are {np.ptp(memory[1:]):.1f} MB after the first row, between their median of the first half and that "
-        f"of the second {medians[1] - medians[0]:+.1f} MB; the most ever read is {most.max():.1f} MB. Milliseconds: "
-        f"median of {np.median(ms[1:half]):.2f} a frame in the first half and {np.median(ms[half:]):.2f} in the second; of "
-        f"the processor, {np.median(cpu[1:half]):.2f} and {np.median(cpu[half:]):.2f}. Other jobs shared the cores."
+        f"of the second {medians[1] - medians[0]:+.1f} MB; the most ever read is {most.max():.1f} MB. Median ms "
+        f"a frame in the first half and the second: {np.median(ms[1:half]):.2f} and {np.median(ms[half:]):.2f}, of the "
+        f"processor {np.median(cpu[1:half]):.2f} and {np.median(cpu[half:]):.2f}. Other jobs shared the cores."
     )
     write_page("soak", "Many frames", "python benchmarks/soak.py", [*lines, "", note])
 
