@@ -74,7 +74,7 @@ def page_of(told: Told) -> ReportContent:
     pictures = Thumbnails()
     for i in run.frames.tolist():
         pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level)
+    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level, told.world.plan())
     title = "conformodal: a corridor of identical rooms" + (", by the paper's system" if paper else "")
     summary = [_flown(told), _errors_said(outcome.metrics["errors"], paper), _places_said(outcome.metrics["ambiguity"])]
     return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
