@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, concatenate, tum_lines, write_kitti
 
 from .errors import DatasetError
@@ -145,7 +146,9 @@ def _write(
     for why, frames in left.items():
         if frames:
             more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
-            done.notes.append(f"left out {len(frames)} frames {why}: {', '.join(frames[:_MOST_NAMES])}{more}")
+            done.notes.append(
+                f"left out {counted(len(frames), 'frame')} {why}: {', '.join(frames[:_MOST_NAMES])}{more}"
+            )
     done.n_frames = len(names)
     stamps = np.array(times)
     found = None
