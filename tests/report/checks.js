@@ -26,8 +26,8 @@
     return layers.reverse().reduce((below, top) => over(top, below), dark ? [18, 18, 18] : [255, 255, 255]);
   }
 
-  function contrast() {
-    const wrong = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  function contrast(within = "body") {
+    const wrong = [], walker = document.createTreeWalker(document.querySelector(within), NodeFilter.SHOW_TEXT);
     let checked = 0;
     while (walker.nextNode()) {
       const text = walker.currentNode, e = text.parentElement;

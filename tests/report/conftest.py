@@ -26,6 +26,12 @@ def browser():
         opened.close()
 
 
+@pytest.fixture(scope="session")
+def checks():
+    """The script that adds the checks to a page."""
+    return CHECKS
+
+
 @pytest.fixture
 def opened(browser):
     """Opens a page; what went wrong on it, and what it asked the network for, fails the test when it ends."""

@@ -83,6 +83,7 @@ def test_the_sentence_of_a_run():
         "(RMSE)."
     )  # sqrt((9 + 16 + 16) / 4)
     assert "is the whole space in 2 (1 of them shows no place that is known)" in tally(unknown, frame([LINE] * 3))
+    assert "is the whole space in 2 (they show no place that is known)" in tally(unknown, unknown)
     assert tally(frame([LINE] * 3)) == "Of 1 frame, the region is the whole space in 1."
     assert tally(frame([[], HERE, HERE])) == "Of 1 frame, the region is empty in 1."
     assert tally() == "No frame was answered."

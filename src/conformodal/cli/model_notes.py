@@ -27,7 +27,7 @@ def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -
     """What a user should know of the landmarks."""
     if landmarks is None:
         return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
-    n_landmarks, n_frames = landmarks.summary["n_landmarks"], landmarks.summary["n_keyframes"]
+    n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
     said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:

@@ -101,12 +101,7 @@ def run_said(tally: RunTally) -> str:
     if tally.n_several:
         regions.append(f"names several in {tally.n_several} (at most {tally.most_places})")
     if tally.n_whole:
-        why = ""
-        if tally.n_unknown:
-            shows = noun_for(tally.n_unknown, "shows", "show")
-            why = f" ({tally.n_unknown} of them {shows} no place that is known)" if tally.n_whole > 1 else ""
-            why = why or " (it shows no place that is known)"
-        regions.append(f"is the whole space in {tally.n_whole}{why}")
+        regions.append(f"is the whole space in {tally.n_whole}{_why_whole(tally)}")
     empty = tally.n - tally.n_one - tally.n_several - tally.n_whole
     if empty:
         regions.append(f"is empty in {empty}")
@@ -115,6 +110,15 @@ def run_said(tally: RunTally) -> str:
         rmse = length_said(sqrt(tally.squares / tally.n_true))
         said += f" It holds the true position in {tally.n_held}; the chosen path is {rmse} from the truth (RMSE)."
     return said
+
+
+def _why_whole(tally: RunTally) -> str:
+    """How many of the frames whose region is the whole space show no known place."""
+    n = tally.n_unknown
+    if not n:
+        return ""
+    who = f"{n} of them" if n < tally.n_whole else noun_for(n, "it", "they")
+    return f" ({who} {noun_for(n, 'shows', 'show')} no place that is known)"
 
 
 def length_said(metres: float) -> str:

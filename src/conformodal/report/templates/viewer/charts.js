@@ -1,22 +1,31 @@
 // Everything over time. What does not change with the frame is drawn once, onto a layer of its own.
-const LEFT = 52, BOTTOM = 8, TOP = 8, RIGHT = 6;
+const LEFT = 56, BOTTOM = 8, TOP = 8, RIGHT = 6;
 const layers = new Map();
+const shortly = (v) => String(Number(v.toPrecision(3)));
 
 function timeAxis(w) {
   return (t) => LEFT + (w - LEFT - RIGHT) * (t - t0) / (tEnd - t0 || 1);
 }
 
+// Errors of two methods differ in size: beside the classical regressor they are on a scale of powers of ten.
+function errorChart() {
+  const values = frames.flatMap((f) => [f.err, f.cerr]).filter((v) => v > 0), high = Math.max(1e-9, ...values);
+  const floor = Math.max(Math.min(...values, high), high * 1e-5), by = data.classical ? (v) => Math.log10(Math.max(v, floor)) : (v) => v;
+  const line = (key, colour, width, dash) => (g, x, y) => polyline(g, frames.map((f) => (f[key] == null ? null : [x(f.t), y(by(f[key]))])), colour, width, dash);
+  const draw = (g, x, y) => { line("cerr", colours.classical, 1.2, [2, 3])(g, x, y); line("err", colours.answer, 1.5)(g, x, y); };
+  return data.classical ? { id: "error", low: Math.floor(by(floor)), high: by(high), draw, number: (v) => shortly(10 ** v) } : { id: "error", low: 0, high, draw };
+}
+
 function charts() {
-  const most = (...keys) => Math.max(1e-9, ...frames.flatMap((f) => keys.map((key) => f[key] || 0)));
+  const most = (key) => Math.max(1e-9, ...frames.map((f) => f[key] || 0));
   const line = (key) => (g, x, y) => polyline(g, frames.map((f) => (f[key] == null ? null : [x(f.t), y(f[key])])), colours.answer, 1.5);
-  const other = (g, x, y) => { if (data.classical) polyline(g, frames.map((f) => (f.cerr == null ? null : [x(f.t), y(f.cerr)])), colours.classical, 1.2, [2, 3]); };
   const least = Math.floor(Math.log10(Math.min(data.level || 0.1, 0.1, ...frames.map((f) => f.kp || 1))) - 0.1);
   return [
     ...axisNames.map((name, a) => ({ id: `band-${name}`, low: range[a][0], high: range[a][1], draw: bands(a) })),
-    // p-values on a scale of powers of ten: what matters is how small they are
+    // p-values on a scale of powers of ten too: what matters is how small they are
     { id: "known", low: least, high: 0, draw: pValues, number: (v) => String(10 ** v) },
     { id: "size", low: 0, high: most("size"), draw: line("size") },
-    { id: "error", low: 0, high: most("err", "cerr"), draw: (g, x, y) => { other(g, x, y); line("err")(g, x, y); } },
+    errorChart(),
     { id: "angle", low: 0, high: most("deg"), draw: line("deg") },
   ].filter((chart) => $(chart.id));
 }
@@ -45,7 +54,7 @@ function pValues(g, x, y) {
   if (data.level) polyline(g, [[x(t0), y(Math.log10(data.level))], [x(tEnd), y(Math.log10(data.level))]], colours.ink, 1, [3, 4]);
 }
 
-function layerOf({ id, low, high, draw, number = (v) => String(Number(v.toPrecision(3))) }) {
+function layerOf({ id, low, high, draw, number = shortly }) {
   const [g, w, h] = fit($(id)), x = timeAxis(w), y = (v) => h - BOTTOM - (h - BOTTOM - TOP) * (v - low) / (high - low || 1);
   say(g, number(high), LEFT - 6, TOP + 9, "right"); say(g, number(low), LEFT - 6, h - BOTTOM, "right");
   g.strokeStyle = colours.line; g.lineWidth = 1; g.strokeRect(LEFT, TOP - 4, w - LEFT - RIGHT, h - BOTTOM - TOP + 8);
@@ -64,7 +73,7 @@ function renewLayers() {
 }
 
 function drawCursors() {
-  for (const [id, layer] of layers) {
+  for (const [id, layer] of layers) if (layer.width && layer.height) {
     const [g, w, h] = fit($(id)), x = timeAxis(w)(frames[now].t);
     g.drawImage(layer, 0, 0, w, h);
     polyline(g, [[x, TOP - 4], [x, h - BOTTOM + 4]], colours.cursor, 2);
@@ -76,8 +85,7 @@ function describeCharts() {
   const spans = { known: "kp", size: "size", error: "err", angle: "deg" };
   for (const { id } of charts()) {
     const a = axisNames.indexOf(id.slice(-1)), values = frames.map((f) => (spans[id] ? f[spans[id]] : f.p[a])).filter((v) => v != null).sort((u, v) => u - v);
-    const short = (v) => String(Number(v.toPrecision(3)));
-    const what = values.length ? `from ${short(values[0])} to ${short(values[values.length - 1])}, median ${short(values[values.length >> 1])}` : "no values";
+    const what = values.length ? `from ${shortly(values[0])} to ${shortly(values[values.length - 1])}, median ${shortly(values[values.length >> 1])}` : "no values";
     $(id).setAttribute("aria-label", `${$(id).dataset.what} over ${(tEnd - t0).toFixed(1)} seconds: ${what}`);
   }
 }

@@ -50,7 +50,7 @@ function drawScale(g, w, h, scale) {
 
 // A region without a bound fills the plan with lines, which no box has.
 function hatch(g, w, h) {
-  g.globalAlpha = 0.55;
+  g.globalAlpha = 0.4;
   for (let x = -h; x < w; x += 14) polyline(g, [[x, h], [x + h, 0]], colours.region, 2);
   g.globalAlpha = 1;
 }

@@ -49,7 +49,9 @@ function onKey(e) {
   if (e.key in ways) { e.preventDefault(); go(ways[e.key]); }
 }
 
+// A window that is closed or hidden may have no width: there is nothing to draw on then.
 function redraw() {
+  if (!$("plan").clientWidth) return;
   readColours(); shapePlan(); renewLayers(); show(now);
 }
 
