@@ -74,9 +74,10 @@ def test_the_sentence_of_a_run():
     one, two = frame([HERE] * 3, truth=(0, 0, 0), error=3.0), frame([THERE, HERE, HERE], truth=(5, 0, 0), error=4.0)
     unknown = frame([LINE] * 3, evidence="unknown", truth=(0, 0, 0), error=0.0)
     assert tally(one) == (
-        "Of 1 frame, the region names one place in 1. It holds the true position in 1; the chosen path is 3.00 m from "
-        "the truth (RMSE)."
+        "One frame was answered: its region names 1 place. It holds the true position; the chosen pose is 3.00 m from "
+        "the truth."
     )
+    assert "names 2 places. It does not hold the true position" in tally(two)
     assert tally(one, two, two, unknown) == (
         "Of 4 frames, the region names one place in 1, names several in 2 (at most 2) and is the whole space in 1 (it "
         "shows no place that is known). It holds the true position in 2; the chosen path is 3.20 m from the truth "
@@ -84,8 +85,10 @@ def test_the_sentence_of_a_run():
     )  # sqrt((9 + 16 + 16) / 4)
     assert "is the whole space in 2 (1 of them shows no place that is known)" in tally(unknown, frame([LINE] * 3))
     assert "is the whole space in 2 (they show no place that is known)" in tally(unknown, unknown)
-    assert tally(frame([LINE] * 3)) == "Of 1 frame, the region is the whole space in 1."
-    assert tally(frame([[], HERE, HERE])) == "Of 1 frame, the region is empty in 1."
+    assert "is the whole space (it shows no place that is known). It holds" in tally(unknown)
+    assert "names one place in 1 and is empty in 1." in tally(one, frame([[], HERE, HERE]))
+    assert tally(frame([LINE] * 3)) == "One frame was answered: its region is the whole space."
+    assert tally(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."
     assert tally() == "No frame was answered."
 
 

@@ -93,8 +93,8 @@ def run_said(tally: RunTally) -> str:
     tally
         Of its frames.
     """
-    if not tally.n:
-        return "No frame was answered."
+    if tally.n < 2:
+        return _one_said(tally) if tally.n else "No frame was answered."
     regions = []
     if tally.n_one:
         regions.append(f"names one place in {tally.n_one}")
@@ -109,6 +109,18 @@ def run_said(tally: RunTally) -> str:
     if tally.n_true:
         rmse = length_said(sqrt(tally.squares / tally.n_true))
         said += f" It holds the true position in {tally.n_held}; the chosen path is {rmse} from the truth (RMSE)."
+    return said
+
+
+def _one_said(tally: RunTally) -> str:
+    """Of a run of one frame, where counts of frames say nothing."""
+    region = f"names {counted(tally.most_places, 'place')}" if tally.most_places else "is empty"
+    if tally.n_whole:
+        region = f"is the whole space{_why_whole(tally)}"
+    said = f"One frame was answered: its region {region}."
+    if tally.n_true:
+        holds = "holds" if tally.n_held else "does not hold"
+        said += f" It {holds} the true position; the chosen pose is {length_said(sqrt(tally.squares))} from the truth."
     return said
 
 

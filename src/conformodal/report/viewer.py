@@ -21,7 +21,6 @@ from .frames import Paths, page_frame
 from .sentences import RunTally, frame_said, run_said
 
 MOST_FRAMES = 1000
-_RULERS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 # In this order they are one script; a later one uses names of the earlier ones.
 _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
 
@@ -77,12 +76,10 @@ def make_viewer(
             shown.append(frame.as_json(frame_said(frame), images.get(frame.name)))
     extent = np.ptp(answer.positions_xyz, axis=0)
     flat = sorted(np.argsort(-extent)[:2].tolist())
-    ruler = max((r for r in _RULERS_M if r <= max(extent.max() / 3, _RULERS_M[0])), default=_RULERS_M[0])
     data = {
         "frames": shown,
         "axes": flat,
         "up": ({0, 1, 2} - set(flat)).pop(),
-        "ruler": ruler,
         "truth": paths.truth is not None,
         "classical": paths.classical is not None,
         "level": level,

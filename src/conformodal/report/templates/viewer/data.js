@@ -8,17 +8,18 @@ let now = 0;
 
 const isUnknown = (f) => f.ev === "unknown";
 
-// All paths and walls, and boxes unless they lie far outside: one far box would make all else small.
+// All paths and walls, and the boxes but a hundredth at either end: one far box would make all else small.
 const range = [0, 1, 2].map((a) => {
-  let low = Infinity, high = -Infinity;
-  const take = (v) => { low = Math.min(low, v); high = Math.max(high, v); };
-  for (const f of frames) for (const p of [f.p, f.truth]) if (p) take(p[a]);
-  if (a < 2) for (const wall of data.walls) for (const end of wall) take(end[a]);
-  const reach = 0.5 * (high - low), [least, most] = [low - reach, high + reach];
-  for (const f of frames) for (const part of f.iv[a]) for (const e of part) if (e !== null && e >= least && e <= most) take(e);
-  const margin = Math.max(0.06 * (high - low), 1e-3);
+  const ends = frames.flatMap((f) => f.iv[a].flat()).filter((e) => e !== null).sort((u, v) => u - v), cut = Math.floor(ends.length / 100);
+  const all = [...frames.map((f) => f.p[a]), ...frames.filter((f) => f.truth).map((f) => f.truth[a]), ...ends.slice(cut, ends.length - cut)];
+  if (a < 2) for (const wall of data.walls) all.push(wall[0][a], wall[1][a]);
+  const [low, high] = all.reduce(([l, h], v) => [Math.min(l, v), Math.max(h, v)], [Infinity, -Infinity]), margin = Math.max(0.06 * (high - low), 1e-3);
   return [low - margin, high + margin];
 });
+
+// A round length, a third of the plan at most.
+const widest = Math.max(...data.axes.map((a) => range[a][1] - range[a][0]));
+const ruler = [0.01, 0.02, 0.05].concat(...[0.1, 1, 10, 100, 1000].map((power) => [power, 2 * power, 5 * power])).findLast((length) => length <= widest / 3) || 0.01;
 
 // An interval without a bound is drawn over all that is shown.
 const ends = (part, a) => [part[0] === null ? range[a][0] : part[0], part[1] === null ? range[a][1] : part[1]];

@@ -36,16 +36,16 @@ function drawPlan() {
 }
 
 function drawGrid(g, w, h, point, scale) {
-  const step = data.ruler, [a, b] = data.axes, [x0, y0] = point(0, 0);
+  const step = ruler, [a, b] = data.axes, [x0, y0] = point(0, 0);
   for (let x = x0 % (step * scale); x < w; x += step * scale) polyline(g, [[x, 0], [x, h]], colours.line, 1);
   for (let y = y0 % (step * scale); y < h; y += step * scale) polyline(g, [[0, y], [w, y]], colours.line, 1);
   say(g, `${axisNames[a]} \u2192`, w - 8, h - 8, "right"); say(g, `${axisNames[b]} \u2191`, 8, 18);
 }
 
 function drawScale(g, w, h, scale) {
-  const long = data.ruler * scale, [x, y] = [10, h - 10];
+  const long = ruler * scale, [x, y] = [10, h - 10];
   polyline(g, [[x, y - 5], [x, y], [x + long, y], [x + long, y - 5]], colours.ink, 1.5);
-  say(g, `${data.ruler} m`, x + long / 2, y - 6, "center", colours.ink);
+  say(g, `${ruler} m`, x + long / 2, y - 6, "center", colours.ink);
 }
 
 // A region without a bound fills the plan with lines, which no box has.
