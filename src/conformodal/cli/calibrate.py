@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from conformodal.core.files import check_writable
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.odometry import (
     METHODS,
@@ -79,7 +80,8 @@ def calibrate(
         console.print(radius.assumption, soft_wrap=True)
     else:
         say_strongly(
-            f"The radius is infinite: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
+            f"The radius is infinite: {counted(radius.n_recordings, 'recording')} "
+            f"{noun_for(radius.n_recordings, 'is', 'are')} too few for alpha = {alpha:g}; "
             f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read."
         )
     print_where(model)

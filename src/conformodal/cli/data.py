@@ -12,6 +12,7 @@ import typer
 from rich.table import Table
 
 from conformodal.core.files import LOCK, writing_in
+from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
@@ -60,7 +61,7 @@ def _check(folder: Path, layout: Layout, out: Path | None, follow_outside: bool)
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
     table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
     if found.extent_m is None:
-        some = f"for {found.n_poses} of {found.n_frames} frames" if found.n_poses else "none"
+        some = f"for {found.n_poses} of {counted(found.n_frames, 'frame')}" if found.n_poses else "none"
         table.add_row("poses", some)
     else:
         sides = " x ".join(f"{side:.2f}" for side in found.extent_m)
@@ -121,7 +122,7 @@ def convert(
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
     )
     console.print(
-        f"{done.n_frames} frames written as {to}, {how_many} poses; left out: "
+        f"{counted(done.n_frames, 'frame')} written as {to}, {how_many} poses; left out: "
         f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose"
         + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
         soft_wrap=True,

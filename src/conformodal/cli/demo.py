@@ -14,6 +14,7 @@ import typer
 
 from conformodal.core import StageProgress
 from conformodal.core.files import FolderError, write_whole
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity
@@ -70,8 +71,8 @@ def demo(
     say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
     record = outcome.metrics["ambiguity"]
     console.print(
-        f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
-        f"hold {record['share_held']:.3f} of them (whole pose)"
+        f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
+        f"same view, {record['n_places']} in all; the regions hold {record['share_held']:.3f} of them (whole pose)"
     )
     for line in ratios_said(method, outcome.metrics):
         console.print(line, soft_wrap=True)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.core.words import counted, noun_for
 from conformodal.odometry import Method
 from conformodal.report import (
     PageFigure,
@@ -54,7 +55,7 @@ def page_of(told: Told) -> ReportContent:
         answer=answer,
     )
     n_places = len(told.alike.places[index]) + 1
-    caption = f"{name}, from above. The image fits {n_places} places equally well; " + (
+    caption = f"{name}, from above. The image fits {counted(n_places, 'place')} equally well; " + (
         f"the region holds {int(told.alike.held[index].sum())} of the other {n_places - 1}. Greedy reasoning chooses "
         "one of its cuboids, and goes on from there in the next frame, right or wrong."
         if paper
@@ -74,7 +75,7 @@ def page_of(told: Told) -> ReportContent:
     pictures = Thumbnails()
     for i in run.frames.tolist():
         pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level)
+    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level, told.world.plan())
     title = "conformodal: a corridor of identical rooms" + (", by the paper's system" if paper else "")
     summary = [_flown(told), _errors_said(outcome.metrics["errors"], paper), _places_said(outcome.metrics["ambiguity"])]
     return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
@@ -83,9 +84,10 @@ def page_of(told: Told) -> ReportContent:
 def _flown(told: Told) -> str:
     split = told.model.split
     return (
-        f"A drone flew {told.n_laps} times along a dark hallway of {told.world.n_modules} identical modules, into "
-        f"every room. {len(split.train)} frames trained a network, {len(split.calibration)} calibrated its regions, "
-        f"{len(told.outcome.run.frames)} were held out ({told.outcome.metrics['split_note']})"
+        f"A drone flew {counted(told.n_laps, 'time')} along a dark hallway of "
+        f"{counted(told.world.n_modules, 'identical module')}, into every room. {counted(len(split.train), 'frame')} "
+        f"trained a network, {len(split.calibration)} calibrated its regions, {len(told.outcome.run.frames)} "
+        f"{noun_for(len(told.outcome.run.frames), 'was', 'were')} held out ({told.outcome.metrics['split_note']})"
     )
 
 
@@ -107,8 +109,8 @@ def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
 
 def _places_said(record: dict[str, Any]) -> str:
     return (
-        f"{record['n_frames']} frames have other places with the same view; the regions hold "
-        f"{100 * record['share_held']:.1f} % of these {record['n_places']} places."
+        f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
+        f"same view, {record['n_places']} in all; the regions hold {100 * record['share_held']:.1f} % of them."
     )
 
 

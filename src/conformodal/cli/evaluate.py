@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from conformodal.core.files import writing_in
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
@@ -79,7 +80,8 @@ def evaluate(
         write_metrics(out / "evaluation", result)
     if found.unfinished:
         say_strongly("the run did not come to its end: what it had written until then is evaluated")
-    console.print(f"{len(mine)} of {len(found.times)} poses have a true one within 0.01 s")
+    have = noun_for(len(mine), "has", "have")
+    console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
     console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from conformodal.core.files import check_writable, write_whole
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
 from conformodal.localization import TARGET_NAMES, HeadSource
 from conformodal.networks import TorchBackbone, exported
@@ -89,6 +90,6 @@ def check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
     same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
     if same < len(known) or len(here) != len(known):
         raise OdometryError(
-            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its {len(known)} frames are "
-            f"here in their places, among {len(here)}"
+            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its "
+            f"{counted(len(known), 'frame')} {noun_for(same, 'is', 'are')} here in their places, among {len(here)}"
         )

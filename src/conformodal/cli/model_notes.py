@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
 from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
@@ -26,7 +27,8 @@ def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -
     """What a user should know of the landmarks."""
     if landmarks is None:
         return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
-    said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
+    n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
+    said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
         said += (
@@ -82,17 +84,17 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     by_frame, n = softmax.groups_ is None, softmax.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
     if by_frame:
-        said = [f"regions are calibrated on the {n} frames of the calibration part"]
+        said = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
         said = [
-            f"regions are calibrated on {n} {units}, {n_frames} frames of training and calibration part together; each "
-            f"is answered by sources that did not see its {unit}"
+            f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of training and "
+            f"calibration part together; each is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
             f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
-            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
+            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
         )
     if config.method is Method.PAPER:
         said.append("images are not tested for unknown places: the paper has no such test")
@@ -104,7 +106,8 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     elif model.rules.level < model.novelty.test.least_p:
         said.append(
             f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
-            f"{model.novelty.test.n_groups} pieces of the data no p-value is below {model.novelty.test.least_p:.3g}"
+            f"{counted(model.novelty.test.n_groups, 'piece')} of the data no p-value is below "
+            f"{model.novelty.test.least_p:.3g}"
         )
     else:
         said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
@@ -119,14 +122,16 @@ def units_needed(alpha: Alpha) -> int:
 def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
     """Kinds of evidence whose region is the whole space in some target, with the reason."""
     by_frame = model.calibration.groups_ is None
-    said, units = [], "frames" if by_frame else "stretches or recordings"
+    said: list[str] = []
+    unit, units = ("frame", "frames") if by_frame else ("stretch or recording", "stretches or recordings")
     for kind, rule in model.rules.of.items():
         if not len(rule.scores_):
             said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
         elif np.isposinf(rule.thresholds_).any():
             said.append(
-                f"The region is the whole space in some target {_WHERE[kind]}: {rule.n_units} {units} "
-                f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
-                f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
+                f"The region is the whole space in some target {_WHERE[kind]}: "
+                f"{counted(rule.n_units, unit, units)} {noun_for(rule.n_units, 'calibrates', 'calibrate')} it, too few "
+                f"for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie beyond the training range. "
+                f"Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
             )
     return said

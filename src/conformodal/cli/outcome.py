@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.odometry import (
     METHODS,
@@ -76,8 +77,8 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
     seen = np.maximum(at, moved)
     if (seen < 0).all():
         raise OdometryError(
-            f"{sequence.name}: none of its {len(sequence)} frames has the pixels of one of the {n} frames of {its}; "
-            "give that data set, or run on all of this one"
+            f"{sequence.name}: none of its {counted(len(sequence), 'frame')} has the pixels of one of the "
+            f"{counted(n, 'frame')} of {its}; give that data set, or run on all of this one"
         )
     try:
         model.check_camera(sequence.camera, _SAME_CAMERA)
@@ -89,12 +90,14 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
         expected = model.known_frames.poses[rows[moved == first][0]]
         raise OdometryError(
             f"{sequence.image_paths[first]}: has the pixels of a frame of {its}, but another pose, and so have "
-            f"{(moved >= 0).sum()} of {n} frames; found x y z qw qx qy qz {here.poses[first].round(6).tolist()}, "
-            f"expected {expected.round(6).tolist()}"
+            f"{(moved >= 0).sum()} of {counted(n, 'frame')}; found x y z qw qx qy qz "
+            f"{here.poses[first].round(6).tolist()}, expected {expected.round(6).tolist()}"
         )
     if (at < 0).any():
-        missing = f"{(at < 0).sum()} of {n} frames of the {part} part are not in {sequence.name}, or have no pose there"
-        console.print(missing, soft_wrap=True)
+        n_missing = int((at < 0).sum())
+        are, have = noun_for(n_missing, "is", "are"), noun_for(n_missing, "has", "have")
+        which = f"{n_missing} of {counted(n, 'frame')} of the {part} part"
+        console.print(f"{which} {are} not in {sequence.name}, or {have} no pose there", soft_wrap=True)
     return np.sort(at[at >= 0])
 
 
@@ -167,7 +170,7 @@ def run_metrics(
 def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     """The page's first lines."""
     lines = [
-        f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
+        f"{name}: {counted(metrics['n_answered'], 'frame')} answered, {metrics['split_note']}",
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
@@ -184,7 +187,7 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{localized}{lost}")
+    console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
         console.print(f"  {name}: {why}", soft_wrap=True)
     for line in _said_of_unknown(metrics):
@@ -213,9 +216,8 @@ def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
     n, n_answered = metrics["n_unknown"], metrics["n_answered"]
     if not n:
         return []
-    frames = "frame" if n_answered == 1 else "frames"
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
-    said = [f"{n} of {n_answered} {frames} {shows} no place that is known: {their} region is the whole space"]
+    said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is the whole space"]
     rest = metrics.get("errors_known_places", {}).get(METHODS[0])
     if rest is not None:
         said.append(f"Without {it} the answer's RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
@@ -251,6 +253,6 @@ def _n_frames(model: PoseModel, part: Part) -> int | None:
 def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:
     if part is Part.ALL:
         return "all frames of the source (parts of the training data among them, if it is the same)."
-    n = _n_frames(model, part)
-    some = "" if n_answered == n else f"{n_answered} of {n} frames of "
+    n = len(model.split.part(str(part)))
+    some = "" if n_answered == n else f"{n_answered} of {counted(n, 'frame')} of "
     return f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."

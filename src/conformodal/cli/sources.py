@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams import BagStream, FrameStream, SequenceStream, open_stream
 from conformodal.poses import PinholeCamera
@@ -87,10 +88,12 @@ def open_source(
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
-        console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True, markup=False)
+        console.print(
+            f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}", soft_wrap=True, markup=False
+        )
         say_remarks(stream.sequence)
     else:
-        count = "" if stream.n_frames is None else f", {stream.n_frames} frames"
+        count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
         console.print(f"{stream.name}: {kind_of_stream}{count}", soft_wrap=True, markup=False)
     return stream

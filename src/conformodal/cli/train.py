@@ -12,6 +12,7 @@ import typer
 
 from conformodal.core import StageProgress
 from conformodal.core.files import check_writable
+from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization import LandmarkSource
 from conformodal.networks import NETWORKS, TorchBackbone, find_network
@@ -234,7 +235,7 @@ def train_on(
     }
     write_metrics(out, metrics)
     console.print(
-        f"{sequence.name}: {parts['train']} frames for training, {parts['calibration']} for calibration, "
+        f"{sequence.name}: {counted(parts['train'], 'frame')} for training, {parts['calibration']} for calibration, "
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
     console.print(said_of_distances(split, sequence.recording), soft_wrap=True)

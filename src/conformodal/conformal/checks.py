@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
+from conformodal.core.words import counted
+
 from .blocks import for_blocks
 from .errors import ConformalError
 from .scalars import Alpha, as_alpha, brief
@@ -183,7 +185,7 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
     if arr.ndim != 2 or arr.shape[1] == 0:
         raise ConformalError(f"{name} must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
     if n_targets is not None and arr.shape[1] != n_targets:
-        raise ConformalError(f"{name} has {arr.shape[1]} target(s), shape {given.shape}; expected {n_targets}")
+        raise ConformalError(f"{name} has {counted(arr.shape[1], 'target')}, shape {given.shape}; expected {n_targets}")
     if not np.isfinite(arr).all():
         row, col = np.argwhere(~np.isfinite(arr))[0]
         raise ConformalError(f"{name} must be finite, found {arr[row, col]} in row {row}, target {col}")

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core import FloatArray
+from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 
 from .errors import DatasetError
@@ -272,8 +273,7 @@ class _Kept:
 
 def _listed(frames: list[str], why: str) -> str:
     more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
-    count = f"{len(frames)} frames" if len(frames) > 1 else "1 frame"
-    return f"{count} {why}: {', '.join(frames[:_MOST_NAMES])}{more}"
+    return f"{counted(len(frames), 'frame')} {why}: {', '.join(frames[:_MOST_NAMES])}{more}"
 
 
 def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> tuple[float, ...] | None:

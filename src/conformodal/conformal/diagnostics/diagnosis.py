@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.words import counted
+
 from ..calibration import SplitConformal
 from ..calibration.joint import Joint
 from ..checks import Alpha, Probabilities, as_targets
@@ -93,7 +95,7 @@ class Diagnosis:
     def __str__(self) -> str:
         lines = [
             f"Conformal sets at alpha = {self.alpha}: score {self.score}, joint {self.joint}; "
-            f"{self.n_calibration} calibration and {self.n_test} test samples.",
+            f"{self.n_calibration} calibration and {counted(self.n_test, 'test sample')}.",
             "",
         ]
         width = max([12, *map(len, self.names)])

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sklearn.base import clone
 
 from conformodal.core.progress import Progress
+from conformodal.core.words import counted
 
 from ..errors import ConformalError, SlowFitWarning
 from ..scalars import brief, shortened
@@ -105,7 +106,9 @@ def announce(base: Any, n_rows: int, n_features: int, n_targets: int) -> bool:
     spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
     hint = '; estimator="quick" takes seconds' if isinstance(base, StackedDensity) else ""
     warnings.warn(
-        f"fitting {n_rows} rows and {n_targets} target(s) will take about {spent}{hint}", SlowFitWarning, stacklevel=3
+        f"fitting {counted(n_rows, 'row')} and {counted(n_targets, 'target')} will take about {spent}{hint}",
+        SlowFitWarning,
+        stacklevel=3,
     )
     return True
 
