@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -99,6 +102,10 @@ class Head(nn.Module):
     def split(self, raw: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """One (n, K_j) block a target."""
         return torch.split(raw, self.outputs, dim=1)
+
+
+# From a head, its raw outputs and the targets of a batch to one number.
+Loss: TypeAlias = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:

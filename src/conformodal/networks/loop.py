@@ -24,9 +24,8 @@ from conformodal.core import Progress
 from conformodal.core.files import FolderInUseError, locked
 from conformodal.vision import TrainingConfig
 
-from .heads import Head
+from .heads import Head, Loss
 from .states import KeepState, kept_state
-from .training import Loss
 
 _CHECKPOINT_EVERY_EPOCHS = 10
 
