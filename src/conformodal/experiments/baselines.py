@@ -40,7 +40,7 @@ from .losses import (
     split_mixture,
 )
 from .plain import known_frames
-from .search import Search
+from .settings_search import SettingsSearch
 
 Features: TypeAlias = npt.NDArray[np.float32]
 Answer: TypeAlias = Callable[[Features], FloatArray]
@@ -267,7 +267,7 @@ def _searched(
         miss = problem.metric(kind.answer(head, data.features[judge])) - data.targets[judge]
         return root_mean_square(miss[:, :N_POSITION])
 
-    search = Search(lambda settings: error(kind.fit(problem, rows, settings, part)))
+    search = SettingsSearch(lambda settings: error(kind.fit(problem, rows, settings, part)))
     search.walk(replace(problem.config, dropout=max(problem.config.dropout, kind.least_dropout)))
     others = {max(dropout, kind.least_dropout) for dropout in (0.0, START_DROPOUT)}
     search.try_out(*(replace(search.best, dropout=dropout) for dropout in sorted(others)))

@@ -21,7 +21,7 @@ from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import TrainingConfig
 
 from .plain import PlainRegressor, fit_values, known_frames, scaling
-from .search import Search
+from .settings_search import SettingsSearch
 
 START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
@@ -112,7 +112,7 @@ def train_classical(
         misses[settings] = miss(fit(train, settings))
         return root_mean_square(misses[settings][:, :3])
 
-    search = Search(error, report)
+    search = SettingsSearch(error, report)
     little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
     search.walk(*(replace(little, learning_rate=rate) for rate in START_RATES))
     search.walk(replace(search.best, dropout=0.0))

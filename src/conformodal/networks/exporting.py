@@ -15,7 +15,7 @@ from conformodal.vision import FeatureCache, OnnxBackbone, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 from conformodal.vision.onnx_backbone import INPUT, OUTPUT
 
-from .backbone import TorchBackbone
+from .torch_backbone import TorchBackbone
 
 OPSET = 18
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more

@@ -14,8 +14,8 @@ from conformodal.core import Progress
 from conformodal.vision import FineTuning
 
 from .augmentation import augment
-from .backbone import TorchBackbone
 from .loop import fit_module
+from .torch_backbone import TorchBackbone
 
 _HEAD_RATE = 10.0
 _WEIGHT_DECAY = 1e-2

@@ -8,7 +8,7 @@ from .identity import Found, FrameIdentities, data_digest, identify
 from .learning import TrainingData, make_folds, measure_depths, prepare_training_data, train_model
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
-from .paper import PaperOdometry, odometry_of, paper_motions
+from .paper_odometry import PaperOdometry, odometry_of, paper_motions
 from .paths import METHODS, as_trajectory, whole_paths
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .region_rules import EvidenceKind, RegionRules

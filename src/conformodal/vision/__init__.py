@@ -12,7 +12,7 @@ from .features import FeatureCache, default_cache_dir, extract_features
 from .head import SoftmaxHead
 from .onnx_backbone import OnnxBackbone
 from .projection import Projection, fit_projection
-from .training import FineTuning, TrainingConfig
+from .settings import FineTuning, TrainingConfig
 
 __all__ = [
     "Backbone",

@@ -17,7 +17,7 @@ from conformodal.odometry import Method, PoseModel, load_model
 from conformodal.vision import FeatureCache, extract_features
 
 from ..errors import ExperimentError
-from .bins import MODEL
+from .bin_runs import MODEL
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,10 +44,10 @@ from ..compared_paths import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import ALPHA, TrainingTask, config_of, run_name
 from .costs import ms_a_frame, n_numbers, n_stored
-from .landmarks import landmark_rows
-from .motions import MotionMemory
-from .papers import PaperWorker
-from .regions import in_deviations, position_error, position_size, region_numbers
+from .landmark_rows import landmark_rows
+from .motion_memory import MotionMemory
+from .paper_work import PaperWorker
+from .region_numbers import in_deviations, position_error, position_size, region_numbers
 
 
 class Table1Worker:

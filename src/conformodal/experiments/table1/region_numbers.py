@@ -15,7 +15,7 @@ from conformodal.odometry.learning.calibrating import score_beliefs
 from conformodal.poses import Trajectory
 
 from .conditions import ALPHA
-from .sizes import rank_correlation
+from .size_against_error import rank_correlation
 
 RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 

@@ -29,8 +29,8 @@ from ..compared_paths import comparison_paths
 from ..plain import PlainRegressor, train_plain
 from .conditions import TrainingTask, config_of, run_name
 from .costs import head_of, ms_a_frame, n_numbers
-from .motions import MotionMemory
-from .regions import paper_numbers
+from .motion_memory import MotionMemory
+from .region_numbers import paper_numbers
 
 
 class PaperWorker:
