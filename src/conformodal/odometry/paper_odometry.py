@@ -10,7 +10,7 @@ from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence
 from conformodal.motion import EssentialFrontEnd
 from conformodal.poses import Trajectory
-from conformodal.reasoning import Greedy, greedy, interval_candidates, interval_means
+from conformodal.reasoning import Greedy, greedy, interval_candidates, interval_runs
 from conformodal.vision import FeatureCache
 
 from .config import Method
@@ -70,7 +70,7 @@ class PaperOdometry:
         found = _localize(self.model, self.model.backbone.features_of(image))
         proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
-        path = self._path.push(interval_means(proba, region)[0], motion, timestamp_s)
+        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
         self._last_s = timestamp_s
         pose = as_trajectory(path)
         reliable = motion is None or motion.reliable
@@ -123,7 +123,7 @@ class PaperOdometry:
         localization = _localize(self.model, features)
         proba, regions = localization.beliefs.proba, localization.regions
         times = sequence.timestamps_s[usable]
-        intervals, found = interval_means(proba, regions), [motions.motions[i] for i in usable.tolist()]
+        intervals, found = interval_runs(proba, regions), [motions.motions[i] for i in usable.tolist()]
         positions, quats = np.empty((usable.size, 3)), np.empty((usable.size, 4))
         for number in np.unique(sequence.recording[usable]):
             at = np.flatnonzero(sequence.recording[usable] == number)

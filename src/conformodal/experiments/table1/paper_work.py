@@ -21,7 +21,7 @@ from conformodal.odometry import (
     write_run,
 )
 from conformodal.poses import trajectory_errors
-from conformodal.reasoning import greedy, interval_means
+from conformodal.reasoning import greedy, interval_runs
 from conformodal.vision import FeatureCache, SoftmaxHead, extract_features
 
 from ..classical import baseline_training, train_classical
@@ -95,7 +95,7 @@ class PaperWorker:
 
         def answer() -> None:
             proba = head_of(model).predict_proba(features)
-            greedy(interval_means(proba, model.calibration.predict(proba)), run.motions, run.timestamps_s)
+            greedy(interval_runs(proba, model.calibration.predict(proba)), run.motions, run.timestamps_s)
 
         answer_ms = {}
         if not sigma:  # noise costs nothing
