@@ -23,10 +23,10 @@ from conformodal.vision import TrainingConfig
 from .plain import PlainRegressor, fit_values, known_frames, scaling
 from .settings_search import SettingsSearch
 
-START_RATES = (1e-3, 3e-3)
+_START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
 _BATCH_SIZE = 32  # at 64, the conformal network's, errors rose on most splits that were tried
-COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
+_COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
 
 
 @dataclass(eq=False)
@@ -78,8 +78,8 @@ def train_classical(
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
     The search starts with little dropout, and none of inputs, which squared errors bear badly. It walks down and up
-    from :data:`START_RATES` in factors of about three until the best rate has a worse one on either side, then again
-    without dropout; then more dropout and the other numbers of components are tried with the best settings.
+    from two rates in factors of about three until the best rate has a worse one on either side, then again without
+    dropout; then more dropout and the other numbers of components are tried with the best settings.
 
     Parameters
     ----------
@@ -114,9 +114,9 @@ def train_classical(
 
     search = SettingsSearch(error, report)
     little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
-    search.walk(*(replace(little, learning_rate=rate) for rate in START_RATES))
+    search.walk(*(replace(little, learning_rate=rate) for rate in _START_RATES))
     search.walk(replace(search.best, dropout=0.0))
-    choices = () if config.components is None else COMPONENTS
+    choices = () if config.components is None else _COMPONENTS
     search.try_out(
         replace(search.best, dropout=config.dropout),
         replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),

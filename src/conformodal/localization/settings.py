@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class BeliefSettings:
+class _BeliefSettings:
     """How sources become one belief.
 
     Attributes
@@ -38,7 +38,7 @@ class BeliefSettings:
 
 
 @dataclass(frozen=True)
-class ErrorModelSettings:
+class _ErrorModelSettings:
     """How errors of estimates are learnt.
 
     Attributes
@@ -63,7 +63,7 @@ class ErrorModelSettings:
 
 
 @dataclass(frozen=True)
-class NeighbourSettings:
+class _NeighbourSettings:
     """Of local regression among similar frames.
 
     Attributes
@@ -97,7 +97,7 @@ class NeighbourSettings:
 
 
 @dataclass(frozen=True)
-class LocalFeatureSettings:
+class _LocalFeatureSettings:
     """Of ORB (Rublee et al. 2011).
 
     Attributes
@@ -120,7 +120,7 @@ class LocalFeatureSettings:
 
 
 @dataclass(frozen=True)
-class RetrievalSettings:
+class _RetrievalSettings:
     """Place recognition by global descriptors.
 
     Attributes
@@ -144,7 +144,7 @@ class RetrievalSettings:
 
 
 @dataclass(frozen=True)
-class PnpSettings:
+class _PnpSettings:
     """Absolute poses from matches between corners and landmarks.
 
     Attributes
@@ -179,7 +179,7 @@ class PnpSettings:
 
 
 @dataclass(frozen=True)
-class MappingSettings:
+class _MappingSettings:
     """Triangulation of landmarks.
 
     Attributes
@@ -225,7 +225,7 @@ class MappingSettings:
 
 
 @dataclass(frozen=True)
-class CameraFitSettings:
+class _CameraFitSettings:
     """The camera as the poses know it.
 
     Attributes
@@ -250,6 +250,6 @@ class CameraFitSettings:
     most_sigmas: float = 3.0
 
 
-BELIEF, ERROR_MODEL, NEIGHBOURS = BeliefSettings(), ErrorModelSettings(), NeighbourSettings()
-LOCAL_FEATURES, RETRIEVAL, PNP = LocalFeatureSettings(), RetrievalSettings(), PnpSettings()
-MAPPING, CAMERA_FIT = MappingSettings(), CameraFitSettings()
+BELIEF, ERROR_MODEL, NEIGHBOURS = _BeliefSettings(), _ErrorModelSettings(), _NeighbourSettings()
+LOCAL_FEATURES, RETRIEVAL, PNP = _LocalFeatureSettings(), _RetrievalSettings(), _PnpSettings()
+MAPPING, CAMERA_FIT = _MappingSettings(), _CameraFitSettings()

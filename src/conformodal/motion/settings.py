@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class RelativePoseSettings:
+class _RelativePoseSettings:
     """When a relative motion is measured, and how uncertain it is.
 
     Attributes
@@ -61,7 +61,7 @@ class RelativePoseSettings:
 
 
 @dataclass(frozen=True)
-class MotionErrorSettings:
+class _MotionErrorSettings:
     """Standard deviations of a relative motion, from the scatter between parts of the image.
 
     Attributes
@@ -82,7 +82,7 @@ class MotionErrorSettings:
 
 
 @dataclass(frozen=True)
-class SubmapSettings:
+class _SubmapSettings:
     """Where a submap ends, and how uncertain it is.
 
     Attributes
@@ -127,7 +127,7 @@ class SubmapSettings:
 
 
 @dataclass(frozen=True)
-class BundleSettings:
+class _BundleSettings:
     """Of bundle adjustment (Triggs et al. 2000).
 
     Attributes
@@ -149,5 +149,5 @@ class BundleSettings:
     nearest: float = 1e-3
 
 
-RELATIVE_POSE, MOTION_ERRORS = RelativePoseSettings(), MotionErrorSettings()
-SUBMAPS, BUNDLE = SubmapSettings(), BundleSettings()
+RELATIVE_POSE, MOTION_ERRORS = _RelativePoseSettings(), _MotionErrorSettings()
+SUBMAPS, BUNDLE = _SubmapSettings(), _BundleSettings()

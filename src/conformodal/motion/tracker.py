@@ -12,7 +12,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
 
-HARRIS_K = 0.04
+_HARRIS_K = 0.04
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 
 
@@ -141,6 +141,6 @@ class CornerTracker:
         for x, y in self._now:
             cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, count, self.config.quality, spacing, mask=free, useHarrisDetector=True, k=HARRIS_K
+            image, count, self.config.quality, spacing, mask=free, useHarrisDetector=True, k=_HARRIS_K
         )
         return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)

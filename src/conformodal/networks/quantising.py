@@ -19,7 +19,7 @@ from conformodal.vision import FeatureCache, OnnxBackbone
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 from conformodal.vision.onnx_backbone import INPUT
 
-N_IMAGES = 64  # ranges of activations hardly widen with more
+_N_IMAGES = 64  # ranges of activations hardly widen with more
 
 
 def quantised(
@@ -48,7 +48,7 @@ def quantised(
     MissingPackageError
         If a package for the quantisation is not installed.
     """
-    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, N_IMAGES).round().astype(int))]
+    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
     key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
     kept = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
     found = None if kept is None else kept_arrays(kept, key)

@@ -18,8 +18,6 @@ from conformodal.vision import FineTuning, TrainingConfig
 
 from .errors import OdometryError
 
-SOURCES = ("head", "neighbours", "landmarks")
-
 
 class Calibration(StrEnum):
     """What the thresholds of a region are calibrated on.
@@ -120,7 +118,7 @@ class ModelConfig:
     used: float | None = None
     calibrate_on: Calibration = Calibration.AUTO
     novelty_level: float | None = None
-    sources: tuple[str, ...] = SOURCES
+    sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"

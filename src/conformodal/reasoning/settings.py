@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class CandidateSettings:
+class _CandidateSettings:
     """How a softmax becomes candidate poses.
 
     Attributes
@@ -32,7 +32,7 @@ class CandidateSettings:
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class _SearchSettings:
     """Prices of the search over the whole path, in nats.
 
     Chosen on seeds 20 and 21 of the world of turned rooms (benchmarks/turned_rooms.py reports seeds 10 to 14).
@@ -67,7 +67,7 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class SmootherSettings:
+class _SmootherSettings:
     """Of the least squares problems that smooth a path.
 
     Attributes
@@ -89,4 +89,4 @@ class SmootherSettings:
     submap_scale_reset: float = 5.0
 
 
-CANDIDATES, SEARCH, SMOOTHER = CandidateSettings(), SearchSettings(), SmootherSettings()
+CANDIDATES, SEARCH, SMOOTHER = _CandidateSettings(), _SearchSettings(), _SmootherSettings()

@@ -70,7 +70,7 @@ def transition_cost(
 
 
 def _jump_cost(motion: RelativeMotion | None) -> float:
-    """Cost in nats of a jump, see :class:`~conformodal.reasoning.settings.SearchSettings`."""
+    """Cost in nats of a jump, see the settings of the search."""
     return SEARCH.jump if motion is None or not motion.reliable else SEARCH.followed_jump
 
 

@@ -1,12 +1,14 @@
 """What speaks for an estimate: different corners, and experience with frames whose surroundings were hidden."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.localization import LandmarkSource
 from conformodal.localization.landmarks import build_map
 from conformodal.localization.landmarks.overlap import view_overlap
-from conformodal.localization.settings import MappingSettings
+from conformodal.localization.settings import MAPPING
 from conformodal.poses import Trajectory
 
 
@@ -50,7 +52,7 @@ def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
     world_of, stated_camera, depth_m, monkeypatch
 ):
     monkeypatch.setattr(
-        "conformodal.localization.landmarks.source.MAPPING", MappingSettings(left_out=40)
+        "conformodal.localization.landmarks.source.MAPPING", replace(MAPPING, left_out=40)
     )  # of 80: half the time
     world = world_of(n=80)
     times = np.arange(80) / 10

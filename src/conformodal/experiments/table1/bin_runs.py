@@ -29,7 +29,7 @@ from conformodal.vision import FeatureCache, TrainingConfig
 
 from .conditions import ALPHA
 
-N_BINS = (10, 50)
+_N_BINS = (10, 50)
 MODEL = "model"  # folder of a run's model
 
 
@@ -50,7 +50,7 @@ def bin_runs(
     found = {}
     motions: MotionRecord | None = None  # both have the same test frames
     measure = paper_motions if method is Method.PAPER else measure_motions
-    for k in N_BINS:
+    for k in _N_BINS:
         place = folder / (f"{method}-{split}-bins{k}" if method is Method.PAPER else f"{split}-bins{k}")
         found[k] = place
         config = _config(method, split, k, TrainingConfig(epochs=epochs))

@@ -17,7 +17,7 @@ from conformodal.poses import Trajectory
 from .conditions import ALPHA
 from .size_against_error import rank_correlation
 
-RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 def region_numbers(
@@ -78,7 +78,7 @@ def _summary(
         "intervals": float(each.n_intervals.mean()),
         "size_error_rank_correlation": rank if np.isfinite(rank) else None,
         # per target, mean over the seven: what the reliability figure shows
-        "coverage_at": [[a, float((scores <= single.at(a).thresholds_).mean())] for a in RELIABILITY_ALPHAS],
+        "coverage_at": [[a, float((scores <= single.at(a).thresholds_).mean())] for a in _RELIABILITY_ALPHAS],
     }
 
 

@@ -71,7 +71,7 @@ def calibrate_regions(
         _check_unseen(part.localizer, part.fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    joint = choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
+    joint = _choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
     # scores per unit of the target are compared in units of its spread, which no calibration frame chose
     spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
 
@@ -127,7 +127,7 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     return RegionRules(rule.calibrate(proba, data.targets[held_out]), None, np.zeros(n, dtype=bool), np.ones(n), 0.0)
 
 
-def choose_joint(config: ModelConfig, n_units: int) -> Joint:
+def _choose_joint(config: ModelConfig, n_units: int) -> Joint:
     """What is asked for; one threshold for the whole pose where there are too few frames for one each.
 
     Parameters
