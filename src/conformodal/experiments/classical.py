@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.networks import Head, predict_values
-from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
+from conformodal.odometry import OdometryRun, TrainingData, as_trajectory, rows_by_recording
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import TrainingConfig
@@ -61,10 +61,8 @@ class ClassicalRegressor(PlainRegressor):
         self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
     ) -> dict[str, Trajectory]:
         """The same over the frames of a run, recording by recording."""
-        parts = []
-        for number in np.unique(recording):
-            at = np.flatnonzero(recording == number)
-            parts.append(self.answers(features[at], run.observations(at), prior))
+        pieces = rows_by_recording(recording)
+        parts = [self.answers(features[at], run.observations(at), prior) for at in pieces]
         return {name: concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

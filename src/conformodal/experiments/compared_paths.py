@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.odometry import OdometryRun, PoseModel, as_trajectory
+from conformodal.odometry import OdometryRun, PoseModel, as_trajectory, rows_by_recording
 from conformodal.poses import Trajectory, concatenate
 from conformodal.reasoning import greedy, interval_runs, softmax_mean
 
@@ -26,6 +26,6 @@ def comparison_paths(run: OdometryRun, model: PoseModel, recording: npt.NDArray[
     if run.answer == "greedy":
         return found
     intervals = interval_runs(model.localizer.marginals(beliefs), run.regions)
-    pieces = [np.flatnonzero(recording == number) for number in np.unique(recording)]
+    pieces = rows_by_recording(recording)
     paths = (greedy([intervals[t] for t in at], [run.motions[t] for t in at], run.timestamps_s[at]) for at in pieces)
     return found | {"greedy": concatenate([as_trajectory(path) for path in paths])}

@@ -42,8 +42,12 @@ class PlainRegressor:
 
     def trajectory(self, features: npt.NDArray[np.float32], timestamps_s: FloatArray) -> Trajectory:
         """Its poses at n times, from features (n, F)."""
-        values = self.predict(features)
-        return Trajectory(timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
+        return trajectory_of(self.predict(features), timestamps_s)
+
+
+def trajectory_of(values: FloatArray, timestamps_s: FloatArray) -> Trajectory:
+    """Poses at n times from targets (n, 7): metres, and an unnormalised quaternion wxyz."""
+    return Trajectory(timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
 
 
 def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:

@@ -9,7 +9,7 @@ with needing("train", "training"):
 from .exporting import exported
 from .finetuning import fine_tune
 from .fitting import fit_head, mean_squared_error, soft_cross_entropy
-from .heads import Head, predict_values
+from .heads import Head, Loss, predict_values
 from .lite import NETWORKS, find_network
 from .quantising import quantised
 from .torch_backbone import TorchBackbone, backbone_config, pick_device
@@ -17,6 +17,7 @@ from .torch_backbone import TorchBackbone, backbone_config, pick_device
 __all__ = [
     "NETWORKS",
     "Head",
+    "Loss",
     "TorchBackbone",
     "backbone_config",
     "exported",

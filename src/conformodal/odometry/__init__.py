@@ -8,8 +8,9 @@ from .identity import Found, FrameIdentities, data_digest, identify
 from .learning import TrainingData, make_folds, measure_depths, prepare_training_data, train_model
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
-from .paper_odometry import PaperOdometry, odometry_of, paper_motions
-from .paths import METHODS, as_trajectory, whole_paths
+from .odometry import Odometry
+from .paper_odometry import PaperOdometry, odometry_of
+from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .region_rules import EvidenceKind, RegionRules
 from .results import (
@@ -48,6 +49,7 @@ __all__ = [
     "ModelConfig",
     "ModelFileError",
     "MotionRecord",
+    "Odometry",
     "OdometryError",
     "OdometryRun",
     "PaperOdometry",
@@ -81,7 +83,6 @@ __all__ = [
     "measure_motions",
     "model_digest",
     "odometry_of",
-    "paper_motions",
     "pose_errors",
     "prepare_training_data",
     "provenance",
@@ -97,6 +98,7 @@ __all__ = [
     "recordings_needed",
     "records_contain",
     "roughness",
+    "rows_by_recording",
     "save_model",
     "train_model",
     "whole_paths",

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.localization import FrameEvidence
-from conformodal.odometry import OdometryRun, PoseModel, as_trajectory
+from conformodal.odometry import OdometryRun, PoseModel, rows_by_recording, whole_paths
 from conformodal.poses import Trajectory, concatenate, normalise_quat
-from conformodal.reasoning import Candidates, Observations, smooth, softmax_mean, viterbi
+from conformodal.reasoning import Candidates, softmax_mean
 
 from ..classical import ClassicalRegressor
 
@@ -34,15 +34,11 @@ def landmark_rows(
     single = [model.localizer.update(own, [its]).candidates for own, its in zip(answers, estimates, strict=True)]
     choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "classical_landmarks": single}
     found = {"landmarks": _landmarks_alone(run, model)}
-    pieces = [np.flatnonzero(recording == number) for number in np.unique(recording)]
+    pieces = rows_by_recording(recording)
     for name, candidates in choices.items():
         seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
-        found[name] = concatenate([_reasoned(part, model) for part in seen])
+        found[name] = concatenate([whole_paths(part, model.prior)["smoothed"] for part in seen])
     return found
-
-
-def _reasoned(seen: Observations, model: PoseModel) -> Trajectory:
-    return as_trajectory(smooth(viterbi(seen, model.prior), seen, model.prior))
 
 
 def _answers(classical: ClassicalRegressor, features: npt.NDArray[np.float32]) -> Sequence[Candidates]:
