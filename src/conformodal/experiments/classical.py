@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -92,10 +93,7 @@ def train_classical(
     """
     train, check = data.split.train, data.split.calibration
     mean, scale = scaling(data)
-    standard = (data.targets - mean) / scale
-
-    def fit(rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
-        return fit_values(data, rows, standard, settings, whole=whole)
+    fit = partial(fit_values, data, (data.targets - mean) / scale, whole=whole)
 
     def report(done: int, total: int) -> None:
         if progress is not None:
@@ -111,15 +109,7 @@ def train_classical(
         return root_mean_square(misses[settings][:, :3])
 
     search = SettingsSearch(error, report)
-    little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
-    search.walk(*(replace(little, learning_rate=rate) for rate in _START_RATES))
-    search.walk(replace(search.best, dropout=0.0))
-    choices = () if config.components is None else _COMPONENTS
-    search.try_out(
-        replace(search.best, dropout=config.dropout),
-        replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
-        *(replace(search.best, components=k) for k in choices),
-    )
+    _try_settings(search, config)
     report(len(search.errors), len(search.errors))
     chosen, head = search.once_more(
         lambda settings: fit(known_frames(data), settings), lambda head: root_mean_square(miss(head)[:, :3])
@@ -134,6 +124,19 @@ def train_classical(
         training=chosen,
         spread_m=np.sqrt(np.mean(misses[chosen][:, :3] ** 2, axis=0)),
         spread_rad=float(np.sqrt(np.mean(angle**2))),
+    )
+
+
+def _try_settings(search: SettingsSearch, config: TrainingConfig) -> None:
+    """Rates with little dropout and without; then more dropout, and other numbers of components."""
+    little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
+    search.walk(*(replace(little, learning_rate=rate) for rate in _START_RATES))
+    search.walk(replace(search.best, dropout=0.0))
+    choices = () if config.components is None else _COMPONENTS
+    search.try_out(
+        replace(search.best, dropout=config.dropout),
+        replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
+        *(replace(search.best, components=k) for k in choices),
     )
 
 

@@ -61,7 +61,7 @@ def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
         What it was trained with.
     """
     known, (mean, scale) = known_frames(data), scaling(data)
-    return PlainRegressor(fit_values(data, known, (data.targets - mean) / scale, config), mean, scale)
+    return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known, config), mean, scale)
 
 
 def known_frames(data: TrainingData) -> IntArray:
@@ -76,7 +76,7 @@ def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_values(
-    data: TrainingData, rows: IntArray, standard: FloatArray, config: TrainingConfig, *, whole: bool = False
+    data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig, *, whole: bool = False
 ) -> Head:
     """Fit one output a target to squared errors.
 
@@ -84,10 +84,10 @@ def fit_values(
     ----------
     data
         Features of all frames.
-    rows
-        Frames to train on.
     standard
         (n, 7) standardised targets of all frames.
+    rows
+        Frames to train on.
     config
         Settings.
     whole

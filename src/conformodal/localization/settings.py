@@ -63,6 +63,22 @@ class _ErrorModelSettings:
 
 
 @dataclass(frozen=True)
+class _NoveltySettings:
+    """Of the test whether an image shows a known place.
+
+    Attributes
+    ----------
+    level_frames, level_stretches
+        Default levels, where single frames were left out and where stretches or recordings were: the probability that
+        an image of a known place is taken for unknown. Chosen with benchmarks/novelty.py. With K stretches no p-value
+        is below 1 / (K + 1), so a lower level would reject nothing.
+    """
+
+    level_frames: float = 0.015
+    level_stretches: float = 0.1
+
+
+@dataclass(frozen=True)
 class _NeighbourSettings:
     """Of local regression among similar frames.
 
@@ -250,6 +266,7 @@ class _CameraFitSettings:
     most_sigmas: float = 3.0
 
 
-BELIEF, ERROR_MODEL, NEIGHBOURS = _BeliefSettings(), _ErrorModelSettings(), _NeighbourSettings()
+BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
+NEIGHBOURS = _NeighbourSettings()
 LOCAL_FEATURES, RETRIEVAL, PNP = _LocalFeatureSettings(), _RetrievalSettings(), _PnpSettings()
 MAPPING, CAMERA_FIT = _MappingSettings(), _CameraFitSettings()

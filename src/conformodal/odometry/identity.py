@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,9 +91,7 @@ class FrameIdentities:
         return Found(at, moved)
 
 
-def identify(
-    sequence: Sequence, known: FrameIdentities | None = None, progress: Callable[[int, int], None] | None = None
-) -> FrameIdentities:
+def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameIdentities:
     """Identities of a sequence's frames, in their order. They are of the files: the sequence's noise is left out.
 
     Parameters
@@ -104,8 +101,6 @@ def identify(
     known
         Frames whose files need no decoding where they have not changed; another decoder's last digits do not matter
         then either.
-    progress
-        Called with frames done and frames in all.
     """
     decoded = (
         {} if known is None else {f.tobytes(): p.tobytes() for f, p in zip(known.files, known.pixels, strict=True)}
@@ -117,8 +112,6 @@ def identify(
         digests = pool.map(lambda path: _digests(path, decoded), sequence.image_paths)
         for i, (of_file, of_pixels) in enumerate(digests):
             found[0, i], found[1, i] = np.frombuffer(of_file, np.uint8), np.frombuffer(of_pixels, np.uint8)
-            if progress is not None:
-                progress(i + 1, n)
     poses = np.full((n, 7), np.nan)
     if sequence.truth is not None:
         poses = np.column_stack((sequence.truth.positions_xyz, sequence.truth.orientations_quat_wxyz))

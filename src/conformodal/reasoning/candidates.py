@@ -63,13 +63,7 @@ class Candidates:
         return replace(self, log_mass=self.log_mass - logsumexp(self.log_mass) + log_share)
 
 
-def mode_candidates(
-    proba: Probabilities,
-    bins: QuantileBins,
-    *,
-    min_mass: float = CANDIDATES.least_mass,
-    max_candidates: int = CANDIDATES.most,
-) -> list[Candidates]:
+def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:
     """Candidates of every frame: the modes of the softmax.
 
     Parameters
@@ -78,28 +72,22 @@ def mode_candidates(
         Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
     bins
         Bins of the seven targets.
-    min_mass
-        Combinations less probable than this are dropped (never the most probable one).
-    max_candidates
-        Kept per frame.
     """
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
         targets = [_described(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        found.append(_combine(targets, np.log(min_mass), max_candidates))
+        found.append(_combine(targets, np.log(CANDIDATES.least_mass)))
     return found
 
 
-def interval_candidates(
-    proba: Probabilities, regions: Regions, *, max_candidates: int = CANDIDATES.most
-) -> list[Candidates]:
+def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidates]:
     """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
     Where a target's set is empty, its most probable bin stands in. :func:`~conformodal.reasoning.greedy` chooses among
     all cuboids, as the paper does.
     """
-    return [_combine(targets, -np.inf, max_candidates) for targets in interval_runs(proba, regions)]
+    return [_combine(targets, -np.inf) for targets in interval_runs(proba, regions)]
 
 
 def interval_runs(proba: Probabilities, regions: Regions) -> list[list[BinRuns]]:
@@ -190,12 +178,12 @@ def _basins(p: FloatArray) -> list[tuple[int, int]]:
     return list(zip(cuts, [*cuts[1:], len(p)], strict=True))
 
 
-def _product(targets: list[BinRuns], limit: int) -> BinRuns:
-    """Combinations of one run a target, the `limit` most probable, most probable first."""
+def _product(targets: list[BinRuns]) -> BinRuns:
+    """The most probable combinations of one run a target, most probable first."""
     mean, spread, log_mass = np.empty((1, 0)), np.empty((1, 0)), np.zeros(1)
     for runs in targets:
         total = (log_mass[:, None] + runs.log_mass[None, :]).ravel()
-        best = np.argsort(-total, kind="stable")[:limit]
+        best = np.argsort(-total, kind="stable")[: CANDIDATES.most]
         left, right = np.divmod(best, len(runs.log_mass))
         mean = np.column_stack((mean[left], runs.mean[right]))
         spread = np.column_stack((spread[left], runs.spread[right]))
@@ -203,8 +191,9 @@ def _product(targets: list[BinRuns], limit: int) -> BinRuns:
     return BinRuns(mean, spread, log_mass)
 
 
-def _combine(targets: list[BinRuns], min_log_mass: float, limit: int) -> Candidates:
-    quats = _product(targets[3:], limit)
+def _combine(targets: list[BinRuns], least_log_mass: float) -> Candidates:
+    """The most probable combinations of one run a target; those below a log mass are dropped, but for the first."""
+    quats = _product(targets[3:])
     norm = np.linalg.norm(quats.mean, axis=1)
     sound = norm > 1e-6
     if sound.any():
@@ -214,9 +203,9 @@ def _combine(targets: list[BinRuns], min_log_mass: float, limit: int) -> Candida
         turn_mass = (quats.log_mass - 0.5 * ((norm - 1) / CANDIDATES.norm_sigma) ** 2)[sound]
     else:  # components that cancel say nothing
         unit, turn, turn_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
-    places = _product(targets[:3], limit)
+    places = _product(targets[:3])
     mass = places.log_mass[:, None] + turn_mass
-    best = np.argsort(-mass, axis=None, kind="stable")[:limit]
-    best = best[mass.flat[best] >= min(min_log_mass, mass.flat[best[0]])]
+    best = np.argsort(-mass, axis=None, kind="stable")[: CANDIDATES.most]
+    best = best[mass.flat[best] >= min(least_log_mass, mass.flat[best[0]])]
     at, facing = np.unravel_index(best, mass.shape)
     return Candidates(places.mean[at], places.spread[at], unit[facing], turn[facing], mass[at, facing])

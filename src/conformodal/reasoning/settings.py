@@ -67,6 +67,27 @@ class _SearchSettings:
 
 
 @dataclass(frozen=True)
+class _MotionPriorSettings:
+    """How speeds, turning and changes of velocity are learnt from training frames.
+
+    Attributes
+    ----------
+    decimations
+        Statistics are taken of every frame, every second, and so on: they differ by time step.
+    top_quantile, top_factor
+        Top speed: this quantile of the speeds, times this factor.
+    usual_quantile
+        Changes of velocity above this quantile do not count: a handful of jumps in the given poses must not loosen
+        everything.
+    """
+
+    decimations: tuple[int, ...] = (1, 2, 4, 8, 16)
+    top_quantile: float = 0.995
+    top_factor: float = 1.1
+    usual_quantile: float = 0.98
+
+
+@dataclass(frozen=True)
 class _SmootherSettings:
     """Of the least squares problems that smooth a path.
 
@@ -90,3 +111,4 @@ class _SmootherSettings:
 
 
 CANDIDATES, SEARCH, SMOOTHER = _CandidateSettings(), _SearchSettings(), _SmootherSettings()
+MOTION_PRIOR = _MotionPriorSettings()

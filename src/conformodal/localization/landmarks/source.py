@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -114,7 +114,7 @@ class LandmarkSource:
             return None if progress is None else lambda count, _: progress(before + count, total)
 
         plain = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
-        corrected = plain.corrected(_corrections(plain, features, truth, done(n)))
+        corrected = replace(plain, corrections=_corrections(plain, features, truth, done(n)))
         errors = _fit_errors(corrected, features, truth, groups, left_out, done(2 * n))
         return None if errors is None else cls(corrected, frames, errors)
 

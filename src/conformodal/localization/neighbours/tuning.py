@@ -97,10 +97,15 @@ def fit_local(
     if progress is not None:
         progress(len(found), len(found))
     _, regression, left_out = max(found, key=lambda each: each[0])
+    return _slim(regression), left_out
+
+
+def _slim(regression: LocalRegression) -> LocalRegression:
+    """The same regression without the components that its settings leave out."""
     projection, projected = regression.projection, regression.references
     k = min(regression.settings.components, projected.shape[1])
     slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
-    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k])), left_out
+    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k]))
 
 
 def _log_likelihood(answers: LocalAnswers, targets: FloatArray, scale: FloatArray) -> float:

@@ -12,8 +12,7 @@ from conformodal.core import IntArray
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 
 from ..config import Calibration
-
-N_FOLDS = 5
+from ..settings import FOLDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ def make_folds(
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
     names = np.random.default_rng(split.seed).permutation(np.unique(units[used]))
     folds = []
-    for part in np.array_split(names, min(N_FOLDS, len(names))):
+    for part in np.array_split(names, min(FOLDS.most, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
     return Folds(folds, used, units, units)

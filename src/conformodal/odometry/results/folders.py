@@ -173,9 +173,9 @@ def _names_in(new: Path) -> list[str] | None:
     return names
 
 
-def discard(folder: Path, names: Iterable[str] = RESULTS) -> None:
+def discard(folder: Path) -> None:
     """Remove results."""
-    for name in names:
+    for name in RESULTS:
         _remove(folder / name)
 
 
