@@ -53,12 +53,12 @@ class ErrorModel:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """For a record."""
+        """The numbers as JSON stores them."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> Self:
-        """From :meth:`as_json`."""
+        """The model that :meth:`as_json` stored."""
         return cls(**{**record, "slopes": tuple(record["slopes"])})
 
 

@@ -242,7 +242,7 @@ class _MappingSettings:
 
 @dataclass(frozen=True)
 class _CameraFitSettings:
-    """The camera as the poses know it.
+    """Of the camera's calibration from given poses.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ class Runtime(StrEnum):
 
 
 class Method(StrEnum):
-    """Which system."""
+    """Which system a model belongs to."""
 
     CONFORMODAL = "conformodal"
     PAPER = "paper"  # the paper's, as it stands
@@ -179,13 +179,13 @@ _PAPER: dict[str, Any] = {
 
 
 def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-    """Settings behind a model, for the record, with the name and the frames of its data set."""
+    """The settings of a model as its record stores them, with the name and size of its data set."""
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
     return {**asdict(config), **names, "data": data, "n_frames": n_frames}
 
 
 def config_of(record: Mapping[str, Any]) -> ModelConfig:
-    """The settings behind a model, from its record.
+    """The settings of a model, from its record.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class VisualOdometry(Odometry):
 
     @classmethod
     def load(cls, folder: Path | str) -> VisualOdometry:
-        """From a saved model.
+        """Load a saved model.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class VisualOdometry(Odometry):
         )
 
     def _candidates(self, found: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Candidates:
-        """Candidates of a frame; those of the frame before, moved on, are added where it shows nothing known."""
+        """Candidates of a frame; where it shows no known place, those predicted from the frame before are added."""
         here, estimates = found.candidates[0], list(found.beliefs.estimates[0])
         known, chain = bool(found.known[0]), found.candidates[0]
         if not known and self._before is not None and self._last_s is not None:
@@ -177,7 +177,7 @@ class VisualOdometry(Odometry):
         timestamps_s: npt.NDArray[np.float64],
         recording: IntArray,
     ) -> list[Candidates]:
-        """Candidates of all frames; those that show nothing known have their neighbours', and recognised places."""
+        """Candidates of all frames; where one shows no known place, those predicted from its neighbour are added."""
         candidates, estimates = found.candidates, found.beliefs.estimates
         for at in rows_by_recording(recording):
             known = found.known[at]

@@ -1,4 +1,4 @@
-"""Which frames a model knows: by the pixels of their images and by their poses, whatever their files are called."""
+"""Recognising the frames that a model was trained on: by pixels and poses, whatever their files are called."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class FrameIdentities:
-    """What frames are recognised by.
+    """Digests and poses by which frames are recognised.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class FrameIdentities:
 
 
 def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameIdentities:
-    """Identities of a sequence's frames, in their order. They are of the files: the sequence's noise is left out.
+    """Identities of a sequence's frames, in their order; of the files as they are, without the sequence's noise.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameI
 
 
 def data_digest(sequence: Sequence) -> str:
-    """Digest of all that results on a data set rest on: two data sets with the same one give the same results."""
+    """Digest of all that decides results on a data set: equal digests mean equal results."""
     own = identify(sequence)
     digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
     for array in (own.pixels, own.poses, sequence.timestamps_s, sequence.recording):

@@ -107,7 +107,7 @@ class Odometry(ABC):
     def measure_motions(
         self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
     ) -> MotionRecord:
-        """What the system's front end says of `frames`, see :func:`~conformodal.odometry.measure_motions`."""
+        """Measure `frames` with the front end of the system, see :func:`~conformodal.odometry.measure_motions`."""
 
     @abstractmethod
     def _answered(

@@ -25,7 +25,7 @@ from .region_rules import EvidenceKind
 
 
 class PaperOdometry(Odometry):
-    """The paper's system on a stream or a sequence; what it answers has the form of :class:`VisualOdometry`'s.
+    """The paper's system on a stream or a sequence; its estimates have the form of those of :class:`VisualOdometry`.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
 
 
 def odometry_of(model: PoseModel, match_every: int = 1) -> VisualOdometry | PaperOdometry:
-    """What runs a model, by its method.
+    """The system that runs a model, by the model's method.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from conformodal.core import IntArray
 from conformodal.poses import Trajectory
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth, viterbi
 
-# The answer first.
+# The first is the answer of a run.
 METHODS = ("smoothed", "viterbi", "online")
 PAPERS_METHOD = "greedy"
 

@@ -1,4 +1,4 @@
-"""Frames of a sequence that are to be answered: which of them can be read, and what the network says of them."""
+"""The frames of a sequence that are to be estimated: which of them can be read, and their features."""
 
 from __future__ import annotations
 

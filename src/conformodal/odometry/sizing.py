@@ -1,4 +1,4 @@
-"""How hard a recording looks without its truth: what a radius is resized by.
+"""How hard a recording is, told without its truth: the radius of the chosen pose is resized by it.
 
 A system whose answers to neighbouring frames contradict each other is further off than one whose answers do not. This
 is what the resized sets of Duchi, Gupta, Jiang and Sur ("Predictive inference in multi-environment scenarios",
@@ -32,12 +32,12 @@ class Sizing(StrEnum):
 
 
 def depth_or_default(depth_m: float) -> float:
-    """How many metres weigh as much as one radian, where `depth_m` is that of a scene or NaN."""
+    """How many metres weigh as much as one radian: the depth of the scene, or the default where that is NaN."""
     return depth_m if np.isfinite(depth_m) else METRES_PER_RAD
 
 
 def check_metres_per_rad(metres_per_rad: float) -> float:
-    """The same number.
+    """The same number, checked.
 
     Raises
     ------

@@ -135,7 +135,7 @@ def load_model(folder: Path | str) -> PoseModel:
 
 
 def model_digest(folder: Path) -> str | None:
-    """What identifies the trained model in a folder, whatever radius it was given later; None where there is none."""
+    """Digest of the trained model in a folder, which a radius given later does not change; None without a model."""
     try:
         digest = _read_record(folder / _JSON)["weights_sha256"]
     except (ModelFileError, KeyError):
@@ -163,7 +163,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
 
 
 def _named(paths: Sequence[Path], sha256: str) -> bytes:
-    """The content of the file that has a digest."""
+    """The content of the one of these files whose digest is `sha256`."""
     problem = ""
     for path in paths:
         try:

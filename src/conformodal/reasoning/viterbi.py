@@ -27,7 +27,7 @@ from .settings import SEARCH
 
 
 def best_step(score: FloatArray, log_transition: FloatArray, log_unary: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Scores (m,) of a frame's candidates by their best predecessors, and who these are, (m,).
+    """Scores (m,) of a frame's candidates by their best predecessors, and the indices (m,) of these.
 
     `score` (m_before,) and `log_transition` (m_before, m) are the frame before's; the best score is set to 0, so that
     long sequences do not run out of digits.
@@ -120,7 +120,7 @@ def survivors(
     step_s: float,
     prior: MotionPrior,
 ) -> Candidates:
-    """The candidates of a frame, each where its best path can have come to: what the next frame's are reached from.
+    """The candidates of a frame, vague ones narrowed to where their best path can lead: starts of the next step.
 
     A candidate that is vaguer than where the path was and how far the camera can have moved or turned since has its
     position or orientation from these; all others, and those that a path jumped to, have their own.

@@ -89,7 +89,7 @@ class LandmarkSource:
         progress: Progress | None = None,
         matcher: Matcher | None = None,
     ) -> Self | None:
-        """Map n images with known poses, and learn from themselves how large the errors are.
+        """Map n images with known poses, and learn the sizes of errors by hiding images from the map.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ def _fit_errors(
     left_out: IntArray,
     progress: Progress | None,
 ) -> ErrorModel | None:
-    """Localise frames while less and less of what they see is mapped: without their piece, stretch, surroundings."""
+    """Learn errors from frames that are localised with their piece, stretch or surroundings hidden from the map."""
     rows = []
     for k, i in enumerate(left_out.tolist()):
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)

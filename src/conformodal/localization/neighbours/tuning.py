@@ -25,7 +25,7 @@ LOCAL_CHOICES = tuple(
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """How a local regression answers to samples whose group it could not see.
+    """Estimates of samples by a local regression that could not see their group.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Calibrating regions: scores of frames by localizers that did not see them, and thresholds from these."""
+"""Calibrating regions: nonconformity scores of frames that a localizer has not seen, and thresholds from them."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def calibrate_regions(
 
 
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
-    """The promise rests on it: scores of frames that a source has seen are too good."""
+    """Refuse sources that have seen calibration frames: scores of such frames are too low, and void the promise."""
     for source in localizer.sources:
         seen = np.intersect1d(source.frames, held_out)
         if seen.size:
@@ -128,7 +128,7 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
 
 
 def _choose_joint(config: ModelConfig, n_units: int) -> Joint:
-    """What is asked for; one threshold for the whole pose where there are too few frames for one each.
+    """The rule for the whole pose that was asked for; ``max`` where ``bonferroni`` has too few frames for each target.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _choose_joint(config: ModelConfig, n_units: int) -> Joint:
 
 
 def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> npt.NDArray[np.float64]:
-    """Of the frames that calibrate, each without its own piece."""
+    """p-values of the calibration frames, each tested against the frames of other pieces."""
     if len(folds.folds) == 1:
         return novelty.p_values(data.features[folds.held_out])
     return novelty.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.held_out)]

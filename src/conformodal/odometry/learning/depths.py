@@ -1,4 +1,4 @@
-"""What depths the camera looks at, learnt from training frames: what tells the length of a submap."""
+"""The depth of the scene, learnt from training frames: it gives submaps, which have no scale, their length."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _followed(sequence: Sequence, frames: IntArray) -> list[Corners]:
 
 
 def _depth(submap: Submap, truth: Trajectory) -> float:
-    """Median depth in metres, if the submap is as long as the true positions make it; not positive if they disagree."""
+    """Median depth in metres, once the submap is scaled to the true positions; not positive if the two disagree."""
     places = truth.positions_xyz[submap.frames]
     path = submap.positions @ matrix_from_quat_wxyz(truth.orientations_quat_wxyz[submap.frames[:1]])[0].T
     return submap.depth * float(np.sum(path * (places - places[0])) / np.sum(path**2))

@@ -1,4 +1,4 @@
-"""Folds of the calibration: frames that are held out once, or stretches, each answered by sources of the others."""
+"""Folds of the calibration: frames or stretches that are held out from the sources which estimate them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..settings import FOLDS
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Frames that sources learn from, and frames that are held out from them and answered by them."""
+    """Frames that sources learn from, and held-out frames that these sources then estimate."""
 
     train: IntArray
     held_out: IntArray
@@ -25,7 +25,7 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """All answers that a region is calibrated with.
+    """All folds, with what is exchangeable.
 
     Attributes
     ----------

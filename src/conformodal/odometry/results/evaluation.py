@@ -1,4 +1,4 @@
-"""Judging a run: errors of every method, and coverage of the regions beside its exact band."""
+"""Evaluation of a run: errors of every method, and coverage of the regions with its exact band."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def coverage_table(
 def _target_row(
     statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
 ) -> dict[str, Any]:
-    """Of one target; with the band of its coverage where the calibrated and counted frames of each kind are given."""
+    """Coverage and size for one target; with the band of its coverage where `met` counts the frames of each kind."""
     finite = ~statistics.unbounded.any(axis=1)
     row: dict[str, Any] = {
         "coverage": float(statistics.inside[:, j].mean()),

@@ -78,7 +78,7 @@ def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any
 
 
 def iter_region_records(path: Path, *, torn: bool = False) -> Iterator[dict[str, Any]]:
-    """The same, one after the other."""
+    """The records of ``regions.jsonl`` one after the other, see :func:`read_region_records`."""
     try:
         with path.open(encoding="utf-8", errors="surrogateescape") as file:
             for number, line in enumerate(file, start=1):
