@@ -4,7 +4,7 @@ from .config import Calibration, Method, ModelConfig, Runtime, config_of
 from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .identity import Found, FrameIdentities, data_digest, identify
+from .identity import data_digest, identify
 from .learning import TrainingData, make_folds, measure_depths, prepare_training_data, train_model
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
@@ -31,7 +31,7 @@ from .results import (
 )
 from .results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from .selection import calibrate_selection, recording_errors, recording_sizes
-from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
+from .sizing import METRES_PER_RAD, Sizing, joint_error, recording_size, roughness
 from .store import load_model, model_digest, save_model
 from .streaming import StreamRunner
 
@@ -42,8 +42,6 @@ __all__ = [
     "Calibration",
     "Estimate",
     "EvidenceKind",
-    "Found",
-    "FrameIdentities",
     "Localization",
     "Method",
     "ModelConfig",
@@ -70,7 +68,6 @@ __all__ = [
     "config_of",
     "coverage_table",
     "data_digest",
-    "depth_or_default",
     "error_table",
     "fit_pose_radius",
     "identify",

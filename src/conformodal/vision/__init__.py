@@ -6,7 +6,7 @@ with needing("run", "features of images"):
     import cv2  # noqa: F401
     import safetensors  # noqa: F401
 
-from .backbone import Backbone, BackboneConfig, FeatureViews, coarse_features, feature_views
+from .backbone import Backbone, BackboneConfig, coarse_features, feature_views
 from .errors import VisionError
 from .features import FeatureCache, default_cache_dir, extract_features
 from .head import SoftmaxHead
@@ -18,7 +18,6 @@ __all__ = [
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
-    "FeatureViews",
     "FineTuning",
     "OnnxBackbone",
     "Projection",

@@ -132,7 +132,7 @@ class LandmarkSource:
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
         arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
-        settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": self.errors.as_json()}
+        settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
         return SourceState(arrays, settings)
 
     @classmethod
