@@ -1,4 +1,4 @@
-"""Baselines and comparisons."""
+"""Baselines, comparisons and the tables of the paper."""
 
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import (

@@ -52,7 +52,7 @@ _LOCAL = tuple(
 
 @register_baseline("classical_thumbnail", "classical, sees the thumbnail too", is_classical=True)
 def with_thumbnail(problem: Problem) -> Baseline:
-    """The classical regressor that sees the thumbnail too, with settings searched anew."""
+    """The classical regressor that sees the global descriptor (the thumbnail) too, with settings searched anew."""
     head = train_classical(problem.data, problem.config, whole=True).head
     return baseline_of(problem, [head], partial(predict_values, head))
 

@@ -1,4 +1,4 @@
-"""The tuned baseline: a regressor that shares everything with the conformal network but its answer.
+"""The tuned baseline: a regressor that shares everything with the conformal network but its outputs.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
 no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are
@@ -61,7 +61,7 @@ class ClassicalRegressor(PlainRegressor):
     def trajectories(
         self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
     ) -> dict[str, Trajectory]:
-        """The same over the frames of a run, recording by recording."""
+        """The trajectories of :meth:`answers` over the frames of a run, recording by recording."""
         pieces = rows_by_recording(recording)
         parts = [self.answers(features[at], run.observations(at), prior) for at in pieces]
         return {name: concatenate([part[name] for part in parts]) for name in parts[0]}

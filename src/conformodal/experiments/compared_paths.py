@@ -1,4 +1,4 @@
-"""Paths that ours is compared with, from the same run: greedy reasoning over our regions, and means of the softmax."""
+"""Paths from the same run to compare with the answer: greedy reasoning over its regions, and the softmax mean."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _LEAST_SCALE = 1e-6  # of a target that does not vary
 
 @dataclass(eq=False)
 class PlainRegressor:
-    """Seven numbers from one image.
+    """A regressor of the seven targets of an image.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class PlainRegressor:
         return predict_values(self.head, features) * self.scale + self.mean
 
     def trajectory(self, features: npt.NDArray[np.float32], timestamps_s: FloatArray) -> Trajectory:
-        """Its poses at n times, from features (n, F)."""
+        """The predicted poses at n times, from features (n, F)."""
         return trajectory_of(self.predict(features), timestamps_s)
 
 

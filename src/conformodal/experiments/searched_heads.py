@@ -20,14 +20,14 @@ from .settings_search import SettingsSearch
 
 @dataclass(frozen=True, eq=False)
 class HeadKind:
-    """What a network is trained to do, and what it then answers.
+    """A kind of network: its loss, its outputs, and how these become predictions.
 
     Attributes
     ----------
     loss, outputs, head_type
         See :func:`~conformodal.networks.fit_head`.
     answer
-        From a head and features (n, F) to standardised targets (n, 7).
+        From a head and features (n, F) to standardised targets (n, 7): the prediction.
     least_dropout
         That the search may choose.
     """
@@ -76,6 +76,6 @@ class HeadKind:
 
 
 def baseline_of(problem: Problem, heads: list[Head], standard: Callable[[Features], FloatArray]) -> Baseline:
-    """The baseline that answers with `standard`, in metric units, and consists of some heads."""
+    """The baseline that consists of some heads and predicts what `standard` gives, brought to metric units."""
     size = sum(p.numel() for head in heads for p in head.parameters())
     return Baseline(lambda features: problem.metric(standard(features)), size)

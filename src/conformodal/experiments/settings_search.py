@@ -1,4 +1,4 @@
-"""The search for settings that every network in the comparison is given: tried on one part, judged on another."""
+"""The search for training settings of the compared networks: each is tried on one part and judged on another."""
 
 from __future__ import annotations
 

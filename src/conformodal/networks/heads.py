@@ -95,7 +95,7 @@ class Head(nn.Module):
         return self.answer(self.project(features))
 
     def trained(self) -> SoftmaxHead:
-        """What answers, without torch."""
+        """The same head in NumPy, which predicts without torch."""
         weights = {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
         return SoftmaxHead(weights, self.outputs)
 
@@ -109,6 +109,6 @@ Loss: TypeAlias = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    """Raw outputs (n, d): the classical regressor's answers, on the standardised scale."""
+    """Raw outputs (n, d): the classical regressor's standardised predictions."""
     with torch.inference_mode():
         return np.asarray(head(torch.from_numpy(features)).double().numpy())

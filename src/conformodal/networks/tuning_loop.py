@@ -56,7 +56,7 @@ def run_tuning(
     folder: Path | None,
     progress: Progress | None,
 ) -> None:
-    """Train the last blocks of `backbone` in place; it ends frozen again."""
+    """Train the last blocks of `backbone` in place, and freeze it again."""
     size = len(images)  # type: ignore[arg-type]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)

@@ -37,7 +37,7 @@ def feature_views(n_features: int) -> FeatureViews:
     Raises
     ------
     VisionError
-        If there are too few to end in a thumbnail.
+        If there are too few to end in a global descriptor.
     """
     cut = n_features - _PICTURE
     if cut < 1:

@@ -1,4 +1,4 @@
-"""What a method costs: trained numbers, and time an answer."""
+"""Costs of a method: trained numbers, and time a frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Made = TypeVar("_Made")
 
 
 def timed(make: Callable[[], _Made]) -> tuple[_Made, float]:
-    """What a function makes, and the seconds that it takes."""
+    """The result of a function, and the seconds that it took."""
     started = time.perf_counter()
     made = make()
     return made, time.perf_counter() - started

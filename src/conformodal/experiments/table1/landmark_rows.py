@@ -1,4 +1,4 @@
-"""What landmarks are worth: they alone, ours without them, and the baseline with them."""
+"""Trajectories that show the worth of landmarks: landmarks alone, ours without, and the regressor with them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def landmark_rows(
 
 
 def _answers(classical: ClassicalRegressor, features: npt.NDArray[np.float32]) -> Sequence[Candidates]:
-    """The classical answers as candidates, one a frame."""
+    """Predictions of the classical regressor as candidates, one a frame."""
     values = classical.predict(features)
     spread, angle = classical.spread_m[None], np.array([classical.spread_rad])
     return [Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1)) for v in values]

@@ -1,4 +1,4 @@
-"""Runs over the test part with pixel noise: what trainings of one split share is measured once."""
+"""Runs over the test part with pixel noise; relative motions are measured once for all trainings that share them."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def region_numbers(
 
 
 def paper_numbers(run: OdometryRun, model: PoseModel, truth: Trajectory) -> dict[str, Any]:
-    """The same of the paper's sets of bins, calibrated target by target."""
+    """Coverage and size of the regions of the paper's system, calibrated target by target."""
     rule, targets = model.calibration, pose_targets(truth, model.sign_reference)
     scores = rule.score_samples(run.localization.beliefs.proba, targets)
     error = position_error(run, truth)
@@ -52,7 +52,7 @@ def _numbers(
     *,
     local: bool,
 ) -> dict[str, Any]:
-    """Of the whole pose at alpha, and of each target at alpha as in the paper."""
+    """Coverage and size of the whole pose at alpha, and of each target at alpha as in the paper."""
     rule = model.calibration_of(local=local)
     single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
     each = model.regions(beliefs, np.tile(single.thresholds_, (len(beliefs), 1)))
@@ -98,5 +98,5 @@ def in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:
 
 
 def _widths(model: PoseModel) -> FloatArray:
-    """Ranges of the bins: what stands for the whole line."""
+    """Ranges of the bins, which stand for the length of the whole line."""
     return np.array([e[-1] - e[0] for e in model.bins.edges_])

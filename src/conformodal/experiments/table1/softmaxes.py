@@ -1,4 +1,4 @@
-"""Softmaxes behind a kept run, and where their calibrated sets begin."""
+"""The softmaxes behind a kept run, with the probability from which a bin is in a set."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .bin_runs import MODEL
 
 @dataclass(frozen=True, eq=False)
 class Softmaxes:
-    """What a model says of the n frames of a run.
+    """Softmaxes and regions of the n frames of a run.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Softmaxes:
 
     @classmethod
     def of(cls, place: Path, names: Collection[str], sequence: Sequence, cache: FeatureCache) -> Softmaxes:
-        """Those of a run that :func:`bin_runs` kept.
+        """The softmaxes of a run that :func:`bin_runs` kept.
 
         Parameters
         ----------

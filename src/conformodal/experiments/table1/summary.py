@@ -70,7 +70,7 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
 
 
 def _region(found: Record) -> Record:
-    """Flat; ``region_alone_`` is what the softmax alone gives."""
+    """Numbers about regions in one flat record; ``region_alone_`` are those without local features."""
     own = {f"region_{k}": v for k, v in found.items() if k != "alone"}
     return {**own, **{f"region_alone_{k}": v for k, v in found.get("alone", {}).items()}}
 

@@ -43,7 +43,7 @@ class Trained:
 
     @property
     def predictors(self) -> dict[str, Callable[[Features], FloatArray]]:
-        """By name, from features (n, F) to targets (n, 7)."""
+        """Regressors by name, each from features (n, F) to targets (n, 7)."""
         others = {name: baseline.answer for name, baseline in self.baselines.items()}
         return {"classical": self.classical.predict, "plain": self.plain.predict, **others}
 
