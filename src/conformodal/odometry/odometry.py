@@ -7,17 +7,17 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import IntArray, StageProgress
+from conformodal.core import IntArray, StageProgress, stage_of
 from conformodal.datasets import Sequence
 from conformodal.motion import FrontEnd
 from conformodal.poses import Trajectory
-from conformodal.vision import FeatureCache
+from conformodal.vision import FeatureCache, extract_features
 
+from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
-from .frame import as_image
+from .frame import as_frames, as_image
 from .model import PoseModel
 from .motions import MotionRecord
-from .reading import chosen_frames, read_frames
 
 
 class Odometry(ABC):
@@ -98,9 +98,20 @@ class Odometry(ABC):
         OdometryError
             If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
         """
+        self.model.check_camera(sequence.camera)
+        wanted = np.arange(len(sequence)) if frames is None else as_frames(frames, len(sequence))
         if motions is None:
-            motions = self.measure_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
-        usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
+            motions = self.measure_motions(sequence, wanted, progress)
+        usable = np.array([i for i in wanted.tolist() if i in motions.motions], dtype=np.int64)
+        if usable.size == 0:
+            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {motions.unreadable}")
+        features = extract_features(
+            [sequence.image_paths[i] for i in usable],
+            self.model.backbone,
+            cache or FeatureCache(None),
+            stage_of(progress, "network"),
+            sequence.noise,
+        )
         return self._answered(sequence, usable, features, motions)
 
     @abstractmethod
