@@ -30,7 +30,8 @@ def test_a_corner_counts_once_although_several_keyframes_match_it(world_of, stat
 
 def test_an_estimate_says_how_far_the_nearest_keyframe_is(world_of, stated_camera, depth_m):
     world = world_of()
-    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).corrected(np.zeros((60, 6)))
+    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    landmarks = replace(plain, corrections=np.zeros((60, 6)))
     image = world.see(world.poses_se3[30], seed=3)
     (at,) = landmarks.localize(image)
     (off,) = landmarks.localize(image, np.abs(np.arange(60) - 30) < 8)
