@@ -17,7 +17,7 @@ from conformodal.reasoning import Candidates, Observations
 
 from .estimates import Estimate
 from .estimator import VisualOdometry
-from .paper import PaperOdometry
+from .paper_odometry import PaperOdometry
 from .paths import whole_paths
 from .region_rules import EvidenceKind
 from .results import RegionStatistics, ResultsWriter
