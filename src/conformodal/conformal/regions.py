@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from .arrow import from_table, to_table
 from .bins import QuantileBins
 from .blocks import for_blocks
 from .checks import as_array, as_flags, as_targets
@@ -257,9 +258,7 @@ class Regions:
 
     def to_arrow(self) -> pa.Table:
         """As an Arrow table, one row a sample; see :mod:`conformodal.conformal.arrow` for the columns."""
-        from .arrow import regions_to_arrow  # noqa: PLC0415 - pyarrow is an optional extra
-
-        return regions_to_arrow(self)
+        return to_table(self.bins, [self.flat_intervals(j) for j in range(self.bins.n_targets)])
 
     @classmethod
     def from_arrow(cls, table: pa.Table) -> Regions:
@@ -270,9 +269,7 @@ class Regions:
         ConformalError
             If the table is no such table.
         """
-        from .arrow import regions_from_arrow  # noqa: PLC0415 - pyarrow is an optional extra
-
-        return regions_from_arrow(table)
+        return cls(*from_table(table))
 
     def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
         out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
