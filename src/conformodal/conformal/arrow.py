@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
 from .checks import as_doubles
@@ -31,9 +32,7 @@ def _need_pyarrow() -> None:
         raise ConformalError("Arrow and Parquet need pyarrow: pip install 'conformodal[arrow]'") from None
 
 
-def to_table(
-    bins: QuantileBins, intervals: Sequence[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]
-) -> pa.Table:
+def to_table(bins: QuantileBins, intervals: Sequence[tuple[IntArray, FloatArray]]) -> pa.Table:
     """Arrow table of each target's offsets (n + 1,) and ends (m, 2); the columns are in the module's description."""
     _need_pyarrow()
     import pyarrow as pa  # noqa: PLC0415
@@ -47,7 +46,7 @@ def to_table(
     return pa.table(columns, names=names).replace_schema_metadata({_EDGES: edges.encode()})
 
 
-def from_table(table: pa.Table) -> tuple[QuantileBins, list[npt.NDArray[np.bool_]], npt.NDArray[np.bool_]]:
+def from_table(table: pa.Table) -> tuple[QuantileBins, list[BoolArray], BoolArray]:
     """Bins, masks and unbounded flags of a table that :func:`to_table` made.
 
     Raises
@@ -88,7 +87,7 @@ def from_table(table: pa.Table) -> tuple[QuantileBins, list[npt.NDArray[np.bool_
     return bins, masks, unbounded
 
 
-def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[IntArray, FloatArray]:
     """Intervals a row (n,), and the ends of all (m, 2)."""
     import pyarrow as pa  # noqa: PLC0415
 

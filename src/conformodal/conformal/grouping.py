@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import IntArray
+
 from .checks import as_array
 from .errors import ConformalError
 from .scalars import brief
@@ -76,7 +78,7 @@ def as_label(label: Any) -> Hashable:
     return label  # type: ignore[no-any-return]
 
 
-def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], npt.NDArray[np.int64]]:
+def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
     """Distinct labels, and for each sample (n,) the place of its own; in order, or as they come where none is."""
     if labels.dtype.kind != "O":
         values, codes = np.unique(labels, return_inverse=True)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import RealArray
 
 from ..checks import Probabilities, as_probabilities
 from ..errors import ConformalError, NotCalibratedError
@@ -37,7 +39,7 @@ class CrossConformal(Calibrator):
         ``"none"`` or ``"bonferroni"``.
     """
 
-    scores_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    scores_: dict[Hashable, RealArray]
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
         """Score all samples out of fold.
@@ -116,7 +118,7 @@ class CrossConformal(Calibrator):
         unbounded = np.broadcast_to(finite < self.rank, (n, self.bins.n_targets)).copy()
         return Regions(self.cells, masks, unbounded)
 
-    def _calibrated(self) -> dict[Hashable, npt.NDArray[np.floating[Any]]]:
+    def _calibrated(self) -> dict[Hashable, RealArray]:
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("CrossConformal is not calibrated yet: call calibrate(proba, y, folds) first")
         return self.scores_

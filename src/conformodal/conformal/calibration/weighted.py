@@ -6,10 +6,12 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import FloatArray, RealArray
 
 from ..checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
 from ..errors import ConformalError, NotCalibratedError
@@ -19,7 +21,7 @@ from .base import Calibrator
 
 def weighted_quantile(
     scores: npt.ArrayLike, weights: npt.ArrayLike, new_weights: npt.ArrayLike, alpha: Alpha
-) -> npt.NDArray[np.floating[Any]]:
+) -> RealArray:
     """Threshold for each new sample: the smallest score that carries ``1 - alpha`` of the weight.
 
     The total weight is that of the calibration samples and the new sample's own, which stands at ``+inf``. Weights
@@ -75,7 +77,7 @@ class WeightedRanks:
         return [bisect_left(self.reached, -(-total * up // down)) + 1 if total else n + 1 for total in self.totals]
 
 
-def as_weights(weights: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+def as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
     """Return weights as a float64 vector.
 
     Raises
@@ -105,8 +107,8 @@ class WeightedConformal(Calibrator):
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     """
 
-    scores_: npt.NDArray[np.floating[Any]]
-    weights_: npt.NDArray[np.float64]
+    scores_: RealArray
+    weights_: FloatArray
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
         """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale.
@@ -123,7 +125,7 @@ class WeightedConformal(Calibrator):
         self.scores_, self.weights_ = scores, checked
         return self
 
-    def thresholds(self, weights: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    def thresholds(self, weights: npt.ArrayLike) -> RealArray:
         """Thresholds of new samples with the given likelihood ratios, (m, d)."""
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("WeightedConformal is not calibrated: call calibrate(proba, y, weights) first")

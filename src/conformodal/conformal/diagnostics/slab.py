@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
+
 from ..checks import Alpha, as_doubles, as_flags
 from ..errors import ConformalError
 from ..scalars import as_count, as_number, as_random
 from .coverage import CoverageCheck, check_coverage
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

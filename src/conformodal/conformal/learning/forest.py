@@ -9,12 +9,11 @@ from __future__ import annotations
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.stats import rankdata
 from sklearn.ensemble import RandomForestRegressor
 
-FloatArray = npt.NDArray[np.float64]
+from conformodal.core import FloatArray, IntArray
 
 # Values are gathered into at most this many groups of neighbours, which is all the detail a weight can have.
 _GROUPS = 256
@@ -77,7 +76,7 @@ class LeafForest:
         return total / len(self.tables_)
 
 
-def group_values(values: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
+def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
     """Group (n,) of every value among at most 256 groups of equal size, and the groups' means (G,)."""
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _GROUPS + 1)[1:-1]))
     raw = np.searchsorted(cuts, values, side="right")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
-from ..checks import as_doubles
+from conformodal.core import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
+from ..checks import as_doubles
 
 # what a density is at least, relative to 1 / range, when its logarithm is taken
 _FLOOR = 1e-6
@@ -52,7 +51,7 @@ def shifted_masses(
     return np.maximum(np.diff(reached, axis=1), 0)  # rounding may take a step down
 
 
-def log_density(proba: FloatArray, codes: npt.NDArray[np.int64], widths: FloatArray) -> FloatArray:
+def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:
     """Log density (n,) that rows of bin probabilities give to the bins `codes`, floored."""
     proba, widths = as_doubles(proba, "proba"), as_doubles(widths, "widths")
     density = proba[np.arange(codes.size), codes] / widths[codes]

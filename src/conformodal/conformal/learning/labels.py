@@ -8,16 +8,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from conformodal.core import FloatArray, IntArray
+
 from ..checks import as_doubles
 from ..errors import ConformalError
 from ..scalars import shortened
 
-FloatArray = npt.NDArray[np.float64]
-
 COPIES = 4
 
 
-def spread_codes(y: FloatArray, edges: FloatArray, sigma_bins: float) -> npt.NDArray[np.int64]:
+def spread_codes(y: FloatArray, edges: FloatArray, sigma_bins: float) -> IntArray:
     """Bin numbers (n, c) of copies of each value, at the mid-quantiles of a Gaussian over bin numbers around it.
 
     With ``sigma_bins=0`` there is one copy, in the value's own bin. Values beyond the edges count as on them.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-FloatArray = npt.NDArray[np.float64]
-Folds: TypeAlias = list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]
+from conformodal.core import FloatArray, IntArray
+
+Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 
 # Rows and evaluations of the likelihood: a rough search on few rows, then a finer one from where it ended.
 _STAGES = ((250, 40), (600, 20))

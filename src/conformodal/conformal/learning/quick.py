@@ -10,15 +10,14 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 from threadpoolctl import threadpool_limits
 
+from conformodal.core import FloatArray, IntArray
+
 from ..scalars import as_count, as_random
 from .forest import group_values
 from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
 from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
 from .shared_forest import SharedForest, rank_cosines
 from .standard import Standardised, as_features, standardised
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300

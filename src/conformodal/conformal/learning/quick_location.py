@@ -6,14 +6,13 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.model_selection import KFold
 
-from .process import Folds, SparseProcess
+from conformodal.core import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+from .process import Folds, SparseProcess
 
 # up to so many rows: so many folds
 _FOLDS = ((1500, 5), (8000, 3))

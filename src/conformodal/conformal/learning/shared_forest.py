@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from conformodal.core import BoolArray, FloatArray, IntArray
+
 # the group (n,) that every training value is in, and the number of groups
 Grouping: TypeAlias = tuple[IntArray, int]
 
@@ -100,7 +99,7 @@ class SharedForest:
         query = self._query(leaves, np.ones(leaves.shape, dtype=np.bool_))
         return [np.asarray((query @ table).toarray()) for table in self._tables]
 
-    def _query(self, leaves: IntArray, counted: npt.NDArray[np.bool_]) -> Any:
+    def _query(self, leaves: IntArray, counted: BoolArray) -> Any:
         row, tree = np.nonzero(counted)
         share = 1 / np.maximum(counted.sum(axis=1), 1)
         return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))

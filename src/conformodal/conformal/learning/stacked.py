@@ -13,6 +13,7 @@ from sklearn.base import BaseEstimator
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.core.progress import Progress
 
 from ..scalars import as_count, as_random
@@ -20,8 +21,6 @@ from .forest import LeafForest, group_values
 from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
 from .location import GAUSSIAN_PROCESS_ROWS, StackedLocation
 from .standard import as_features, standardised
-
-FloatArray = npt.NDArray[np.float64]
 
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300
@@ -125,7 +124,7 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
         scaled: FloatArray,
         loc: FloatArray,
         spread: FloatArray,
-        codes: npt.NDArray[np.int64],
+        codes: IntArray,
         widths: FloatArray,
     ) -> None:
         """Choose every member's bandwidth, then the weights, by the likelihood of held-out values."""
@@ -187,7 +186,7 @@ class StackedDensity(BaseEstimator):  # type: ignore[misc]
 _RESIDUAL = (1, 2)
 
 
-def _pooled(groups: npt.NDArray[np.int64], n: int) -> FloatArray:
+def _pooled(groups: IntArray, n: int) -> FloatArray:
     return (np.bincount(groups) / n)[None]
 
 
