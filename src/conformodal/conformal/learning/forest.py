@@ -47,10 +47,8 @@ class LeafForest:
     def fit(self, X: FloatArray, values: FloatArray) -> Self:
         """Grow the forest on features (n, p) and values (n,)."""
         n = values.size
-        ranks = rankdata(values) / (n + 1)
-        cosines = np.cos(np.pi * ranks[:, None] * np.arange(1, _COSINES + 1))
         groups, self.values_ = group_values(values)
-        self.forest.fit(X, cosines)
+        self.forest.fit(X, rank_cosines(values, _COSINES))
         leaves = self.forest.apply(X)
         member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, self.values_.size))
         self.tables_: list[Any] = []
@@ -83,3 +81,9 @@ def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
     _, groups = np.unique(raw, return_inverse=True)
     counts = np.bincount(groups)
     return groups.astype(np.int64), np.bincount(groups, weights=values) / counts
+
+
+def rank_cosines(values: FloatArray, n_cosines: int) -> FloatArray:
+    """The first cosines (n, c) of the values' ranks: splits on them see spread and modes too, not the mean alone."""
+    ranks = rankdata(values) / (values.size + 1)
+    return np.cos(np.pi * ranks[:, None] * np.arange(1, n_cosines + 1))

@@ -11,6 +11,7 @@ from ..checks import as_doubles
 
 # what a density is at least, relative to 1 / range, when its logarithm is taken
 _FLOOR = 1e-6
+_ITERATIONS = 200
 
 
 def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatArray:
@@ -58,7 +59,7 @@ def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> Float
     return np.asarray(np.log(np.maximum(density, _FLOOR / widths.sum())))
 
 
-def mixture_weights(log_densities: FloatArray, iterations: int = 200, weight: FloatArray | None = None) -> FloatArray:
+def mixture_weights(log_densities: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     """Weights (m,) of a mixture that make the samples' densities (n, m) likeliest, by expectation-maximisation.
 
     `weight` (n,) says how much each sample counts; None: all the same.
@@ -68,7 +69,7 @@ def mixture_weights(log_densities: FloatArray, iterations: int = 200, weight: Fl
     log_densities = as_doubles(log_densities, "log_densities")
     relative = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
     weights = np.full(relative.shape[1], 1 / relative.shape[1])
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         shares = relative * weights
         weights = np.average(shares / shares.sum(axis=1, keepdims=True), axis=0, weights=weight)
     return weights

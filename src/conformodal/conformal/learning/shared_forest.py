@@ -10,7 +10,6 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 from scipy import sparse
-from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 
 from conformodal.core import BoolArray, FloatArray, IntArray
@@ -103,9 +102,3 @@ class SharedForest:
         row, tree = np.nonzero(counted)
         share = 1 / np.maximum(counted.sum(axis=1), 1)
         return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))
-
-
-def rank_cosines(values: FloatArray, n_cosines: int) -> FloatArray:
-    """The first cosines (n, c) of the values' ranks: splits on them see spread and modes too, not the mean alone."""
-    ranks = rankdata(values) / (values.size + 1)
-    return np.cos(np.pi * ranks[:, None] * np.arange(1, n_cosines + 1))
