@@ -692,12 +692,12 @@ def test_damaged_tables_are_refused(change):
 
 def test_plain_arrays_are_not_copied():
     cal = SPLIT["density"]
-    from conformodal.conformal.checks import as_probabilities, as_reals
+    from conformodal.conformal.checks import as_reals, as_table
 
     for dtype in (np.float32, np.float64):
         proba = P.astype(dtype)
         assert as_reals(proba, "proba") is proba
-        assert all(np.shares_memory(part, proba) for part in as_probabilities(proba, cal.bins.sizes))
+        assert all(np.shares_memory(part, proba) for part in as_table(proba, cal.bins.sizes)[0])
 
 
 with warnings.catch_warnings():

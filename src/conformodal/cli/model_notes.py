@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import ceil
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core import IntArray
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
 from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
@@ -36,7 +36,7 @@ def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -
     return said
 
 
-def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float | None]:
+def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
 
     Parameters
@@ -54,7 +54,7 @@ def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float
     }
 
 
-def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
+def said_of_distances(split: Split, recording: IntArray) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:

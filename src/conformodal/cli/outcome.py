@@ -7,8 +7,8 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import IntArray
 from conformodal.datasets import Sequence
 from conformodal.odometry import (
     METHODS,
@@ -47,7 +47,7 @@ class Known:
     regions: RegionStatistics
 
 
-def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
+def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
@@ -98,7 +98,7 @@ def run_metrics(
     *,
     whole: bool = True,
     matched_all: bool = True,
-    recording: npt.NDArray[np.int64] | None = None,
+    recording: IntArray | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.datasets import Sequence
 from conformodal.experiments.table1 import Softmaxes
 from conformodal.localization import pose_targets
@@ -43,18 +44,14 @@ def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
     return Steps(image, softmaxes, shown, (before, now), *positions, frame)
 
 
-def training_values(
-    said: Softmaxes, sequence: Sequence, target: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def training_values(said: Softmaxes, sequence: Sequence, target: int) -> tuple[FloatArray, FloatArray]:
     """Times (n,), seconds since the first, and a position's component (n,) of the training frames."""
     train = said.model.split.train
     times = sequence.timestamps_s[train]
     return times - times[0], sequence.require_truth().positions_xyz[train, target]
 
 
-def flow_to(
-    sequence: Sequence, last: int
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def flow_to(sequence: Sequence, last: int) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
     """A frame's image, and corners (m, 2) followed into it: in the frame some frames earlier, and in this one.
 
     At the beginning of a recording they are followed through the frames that there are.

@@ -21,7 +21,7 @@ _TABLE_CELLS = 16_384
 # of a Gaussian over bin numbers; a narrower one is one-hot, and its exponents would overflow
 _LEAST_SIGMA = 1e-100
 # bins of a target; probabilities of a thousand samples over as many take 0.8 GB
-MOST_BINS = 100_000
+_MOST_BINS = 100_000
 
 
 class QuantileBins:
@@ -49,7 +49,7 @@ class QuantileBins:
     edges_: list[FloatArray]
 
     def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
-        self.n_bins = as_count(n_bins, "n_bins", 1, MOST_BINS)
+        self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
@@ -130,7 +130,7 @@ class QuantileBins:
         ConformalError
             If `cells` is below 1 or too many, or a bin is too narrow to be cut.
         """
-        cells = as_count(cells, "cells", 1, max(1, MOST_BINS // max(self.sizes)))
+        cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         return QuantileBins.from_edges(fine) if cells > 1 else self
 

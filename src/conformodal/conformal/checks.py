@@ -30,7 +30,6 @@ __all__ = [
     "as_doubles",
     "as_finite",
     "as_flags",
-    "as_probabilities",
     "as_reals",
     "as_scores",
     "as_table",
@@ -40,7 +39,7 @@ __all__ = [
 ]
 
 # float16 softmax rows of a few hundred classes sum to one within about this
-ROW_SUM_TOLERANCE = 5e-3
+_ROW_SUM_TOLERANCE = 5e-3
 _DEEPEST_LIST = 4
 
 
@@ -170,7 +169,7 @@ def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
     return arr
 
 
-def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) -> FloatArray:
+def as_targets(y: npt.ArrayLike, n_targets: int | None = None) -> FloatArray:
     """Return `y` as a finite ``(n, d)`` float64 array; a vector is one target.
 
     Raises
@@ -179,22 +178,24 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
         On another shape, another number of targets than `n_targets`, values that are not finite, or what
         :func:`as_reals` refuses.
     """
-    given = as_doubles(y, name)
+    given = as_doubles(y, "y")
     arr = given[:, None] if given.ndim == 1 else given
     if arr.ndim != 2 or arr.shape[1] == 0:
-        raise ConformalError(f"{name} must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
+        raise ConformalError(f"y must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
     if n_targets is not None and arr.shape[1] != n_targets:
-        raise ConformalError(f"{name} has {arr.shape[1]} target(s), shape {given.shape}; expected {n_targets}")
+        raise ConformalError(f"y has {arr.shape[1]} target(s), shape {given.shape}; expected {n_targets}")
     if not np.isfinite(arr).all():
         row, col = np.argwhere(~np.isfinite(arr))[0]
-        raise ConformalError(f"{name} must be finite, found {arr[row, col]} in row {row}, target {col}")
+        raise ConformalError(f"y must be finite, found {arr[row, col]} in row {row}, target {col}")
     return arr
 
 
-def as_probabilities(
+def as_table(
     proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
-) -> list[RealArray]:
-    """Return one checked ``(n, K_j)`` array per target, without copying what is already an array.
+) -> tuple[list[RealArray], RealArray | None]:
+    """Return one checked ``(n, K_j)`` array per target, and all as one ``(n, d, K)`` array if they came as one.
+
+    What is already an array is not copied.
 
     Parameters
     ----------
@@ -214,13 +215,6 @@ def as_probabilities(
         On a shape that does not fit the bins, NaN, negative values, rows that do not sum to one, or what
         :func:`as_reals` refuses.
     """
-    return as_table(proba, n_bins, name, check)[0]
-
-
-def as_table(
-    proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
-) -> tuple[list[RealArray], RealArray | None]:
-    """:func:`as_probabilities`, and all targets as one ``(n, d, K)`` array if they came as one."""
     d = len(n_bins)
     whole: RealArray | None = None
     if isinstance(proba, (list, tuple)) and _one_a_target(proba, n_bins):
@@ -282,7 +276,7 @@ def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
     # einsum reads memory at full speed where sum(axis=-1) does not; infinities end up in off as well
     sums = np.einsum("...k->...", block)
     off = np.abs(sums - 1).max(axis=tuple(range(1, sums.ndim)))
-    if not (off <= ROW_SUM_TOLERANCE).all():
-        row = int(np.argmax(~(off <= ROW_SUM_TOLERANCE)))
+    if not (off <= _ROW_SUM_TOLERANCE).all():
+        row = int(np.argmax(~(off <= _ROW_SUM_TOLERANCE)))
         total = sums[row].flat[np.abs(sums[row] - 1).argmax()]
         raise ConformalError(f"{name} must sum to 1 in every row; row {first_row + row} sums to {total:.6g}")

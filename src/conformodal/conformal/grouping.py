@@ -69,7 +69,7 @@ def as_label(label: Any) -> Hashable:
         label = label.item()
     if isinstance(label, tuple):
         label = tuple(as_label(part) for part in label)
-    if is_missing(label):
+    if _is_missing(label):
         raise ConformalError(f"not hold NaN or another missing label, found {brief(label)}")
     try:
         hash(label)
@@ -95,7 +95,7 @@ def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
     return [keys[i] for i in order], rank[codes]
 
 
-def is_missing(label: Any) -> bool:
+def _is_missing(label: Any) -> bool:
     """Whether a label stands for no label."""
     if label is None or label is np.ma.masked:
         return True

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core import RealArray
 
-from ..checks import Probabilities, as_probabilities
+from ..checks import Probabilities, as_table
 from ..errors import ConformalError, NotCalibratedError
 from ..grouping import as_groups, as_label, factorise
 from ..rank import conformal_rank
@@ -99,7 +99,7 @@ class CrossConformal(Calibrator):
             raise ConformalError(f"names of folds must {exc}") from None
         if set(given) != set(calibrated):
             raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, given))}")
-        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in given.items()}
+        parts = {fold: as_table(p, self.bins.sizes, f"proba[{fold!r}]")[0] for fold, p in given.items()}
         n = next(iter(parts.values()))[0].shape[0]
         masks = []
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.cells.sizes, strict=True)):

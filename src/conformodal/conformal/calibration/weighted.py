@@ -47,8 +47,8 @@ def weighted_quantile(
     ConformalError
         If weights are negative, not finite, or of another shape; if scores hold NaN.
     """
-    scores, own = as_scores(scores), as_weights(weights, "weights")
-    new = as_weights(new_weights, "new_weights")
+    scores, own = as_scores(scores), _as_weights(weights, "weights")
+    new = _as_weights(new_weights, "new_weights")
     if scores.shape != own.shape:
         raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
     order = np.argsort(scores, kind="stable")
@@ -77,7 +77,7 @@ class WeightedRanks:
         return [bisect_left(self.reached, -(-total * up // down)) + 1 if total else n + 1 for total in self.totals]
 
 
-def as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
+def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
     """Return weights as a float64 vector.
 
     Raises
@@ -119,7 +119,7 @@ class WeightedConformal(Calibrator):
             On probabilities that are no probabilities, negative weights, or shapes that do not fit.
         """
         scores = self.rule.columns(self.score_samples(proba, y))
-        checked = as_weights(weights, "weights")
+        checked = _as_weights(weights, "weights")
         if checked.shape != (scores.shape[0],):
             raise ConformalError(f"weights must have shape ({scores.shape[0]},), got {checked.shape}")
         self.scores_, self.weights_ = scores, checked
