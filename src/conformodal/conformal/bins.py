@@ -18,7 +18,7 @@ from .scalars import as_count, as_number
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
 _CONSTANT_HALF_WIDTH = 1e-6
 _TABLE_CELLS = 16_384
-# of a Gaussian over bin numbers; a narrower one is one-hot, and its exponents would overflow
+# least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
 # bins of a target; probabilities of a thousand samples over as many take 0.8 GB
 _MOST_BINS = 100_000

@@ -25,7 +25,7 @@ _ROWS_OF_A_CUT = 64
 
 
 class Calibrator:
-    """Bins, a score, a rate and what it is about. See the subclasses for how thresholds are found.
+    """Bins, a score, a miscoverage rate, and whether it is meant jointly. Subclasses find the thresholds.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Calibrator:
 
     @property
     def joint(self) -> Joint:
-        """What the promise is about."""
+        """Whether coverage is guaranteed for each target alone, or for all at once."""
         return self.rule.joint
 
     @property

@@ -1,4 +1,4 @@
-"""What the promise is about when there are several targets: each alone, or all at once."""
+"""Whether coverage is guaranteed for each of several targets alone, or for all at once."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class JointRule:
             self.scale_[j] = reach if reach > 0 else float(finite.std()) or 1.0
 
     def keep_scale(self) -> None:
-        """Compare the targets' scores as they are."""
+        """Leave the targets' scores unscaled: they are comparable as they are."""
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
 
     def columns(self, scores: RealArray) -> RealArray:

@@ -1,4 +1,4 @@
-"""Checking a promise: coverage beside the band that chance alone explains."""
+"""Coverage on test samples, compared with the central band of its exact distribution."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CoverageCheck:
     low, high
         Ends of the central band, as shares of the test samples.
     level
-        Probability that the observed share falls in [low, high] if the promise's assumptions hold.
+        Probability that the observed share falls in [low, high] if the samples are exchangeable.
     """
 
     n_covered: int
@@ -46,7 +46,7 @@ class CoverageCheck:
 
     @property
     def inside(self) -> bool:
-        """Whether the observed coverage is one that chance explains."""
+        """Whether the observed coverage lies in the band."""
         return self.low <= self.coverage <= self.high
 
 

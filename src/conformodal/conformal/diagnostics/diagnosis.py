@@ -32,7 +32,7 @@ _ASSUMPTION = (
 
 @dataclass(frozen=True)
 class ColumnDiagnosis:
-    """Checks of one promise: of one target, or with ``joint="max"`` of all together.
+    """Checks of one coverage guarantee: of one target, or with ``joint="max"`` of all together.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class ColumnDiagnosis:
     uniformity: UniformityCheck
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
-        """All coverages of this promise, each with its label."""
+        """All coverages of this guarantee, each with its label."""
         found = [("all samples", self.coverage)]
         found += [(f"size {name}", check) for name, check in self.by_size.items()]
         found += [(f"group {name}", check) for name, check in self.by_group.items()]
@@ -72,7 +72,7 @@ class Diagnosis:
     Attributes
     ----------
     columns
-        One entry for each promise that was calibrated.
+        One entry for each coverage guarantee.
     names, sizes
         The targets' names and the sizes of their sets.
     joint_coverage
@@ -186,8 +186,8 @@ def diagnose(
     calibration, test = map(calibrator.rule.columns, scores)
     law = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
     columns = tuple(
-        _column(*promise, X, groups, (calibration[:, j], test[:, j]), law, random_state)
-        for j, promise in enumerate(_promises(calibrator.joint, targets, inside, regions))
+        _column(*guarantee, X, groups, (calibration[:, j], test[:, j]), law, random_state)
+        for j, guarantee in enumerate(_guarantees(calibrator.joint, targets, inside, regions))
     )
     sizes, held = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
     about = calibrator.alpha, calibrator.joint, calibrator.score.name
@@ -203,10 +203,10 @@ def _named(names: Sequence[str] | None, n_targets: int) -> tuple[str, ...]:
     return targets
 
 
-def _promises(
+def _guarantees(
     joint: Joint, targets: Sequence[str], inside: BoolArray, regions: Regions
 ) -> list[tuple[str, BoolArray, FloatArray]]:
-    """Of each promise its name, whether it held for each sample (n,), and the sizes of the sets (n,)."""
+    """Of each coverage guarantee its name, whether it held for each sample (n,), and the sizes of the sets (n,)."""
     if joint == "max":
         return [("all targets", np.asarray(inside.all(axis=1)), regions.volume)]
     length = regions.length
@@ -223,12 +223,12 @@ def _column(
     law: Mapping[str, Any],
     random_state: Any,
 ) -> ColumnDiagnosis:
-    """All checks of one promise.
+    """All checks of one coverage guarantee.
 
     Parameters
     ----------
     name, held, size
-        See :func:`_promises`.
+        See :func:`_guarantees`.
     X, groups, random_state
         As for :func:`diagnose`.
     scores

@@ -18,7 +18,7 @@ from .standard import Standardised, as_features
 # the group (n,) of every training value, and the groups' means (G,); see group_values
 Groups: TypeAlias = tuple[IntArray, FloatArray]
 
-# of a mixture's members, in their order: whether they are distributions of scaled residuals
+# for each of the five members, in order: whether it is a distribution of scaled residuals
 RESIDUAL = (False, True, True, False, False)
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300

@@ -15,14 +15,14 @@ Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 
 # Rows and evaluations of the likelihood: a rough search on few rows, then a finer one from where it ended.
 _STAGES = ((250, 40), (600, 20))
-# up to so many rows all are points of the process; beyond, so many; and beyond many rows, fewer
+# Up to _EXACT_ROWS rows the process is exact. Beyond, _INDUCING of them are its points; beyond _MANY_ROWS fewer.
 _EXACT_ROWS = 1200
 _INDUCING, _MANY_ROWS, _FEWER_INDUCING = 900, 5000, 600
 # beyond so many features they share one length scale
 _MOST_LENGTHS = 40
 # standard deviations at which a feature is cut off
 _REACH = 6.0
-# of the kernel's variance, on its diagonal
+# share of the kernel's variance that is added to its diagonal
 _JITTER = 1e-8
 
 

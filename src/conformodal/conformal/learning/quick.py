@@ -17,9 +17,9 @@ from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
 from .shared_forest import SharedForest
 from .standard import Standardised, standardised
 
-# of a fit, as measured
+# seconds of a fit, as measured
 _LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
-# up to so many rows: so many trees a forest
+# (rows, trees): trees of a forest for at most so many rows
 _TREES = ((3000, 60), (5000, 40))
 _FEWEST_TREES = 30
 # held-out rows that choose bandwidths and weights

@@ -1,4 +1,4 @@
-"""Boosted trees, a Gaussian process and a forest, each out of fold, as one guess of where a value lies."""
+"""Boosted trees, a Gaussian process and a forest, each out of fold, combined to one prediction of a value."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from conformodal.core import FloatArray
 
 from .process import Folds, SparseProcess
 
-# up to so many rows: so many folds
+# (rows, folds): folds for at most so many rows
 _FOLDS = ((1500, 5), (8000, 3))
 _FEWEST_FOLDS = 2
-# up to so many rows a second boosting, of smaller trees, is worth its time
+# a second boosting, of smaller trees, is fitted on at most so many rows
 _SECOND_ROWS = 700
-# up to so many rows the process is
+# the Gaussian process is fitted on at most so many rows
 _PROCESS_ROWS = 10_000
 
 
@@ -87,7 +87,7 @@ def folds_of(n: int, random_state: int, most_folds: int = 5) -> Folds:
 
 
 def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Callable[[], Any]:
-    """What makes a boosting of trees."""
+    """A function that makes an untrained boosting of trees."""
 
     def make() -> Any:
         return HistGradientBoostingRegressor(

@@ -20,7 +20,7 @@ from .location import GAUSSIAN_PROCESS_ROWS, StackedLocation
 from .mixture import RESIDUAL, MixtureDensity, least_spread
 from .standard import standardised
 
-# of a fit, as measured; the last where there is a Gaussian process
+# seconds of a fit, as measured; the last one counts where a Gaussian process is fitted
 _LEAST_SECONDS, _SECONDS_A_ROW, _SECONDS_A_CUBE = 15.0, 4e-3, 1.1e-8
 
 
@@ -120,18 +120,18 @@ class StackedDensity(MixtureDensity):
 
 
 def _oob_mean(truth: FloatArray, predicted: FloatArray) -> float:
-    """The forest's own out-of-bag score is of no use here; asking for one makes it keep the predictions."""
+    """A score that is asked for only because the forest then keeps its out-of-bag predictions."""
     return 0.0
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """Samples that no tree left out get the others' mean."""
+    """Out-of-bag predictions; a sample that every tree was grown on has none and gets the mean of the others."""
     return np.where(np.isfinite(values), values, np.nanmean(values) if np.isfinite(values).any() else 0.0)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide what is expected here: networks that stop at their last epoch, samples that no tree left out."""
+    """Hide expected warnings: networks that stop at their last epoch, samples that every tree was grown on."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")

@@ -13,7 +13,7 @@ from ..bins import QuantileBins
 from ..checks import as_doubles, as_finite
 from ..errors import ConformalError
 
-# of values, so that distances in units of it are finite
+# least spread of the values: distances in units of a smaller one may overflow
 _LEAST_SPREAD = 1e-150
 
 
