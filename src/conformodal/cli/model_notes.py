@@ -1,4 +1,4 @@
-"""What a user should know of a trained model: its landmarks, its split, and what its regions can promise."""
+"""Notes on a trained model, printed after training: its landmarks, its split, the coverage its regions guarantee."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conformodal.localization import TARGET_NAMES, LandmarkSource
 from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
 from conformodal.poses import PinholeCamera
 
-NEAR_FRAMES = 5
+_NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 _WHERE = {
     EvidenceKind.GLOBAL: "where local features are not matched",
@@ -23,7 +23,7 @@ _WHERE = {
 
 
 def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
-    """What a user should know of the landmarks."""
+    """Note on the landmarks."""
     if landmarks is None:
         return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
     said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
@@ -50,7 +50,7 @@ def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     median = float(np.median(found))
     return {
         "median_frames_to_known": median if np.isfinite(median) else None,
-        "share_within_5_frames": float(np.mean(found <= NEAR_FRAMES)),
+        "share_within_5_frames": float(np.mean(found <= _NEAR_FRAMES)),
     }
 
 
@@ -62,12 +62,12 @@ def said_of_distances(split: Split, recording: IntArray) -> str:
     median = found["median_frames_to_known"]
     return (
         f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
-        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {NEAR_FRAMES}"
+        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {_NEAR_FRAMES}"
     )
 
 
 def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """What a user should know of the regions' calibration.
+    """Notes on the regions' calibration.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
             f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
         )
     if config.method is Method.PAPER:
@@ -111,7 +111,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     return said
 
 
-def units_needed(alpha: Alpha) -> int:
+def _units_needed(alpha: Alpha) -> int:
     """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
 

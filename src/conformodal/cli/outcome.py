@@ -25,9 +25,9 @@ from conformodal.odometry import (
 )
 from conformodal.poses import Trajectory
 
-from .console import console, print_errors, say_strongly
+from .console import console, print_errors, say_line, say_strongly
 
-_SAME_CAMERA = 1e-6  # shares of the width: what a text file may round
+_SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
 
 
 class Part(StrEnum):
@@ -85,7 +85,7 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | 
         )
     if (at < 0).any():
         missing = f"{(at < 0).sum()} of {n} frames of the {part} part are not in {sequence.name}, or have no pose there"
-        console.print(missing, soft_wrap=True)
+        say_line(missing)
     return np.sort(at[at >= 0])
 
 
@@ -173,9 +173,9 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
     console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
-        console.print(f"  {name}: {why}", soft_wrap=True)
+        say_line(f"  {name}: {why}")
     for line in _said_of_unknown(metrics):
-        console.print(line, soft_wrap=True)
+        say_line(line)
     if whole_space:
         say_strongly(
             "The region of a known place is the whole space in some target: too few calibration frames with the same "
@@ -186,10 +186,9 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     if "errors" in metrics:
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
-        console.print(
+        say_line(
             f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
-            f"({coverage['joint']}); {_abstained(coverage)}. " + coverage["assumption"],
-            soft_wrap=True,
+            f"({coverage['joint']}); {_abstained(coverage)}. {coverage['assumption']}"
         )
 
 

@@ -13,7 +13,7 @@ from conformodal.motion import CornerTracker, grey_image
 from conformodal.report.overview import SoftmaxOfTarget, Steps
 from conformodal.report.stored import StoredRun
 
-_MOST_CUBOIDS = 30  # that an eye can tell apart
+MOST_CUBOIDS = 30  # that an eye can tell apart
 _FLOW_OVER = 5  # frames
 _POSITION = "xyz"
 
@@ -29,7 +29,7 @@ def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
     cuboids = counts.prod(axis=1)
     earlier = np.maximum(said.frames - _FLOW_OVER, 0)
     moved = (earlier < said.frames) & (sequence.recording[earlier] == sequence.recording[said.frames])
-    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= _MOST_CUBOIDS) & moved
+    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= MOST_CUBOIDS) & moved
     frame = int(np.argmax(np.where(fits, counts.max(axis=1), -cuboids)))
     shown = int(np.argmax(counts[frame]))
     intervals, edges = said.regions.intervals(frame), said.model.bins.edges_
