@@ -46,12 +46,12 @@ def evaluate(
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), claimed(out / "evaluation", "evaluate"):
         settle(out)
-        found = read_results(out)
-        true_poses = read_truth(truth, layout)
+        found = _read_results(out)
+        true_poses = _read_truth(truth, layout)
         mine, theirs = associate(found.times, true_poses)
         matched = true_poses[theirs]
         moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
-        errors = {name: row | motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
+        errors = {name: row | _motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
         metrics = found.metrics
         sign = metrics.get("sign_reference_quat_wxyz")
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
@@ -111,7 +111,7 @@ class Results:
     unfinished: bool
 
 
-def read_results(out: Path) -> Results:
+def _read_results(out: Path) -> Results:
     """Read results; of a run that was killed, what is whole: frames that all its files know.
 
     Raises
@@ -152,7 +152,7 @@ def _common(metrics: dict[str, Any], records: list[dict[str, Any]], trajectories
     return Results(metrics, [records[at[s]] for s in both], kept, next(iter(kept.values()), nowhere), True)
 
 
-def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
+def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     """Recall; relative errors from pose to pose; and KITTI's drift where the path is long enough."""
     found: dict[str, Any] = {"recall": recall(estimate, truth)}
     if len(truth) > 1:
@@ -165,7 +165,7 @@ def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def read_truth(path: Path, layout: Layout) -> Trajectory:
+def _read_truth(path: Path, layout: Layout) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
         return open_sequence(path, layout, require_poses=True).require_truth()

@@ -1,20 +1,20 @@
-"""What a user should know of a trained model: its landmarks, its split, and what its regions can promise."""
+"""Notes on a trained model, printed after training: its landmarks, its split, the coverage its regions guarantee."""
 
 from __future__ import annotations
 
 from math import ceil
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
 from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
 from conformodal.poses import PinholeCamera
 
-NEAR_FRAMES = 5
+_NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 _WHERE = {
     EvidenceKind.GLOBAL: "where local features are not matched",
@@ -24,7 +24,7 @@ _WHERE = {
 
 
 def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
-    """What a user should know of the landmarks."""
+    """Note on the landmarks."""
     if landmarks is None:
         return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
     n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
@@ -38,7 +38,7 @@ def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -
     return said
 
 
-def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float | None]:
+def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
 
     Parameters
@@ -52,11 +52,11 @@ def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float
     median = float(np.median(found))
     return {
         "median_frames_to_known": median if np.isfinite(median) else None,
-        "share_within_5_frames": float(np.mean(found <= NEAR_FRAMES)),
+        "share_within_5_frames": float(np.mean(found <= _NEAR_FRAMES)),
     }
 
 
-def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
+def said_of_distances(split: Split, recording: IntArray) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:
@@ -64,12 +64,12 @@ def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
     median = found["median_frames_to_known"]
     return (
         f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
-        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {NEAR_FRAMES}"
+        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {_NEAR_FRAMES}"
     )
 
 
 def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """What a user should know of the regions' calibration.
+    """Notes on the regions' calibration.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
             f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
         )
     if config.method is Method.PAPER:
@@ -114,7 +114,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     return said
 
 
-def units_needed(alpha: Alpha) -> int:
+def _units_needed(alpha: Alpha) -> int:
     """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
 

@@ -7,8 +7,8 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.odometry import (
@@ -26,9 +26,9 @@ from conformodal.odometry import (
 )
 from conformodal.poses import Trajectory
 
-from .console import console, print_errors, say_strongly
+from .console import console, print_errors, say_line, say_strongly
 
-_SAME_CAMERA = 1e-6  # shares of the width: what a text file may round
+_SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
 
 
 class Part(StrEnum):
@@ -54,10 +54,10 @@ class Known:
 
     truth: Trajectory
     regions: RegionStatistics
-    frames: npt.NDArray[np.int64] | None = None
+    frames: IntArray | None = None
 
 
-def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
+def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
@@ -97,7 +97,7 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
         n_missing = int((at < 0).sum())
         are, have = noun_for(n_missing, "is", "are"), noun_for(n_missing, "has", "have")
         which = f"{n_missing} of {counted(n, 'frame')} of the {part} part"
-        console.print(f"{which} {are} not in {sequence.name}, or {have} no pose there", soft_wrap=True)
+        say_line(f"{which} {are} not in {sequence.name}, or {have} no pose there")
     return np.sort(at[at >= 0])
 
 
@@ -110,7 +110,7 @@ def run_metrics(
     *,
     whole: bool = True,
     matched_all: bool = True,
-    recording: npt.NDArray[np.int64] | None = None,
+    recording: IntArray | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -189,9 +189,9 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
     console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
-        console.print(f"  {name}: {why}", soft_wrap=True)
+        say_line(f"  {name}: {why}")
     for line in _said_of_unknown(metrics):
-        console.print(line, soft_wrap=True)
+        say_line(line)
     if whole_space:
         say_strongly(
             "The region of a known place is the whole space in some target: too few calibration frames with the same "
@@ -204,10 +204,9 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
             console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
-        console.print(
+        say_line(
             f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
-            f"({coverage['joint']}); {_abstained(coverage)}. " + coverage["assumption"],
-            soft_wrap=True,
+            f"({coverage['joint']}); {_abstained(coverage)}. {coverage['assumption']}"
         )
 
 

@@ -8,14 +8,12 @@ from __future__ import annotations
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray, RealArray
 
 from .checks import as_reals
 from .errors import ConformalError
 from .scalars import as_choice, as_count, as_number, brief
-
-FloatArray = npt.NDArray[np.floating[Any]]
-WidthArray = npt.NDArray[np.float64]
 
 
 @runtime_checkable
@@ -36,7 +34,7 @@ class Score(Protocol):
 
     name: str
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all bins."""
         ...
 
@@ -58,7 +56,7 @@ class Lac:
     name = "lac"
     elementwise = True
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``1 - proba``."""
         return np.asarray(1 - as_reals(proba, "proba"))
 
@@ -82,7 +80,7 @@ class Density:
     elementwise = True
     per_unit = True
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``-proba / widths``."""
         proba = as_reals(proba, "proba")
         return np.asarray(proba * -_per_unit(widths, proba.dtype))
@@ -115,7 +113,7 @@ class LinearDensity:
     def __init__(self, cells: int = 4) -> None:
         self.cells = as_count(cells, "cells", 1)
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Minus the interpolated density at the middle of every cell, (n, K * cells)."""
         proba = as_reals(proba, "proba")
         density = proba * _per_unit(widths, proba.dtype)
@@ -131,7 +129,7 @@ class LinearDensity:
         return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
 
 
-def _per_unit(widths: WidthArray, dtype: np.dtype[Any]) -> FloatArray:
+def _per_unit(widths: FloatArray, dtype: np.dtype[Any]) -> RealArray:
     """``1 / widths`` in the probabilities' type; of bins too narrow for it, half its largest number: no infinity."""
     return np.asarray(1 / np.maximum(widths, _LEAST_WIDTH[dtype.itemsize]), dtype=dtype)
 
@@ -193,7 +191,7 @@ class Aps:
         suffix = "" if randomized else _SUFFIXES.get(own_share, "_fixed")
         self.name = ("aps" if order == "probability" else "hpd") + suffix
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
         proba = as_reals(proba, "proba")
         with np.errstate(over="ignore"):  # infinite densities rank first
@@ -211,7 +209,7 @@ class Aps:
         return scores
 
 
-def row_uniforms(rows: FloatArray, seed: int = 0) -> npt.NDArray[np.float64]:
+def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
     """One number in [0, 1) a row, a hash of its bits and `seed`: equal rows share theirs, others are unrelated."""
     bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
     odd = np.random.default_rng(seed).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, ParamSpec
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -20,10 +20,8 @@ from conformodal.poses.text import number, text_lines
 from .decoding import natural_key
 from .errors import DatasetError
 
-if TYPE_CHECKING:
-    from .sequence import Sequence
-
 P = ParamSpec("P")
+Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
 _RATES_HZ = (1e-3, 1e6)
@@ -53,11 +51,11 @@ def shown(name: str) -> str:
     return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
-def reader(read: Callable[P, Sequence]) -> Callable[P, Sequence]:
+def reader(read: Callable[P, Read]) -> Callable[P, Read]:
     """Let a layout's reader raise this package's errors alone, whatever the file system says."""
 
     @functools.wraps(read)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Sequence:
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Read:
         folder = str(args[0] if args else kwargs["folder"])
         if not readable(folder):
             raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Probabilities, as_probabilities
+from conformodal.core import RealArray
+
+from ..checks import Probabilities, as_table
 from ..errors import ConformalError, NotCalibratedError
 from ..grouping import as_groups, as_label, factorise
 from ..rank import conformal_rank
@@ -49,7 +51,7 @@ class CrossConformal(Calibrator):
            [2., 3.]])]
     """
 
-    scores_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    scores_: dict[Hashable, RealArray]
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
         """Score all samples out of fold.
@@ -109,7 +111,7 @@ class CrossConformal(Calibrator):
             raise ConformalError(f"names of folds must {exc}") from None
         if set(given) != set(calibrated):
             raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, given))}")
-        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in given.items()}
+        parts = {fold: as_table(p, self.bins.sizes, f"proba[{fold!r}]")[0] for fold, p in given.items()}
         n = next(iter(parts.values()))[0].shape[0]
         masks = []
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.cells.sizes, strict=True)):
@@ -128,7 +130,7 @@ class CrossConformal(Calibrator):
         unbounded = np.broadcast_to(finite < self.rank, (n, self.bins.n_targets)).copy()
         return Regions(self.cells, masks, unbounded)
 
-    def _calibrated(self) -> dict[Hashable, npt.NDArray[np.floating[Any]]]:
+    def _calibrated(self) -> dict[Hashable, RealArray]:
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("CrossConformal is not calibrated yet: call calibrate(proba, y, folds) first")
         return self.scores_

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import RealArray
 
 from ..bins import QuantileBins
 from ..checks import Alpha, Probabilities, as_table
@@ -58,9 +60,9 @@ class MondrianConformal(Calibrator):
     (array([ 2., inf]), ['few'])
     """
 
-    thresholds_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    thresholds_: dict[Hashable, RealArray]
     sizes_: dict[Hashable, int]
-    pooled_: npt.NDArray[np.floating[Any]]
+    pooled_: RealArray
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Checking a promise: coverage beside the band that chance alone explains."""
+"""Coverage on test samples, compared with the central band of its exact distribution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CoverageCheck:
     low, high
         Ends of the central band, as shares of the test samples.
     level
-        Probability that the observed share falls in [low, high] if the promise's assumptions hold.
+        Probability that the observed share falls in [low, high] if the samples are exchangeable.
     """
 
     n_covered: int
@@ -48,7 +48,7 @@ class CoverageCheck:
 
     @property
     def inside(self) -> bool:
-        """Whether the observed coverage is one that chance explains."""
+        """Whether the observed coverage lies in the band."""
         return self.low <= self.coverage <= self.high
 
 
@@ -68,7 +68,7 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: the whole space, always right
     (1.0, 1.0)
     """
-    n_test, level = as_count(n_test, "n_test", 1), as_level(level)
+    n_test, level = as_count(n_test, "n_test", 1), _as_level(level)
     k = conformal_rank(n_calibration, alpha)
     if k > n_calibration:
         return 1.0, 1.0
@@ -110,7 +110,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     n_test = sum(m for _, m in groups)
     if n_test < 1:
         raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
-    level = as_level(level)
+    level = _as_level(level)
     from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
 
     law, always = np.ones(1), 0
@@ -126,7 +126,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     return (always + low) / n_test, (always + min(high, len(law) - 1)) / n_test
 
 
-def as_level(level: float) -> float:
+def _as_level(level: float) -> float:
     """Return the probability of a band, strictly between 0 and 1."""
     return as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
 

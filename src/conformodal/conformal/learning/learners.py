@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import clone
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.core.progress import Progress
 from conformodal.core.words import counted
 
@@ -22,8 +23,6 @@ from .labels import fit_classifier
 from .quick import QuickDensity
 from .stacked import StackedDensity
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 LearnerName = Literal["quick", "stack"]
 
 # a fit of more seconds is announced
