@@ -1,6 +1,6 @@
 """The paper's table 1 on redkitchen; what is in OUT already is not run again.
 
-python benchmarks/table1.py [--seeds 5] [--method all] [--out table1-out] [--workers 2]
+python benchmarks/table1.py [--seeds 5] [--method all] [--baselines default] [--out table1-out] [--workers 2]
 """
 
 from __future__ import annotations
@@ -20,20 +20,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("table1-out"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--method", choices=("all", "paper"), default="all")
+    parser.add_argument("--baselines", choices=("default", "all"), default="default")
     options = parser.parse_args()
     video = DATA / "7scenes" / "redkitchen" / "seq-01"
     command = [sys.executable, "-c", "from conformodal.cli.main import app; app()", "reproduce", "table1", video]
     command += ["--out", options.out, "--seeds", options.seeds, "--workers", options.workers]
-    command += ["--method", options.method]
+    command += ["--method", options.method, "--baselines", options.baselines]
     subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
     seconds = json.loads((options.out / "metrics.json").read_text(encoding="utf-8"))["seconds"]
     lines = (options.out / "table1.md").read_text(encoding="utf-8").splitlines()
     seeds = "" if options.seeds == 5 else f" --seeds {options.seeds}"
     method = "" if options.method == "all" else f" --method {options.method}"
+    others = "" if options.baselines == "default" else f" --baselines {options.baselines}"
     write_page(
         "table1" if options.method == "all" else f"table1_{options.method}",
         lines[0].lstrip("# "),
-        f"python benchmarks/table1.py{seeds}{method}",
+        f"python benchmarks/table1.py{seeds}{method}{others}",
         [*lines[2:], "", f"The run took {seconds / 60:.1f} minutes."],
     )
 

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import SplitKind
 from conformodal.experiments import ExperimentError
+from conformodal.experiments.baselines import BASELINES
 from conformodal.experiments.table1 import (
     cost_table,
     lead_table,
@@ -278,7 +279,8 @@ def test_figures_of_the_papers_system_alone(papers, reproduce):
 def test_reproduce_table1_on_a_small_corridor_and_go_on(papers, reproduce):
     out = papers[1]
     done = {p: p.stat().st_mtime_ns for p in (out / "tasks").iterdir()}
-    output, _ = reproduce("table1", "--seeds", 1)
+    everything = ("--baselines", "all")
+    output, _ = reproduce("table1", "--seeds", 1, *everything)
     assert output.splitlines()[-1] == f"results: {out.resolve()}"
     records = json.loads((out / "table1.json").read_text())
     assert {r["row"] for r in records} == {row.label for row in ROWS}
@@ -303,12 +305,12 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(papers, reproduce):
     assert done.items() <= kept.items()  # the paper's were there
     (out / "table1.md").unlink()
     seconds = read_metrics(out)["seconds"]
-    reproduce("table1", "--seeds", 1)
+    reproduce("table1", "--seeds", 1, *everything)
     assert {p: p.stat().st_mtime_ns for p in (out / "tasks").iterdir()} == kept
     assert "| 40 % of the data |" in (out / "table1.md").read_text()
     assert read_metrics(out)["seconds"] > seconds  # of both
 
-    reproduce("figures")
+    reproduce("figures", *everything)
     assert {p: p.stat().st_mtime_ns for p in (out / "tasks").iterdir()} == kept  # drawn from what is there
     names = json.loads((out / "figures" / "metrics.json").read_text())["figures"]
     assert len(names) == len(set(names)) == 14
@@ -322,6 +324,18 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(papers, reproduce):
     (out / "runs" / "interleaved-bins10" / "regions.jsonl").write_text("")
     with pytest.raises(ResultsError, match="differ in length"):
         StoredRun.read(out / "runs" / "interleaved-bins10")
+
+
+def test_baselines_that_take_seconds_stand_in_the_table_by_default():
+    from conformodal.cli.reproduce import WhichBaselines
+
+    assert WhichBaselines.DEFAULT.names == ("local_regression",)
+    assert set(WhichBaselines.ALL.names) == set(BASELINES) > set(WhichBaselines.DEFAULT.names)
+    tasks = tasks_of(ROWS, BOTH, [0], 100, "digest", baselines=("local_regression",))
+    assert {task.baselines for task in tasks if task.method is Method.PAPER} == {()}  # the paper's stands alone
+    assert {task.baselines for task in tasks if task.method is Method.CONFORMODAL} == {("local_regression",)}
+    other = tasks_of(ROWS, BOTH, [0], 100, "digest", baselines=("deep_ensemble",))[-1]
+    assert (other.key, other.settings == tasks[-1].settings) == (tasks[-1].key, False)  # worked out again
 
 
 def test_engines_by_name():

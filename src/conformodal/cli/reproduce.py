@@ -17,6 +17,7 @@ import typer
 from conformodal.core.files import write_whole
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import Engine, ExperimentError, LocalEngine, RayEngine, run_tasks
+from conformodal.experiments.baselines import BASELINES
 from conformodal.experiments.table1 import (
     NETWORKS,
     Row,
@@ -65,6 +66,18 @@ class EngineKind(StrEnum):
     RAY = "ray"
 
 
+class WhichBaselines(StrEnum):
+    """Which baselines stand beside ours, apart from the plain and the tuned regressor."""
+
+    DEFAULT = "default"
+    ALL = "all"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the baselines."""
+        return tuple(name for name, kind in BASELINES.items() if kind.by_default or self is WhichBaselines.ALL)
+
+
 @app.callback()
 def reproduce() -> None:
     """The paper's results on a data set of your own."""
@@ -73,6 +86,12 @@ def reproduce() -> None:
 _Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
 _SystemsOption = Annotated[
     Systems, typer.Option(help="all; or paper: the paper's system and the regressors on its features alone.")
+]
+_Baselines = Annotated[
+    WhichBaselines,
+    typer.Option(
+        help="Beside ours. default: those that take seconds to train; all: also networks, each with a search."
+    ),
 ]
 _Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
 _Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
@@ -99,13 +118,14 @@ def table1(
     split: Annotated[SplitKind | None, typer.Option(help="One split only; by default interleaved and blocks.")] = None,
     networks: _Networks = _NETWORKS,
     epochs: _Epochs = _EPOCHS,
+    baselines: _Baselines = WhichBaselines.DEFAULT,
     fine_tune: _FineTune = "none",
     cache: Cache = None,
     engine: _EngineOption = EngineKind.LOCAL,
     workers: _Workers = None,
     address: _Address = None,
 ) -> None:
-    """Less data, other networks, noise: the paper's system, ours and every baseline. Writes OUT/table1.md and .html."""
+    """Less data, other networks, noise: the paper's system, ours and baselines. Writes OUT/table1.md and .html."""
     workers = workers or _workers(method)
     where = _engine(engine, workers, address)
     rows = _rows(networks, fine_tune)
@@ -113,12 +133,12 @@ def table1(
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
         settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
         settings |= {"method": method, "networks": networks, "fine_tune": fine_tune}
-        settings |= {"engine": engine, "workers": workers}
+        settings |= {"baselines": baselines, "engine": engine, "workers": workers}
         # a run that only goes on does not hide what those before it took, if they came to their end
         earlier = _earlier(out)
         before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
         started = time.perf_counter()
-        plan = _Plan(rows, method, splits, seeds, epochs, fine_tune)
+        plan = _Plan(rows, method, splits, seeds, epochs, fine_tune, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         records = tidy(rows, tasks, results)
         write_json(records, out / "table1.json")
@@ -148,6 +168,7 @@ def draw(
     split: Annotated[SplitKind, typer.Option(help="Which split's runs to draw.")] = SplitKind.INTERLEAVED,
     networks: _Networks = _NETWORKS,
     epochs: _Epochs = _EPOCHS,
+    baselines: _Baselines = WhichBaselines.DEFAULT,
     fine_tune: _FineTune = "none",
     cache: Cache = None,
     engine: _EngineOption = EngineKind.LOCAL,
@@ -158,7 +179,7 @@ def draw(
     where = _engine(engine, workers or _workers(method), address)
     rows = _rows(networks, fine_tune)
     with _opened(data, layout, out, cache) as (sequence, features):
-        plan = _Plan(rows, method, [split], 1, epochs, fine_tune)
+        plan = _Plan(rows, method, [split], 1, epochs, fine_tune, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         figures = FigureWriter(sequence, out, split, rows)
         figures.flow()
@@ -211,6 +232,7 @@ class _Plan:
     seeds: int
     epochs: int
     fine_tune: str
+    baselines: WhichBaselines
 
     def carry_out(
         self, sequence: Sequence, out: Path, features: FeatureCache, engine: Engine
@@ -218,7 +240,8 @@ class _Plan:
         """The tasks, and the result of each; those that have one already are not run again."""
         tuning = tuning_of(self.fine_tune, FineTuning().epochs, 0)
         seeds, digest = list(range(self.seeds)), data_digest(sequence)
-        tasks = tasks_of(self.rows, self.splits, seeds, self.epochs, digest, tuning, self.systems.methods)
+        systems, others = self.systems.methods, self.baselines.names
+        tasks = tasks_of(self.rows, self.splits, seeds, self.epochs, digest, tuning, systems, others)
         worker = Table1Worker(sequence, features, out / "runs")
         with progress_bars() as report:
             return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)

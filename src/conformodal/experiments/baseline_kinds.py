@@ -98,18 +98,21 @@ class BaselineKind:
     is_classical
         Whether it is the classical regressor with other inputs: then it is none of the other methods, the best of
         which stands beside the classical regressor in the table.
+    by_default
+        Whether it stands in a table that asks for no baselines by name: those do that take seconds to train.
     """
 
     label: str
     train: Callable[[Problem], Baseline]
     is_classical: bool = False
+    by_default: bool = False
 
 
 BASELINES: dict[str, BaselineKind] = {}
 
 
 def register_baseline(
-    name: str, label: str, *, is_classical: bool = False
+    name: str, label: str, *, is_classical: bool = False, by_default: bool = False
 ) -> Callable[[Callable[[Problem], Baseline]], Callable[[Problem], Baseline]]:
     """Make a baseline known to table 1; decorates the function that trains it.
 
@@ -117,7 +120,7 @@ def register_baseline(
     ----------
     name
         In records.
-    label, is_classical
+    label, is_classical, by_default
         See :class:`BaselineKind`.
 
     Raises
@@ -129,7 +132,7 @@ def register_baseline(
     def register(train: Callable[[Problem], Baseline]) -> Callable[[Problem], Baseline]:
         if name in BASELINES:
             raise ExperimentError(f"there is a baseline {name!r} already: {BASELINES[name].label}")
-        BASELINES[name] = BaselineKind(label, train, is_classical)
+        BASELINES[name] = BaselineKind(label, train, is_classical, by_default)
         return train
 
     return register

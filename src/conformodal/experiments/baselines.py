@@ -138,7 +138,7 @@ def quantile_regression(problem: Problem) -> Baseline:
     return replace(baseline_of(problem, [head], partial(kind.answer, head)), interval=interval)
 
 
-@register_baseline("local_regression", "locally linear regression")
+@register_baseline("local_regression", "locally linear regression", by_default=True)
 def local_regression(problem: Problem) -> Baseline:
     """Linear regression among the most similar frames (Cleveland 1979), chosen by leaving pieces of the split out."""
     data, known = problem.data, problem.known

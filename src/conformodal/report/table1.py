@@ -126,7 +126,8 @@ def table1_notes(
     )
     if ours:
         notes.append(
-            "Of ours: the other networks have learning rate and dropout searched, in batches of 32. Regions rest on "
+            "Of ours: other networks, where they were asked for (--baselines all), have learning rate and dropout "
+            "searched, in batches of 32. Regions rest on "
             "softmax and landmarks. Whole pose covered: at alpha = 0.1 (joint max); promised for interleaved without "
             "noise, otherwise an observation. Size against error: rank correlation of the position region's size and "
             "the smoothed answer's error."

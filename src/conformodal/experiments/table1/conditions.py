@@ -105,6 +105,8 @@ class TrainingTask:
         Digest of the data set.
     fine_tuning
         Settings of fine-tuning, or None for frozen features.
+    baselines
+        Names of the baselines beside this project's system, in the order of ``BASELINES``.
     """
 
     method: Method
@@ -116,6 +118,7 @@ class TrainingTask:
     epochs: int
     data: str
     fine_tuning: FineTuning | None = None
+    baselines: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
@@ -132,7 +135,8 @@ class TrainingTask:
         """All that decides the result, as JSON."""
         tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
         names = {"method": str(self.method), "split": str(self.split)}
-        return {**vars(self), **names, "sigmas": list(self.sigmas), "fine_tuning": tuning, "results": _RESULTS}
+        lists = {"sigmas": list(self.sigmas), "baselines": list(self.baselines)}
+        return {**vars(self), **names, **lists, "fine_tuning": tuning, "results": _RESULTS}
 
 
 def tasks_of(
@@ -143,8 +147,9 @@ def tasks_of(
     data: str,
     fine_tuning: FineTuning | None = None,
     methods: Sequence[Method] = (Method.PAPER, Method.CONFORMODAL),
+    baselines: Sequence[str] = (),
 ) -> list[TrainingTask]:
-    """The trainings behind all rows, those with the same motions next to each other."""
+    """The trainings behind all rows, those with the same motions next to each other; see :class:`TrainingTask`."""
     trainings = dict.fromkeys((row.used, row.network) for row in rows)
     return [
         TrainingTask(
@@ -157,6 +162,7 @@ def tasks_of(
             epochs,
             data,
             None if fine_tuning is None else replace(fine_tuning, seed=seed),
+            () if method is Method.PAPER else tuple(baselines),
         )
         for method in methods
         for split in splits

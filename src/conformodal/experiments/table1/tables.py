@@ -90,7 +90,8 @@ def main_table(rows: Sequence[Row], records: Sequence[Record], split: str) -> Ta
             cells += [_of(records, row, split, method, "rmse_m", 4), _of(records, row, split, method, "rmse_deg", 2)]
         for method in ("classical", "classical_smoothed"):
             cells.append(spread(_ratios(records, row, split, method, "smoothed"), 2))
-        others = {m: _ratios(records, row, split, m, "smoothed") for m in _OTHERS}
+        there = [m for m in _OTHERS if _values(records, row, split, m, "rmse_m")]
+        others = {m: _ratios(records, row, split, m, "smoothed") for m in there}
         best = min(others, key=lambda m: float(np.mean(others[m])))
         cells.append(f"{spread(others[best], 2)} {METHODS[best]}")
         cells.append(_of(records, row, split, "smoothed", "region_joint_coverage", 2))
