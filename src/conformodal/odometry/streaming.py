@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformodal.core import IntArray
+from conformodal.core.memory import release_freed_memory
 from conformodal.datasets.streams import Frame, SourceError
 from conformodal.motion import Corners, build_submaps
 from conformodal.poses import RelativeMotion, Trajectory
@@ -232,6 +233,7 @@ class StreamRunner:
         seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
         for name, trajectory in whole_paths(seen, prior).items():
             self.writer.poses(name, trajectory[wanted])
+        release_freed_memory()
 
     def _settle(self) -> None:
         """Wait for the window that is being answered."""
