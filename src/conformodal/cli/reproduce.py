@@ -115,6 +115,9 @@ def table1(
     layout: DataLayout = Layout.AUTO,
     method: _SystemsOption = Systems.ALL,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
+    first_seed: Annotated[
+        int, typer.Option("--first-seed", min=0, help="Seed of the first repeat; only runs of seed 0 are kept to draw.")
+    ] = 0,
     split: Annotated[SplitKind | None, typer.Option(help="One split only; by default interleaved and blocks.")] = None,
     networks: _Networks = _NETWORKS,
     epochs: _Epochs = _EPOCHS,
@@ -131,21 +134,22 @@ def table1(
     rows = _rows(networks, fine_tune)
     with _opened(data, layout, out, cache) as (sequence, features):
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
-        settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
+        repeats = list(range(first_seed, first_seed + seeds))
+        settings: dict[str, Any] = {"data": sequence.name, "seeds": repeats, "epochs": epochs, "splits": splits}
         settings |= {"method": method, "networks": networks, "fine_tune": fine_tune}
         settings |= {"baselines": baselines, "engine": engine, "workers": workers}
         # a run that only goes on does not hide what those before it took, if they came to their end
         earlier = _earlier(out)
         before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
         started = time.perf_counter()
-        plan = _Plan(rows, method, splits, seeds, epochs, fine_tune, baselines)
+        plan = _Plan(rows, method, splits, repeats, epochs, fine_tune, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         records = tidy(rows, tasks, results)
         write_json(records, out / "table1.json")
         if find_spec("pyarrow"):  # an extra
             write_parquet(records, out / "table1.parquet")
         title = f"The paper's table 1 on {sequence.name}"
-        notes = table1_notes(method.methods, seeds, epochs, networks, workers, fine_tune)
+        notes = table1_notes(method.methods, repeats, epochs, networks, workers, fine_tune)
         sections = table1_sections(rows, tasks, results, records, [str(kind) for kind in splits])
         text = table1_markdown(title, notes, sections)
         write_whole(out / "table1.md", text)
@@ -179,7 +183,7 @@ def draw(
     where = _engine(engine, workers or _workers(method), address)
     rows = _rows(networks, fine_tune)
     with _opened(data, layout, out, cache) as (sequence, features):
-        plan = _Plan(rows, method, [split], 1, epochs, fine_tune, baselines)
+        plan = _Plan(rows, method, [split], [0], epochs, fine_tune, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         figures = FigureWriter(sequence, out, split, rows)
         figures.flow()
@@ -229,7 +233,7 @@ class _Plan:
     rows: tuple[Row, ...]
     systems: Systems
     splits: list[SplitKind]
-    seeds: int
+    seeds: list[int]
     epochs: int
     fine_tune: str
     baselines: WhichBaselines
@@ -239,9 +243,9 @@ class _Plan:
     ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
         """The tasks, and the result of each; those that have one already are not run again."""
         tuning = tuning_of(self.fine_tune, FineTuning().epochs, 0)
-        seeds, digest = list(range(self.seeds)), data_digest(sequence)
+        digest = data_digest(sequence)
         systems, others = self.systems.methods, self.baselines.names
-        tasks = tasks_of(self.rows, self.splits, seeds, self.epochs, digest, tuning, systems, others)
+        tasks = tasks_of(self.rows, self.splits, self.seeds, self.epochs, digest, tuning, systems, others)
         worker = Table1Worker(sequence, features, out / "runs")
         with progress_bars() as report:
             return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)

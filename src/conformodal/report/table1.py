@@ -91,7 +91,7 @@ def _errors(rows: Sequence[Row], records: Sequence[Record], split: str) -> dict[
 
 
 def table1_notes(
-    methods: Sequence[Method], seeds: int, epochs: int, networks: str, workers: int, fine_tune: str
+    methods: Sequence[Method], seeds: Sequence[int], epochs: int, networks: str, workers: int, fine_tune: str
 ) -> list[str]:
     """How to read the tables.
 
@@ -102,7 +102,7 @@ def table1_notes(
     seeds, epochs, networks, workers, fine_tune
         As they were asked for.
     """
-    over = f"{counted(seeds, 'seed')}"
+    over = f"{counted(len(seeds), 'seed')} ({', '.join(map(str, seeds))})"
     passes = f"{counted(epochs, 'epoch')}"
     features = "Frozen" if fine_tune == "none" else f"Fine-tuned (--fine-tune {fine_tune}, on the training part)"
     ours = Method.CONFORMODAL in methods
