@@ -24,7 +24,7 @@ from conformodal.poses import PinholeCamera, RelativeMotion, Trajectory
 
 N_FRAMES = 1000
 PARTS = ("flow", "geometry", "corners")
-# Of redkitchen, where the poses speak for another than the given 585 (landmarks.py).
+# Of redkitchen, where the poses speak for another than the given 585.
 FOUND_FOCAL_PX = 505.0
 
 

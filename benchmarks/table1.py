@@ -1,6 +1,7 @@
 """The paper's table 1 on redkitchen; what is in OUT already is not run again.
 
-python benchmarks/table1.py [--seeds 5] [--first-seed 10] [--method all] [--baselines default] [--out table1-out] [--workers 2]
+python benchmarks/table1.py [--seeds 5] [--first-seed 10] [--method all] [--baselines default] [--out FOLDER]
+    [--workers 2]
 """
 
 from __future__ import annotations

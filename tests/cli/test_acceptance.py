@@ -27,7 +27,7 @@ def inside_band(coverage):
 
 
 def test_demo(tmp_path):
-    # benchmarks/main_job.py measures seeds 0 to 2, all above what is asserted; this one lies furthest from the line, so
+    # of seeds 0 to 2, all above what is asserted, this one lies furthest from the line, so
     # that another processor's rounding does not decide
     invoke("demo", "--out", tmp_path, "--seed", "1")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
