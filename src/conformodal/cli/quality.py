@@ -1,0 +1,76 @@
+"""Whether a recording is good enough: what ``data check`` and ``train`` say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from conformodal.core import StageProgress
+from conformodal.datasets import DatasetCheck, Sequence
+from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, load_model
+from conformodal.odometry.quality import (
+    RecordingQuality,
+    examine,
+    examine_training,
+    frames_to_look_at,
+    names_of,
+    quality_record,
+    record_next,
+    said_of_quality,
+)
+from conformodal.report.quality import write_quality_page
+from conformodal.vision import FeatureCache
+
+from .console import console, say_strongly
+
+PAGE, FIGURES = "report.html", "figures"
+_IN_TRAINING = 3  # sentences of advice
+
+
+def judge(sequence: Sequence, model: Path | None, cache: Path | None, report: StageProgress) -> RecordingQuality | None:
+    """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
+    if model is not None:
+        return examine(sequence, load_model(model), cache=FeatureCache(cache), progress=report)
+    found = examine(sequence)
+    return None if found.poses is None else found
+
+
+def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
+    """The findings, and what to record next."""
+    for line in said_of_quality(found):
+        console.print(line, soft_wrap=True)
+    advice = record_next(found, names_of(found, sequence))
+    if advice:
+        say_strongly("what to record next, the most valuable first:")
+    for number, line in enumerate(advice, start=1):
+        console.print(f"  {number}. {line}", soft_wrap=True)
+
+
+def write_quality(
+    out: Path, found: RecordingQuality, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
+) -> dict[str, Any]:
+    """Write the page; returns the record with what was found."""
+    whole = {**record, "quality": quality_record(found, sequence)}
+    findings = [f"{finding.count} x {finding.what}: {finding.first}" for finding in check.findings]
+    write_quality_page(out, found, sequence, whole, findings)
+    return whole
+
+
+def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfig) -> RecordingQuality | None:
+    """Of the recording that a model was just trained on; None for the paper's system, which has no more to say."""
+    if config.method is Method.PAPER:
+        return None
+    every = np.arange(len(data.sequence))
+    frames = frames_to_look_at(np.setdiff1d(every, model.localizer.frames))
+    local = data.for_sources(config).local_features(frames) if model.looks_at_local_features else None
+    return examine_training(data, model, local)
+
+
+def say_shortly(found: RecordingQuality, sequence: Sequence) -> None:
+    """What ``train`` says of it."""
+    for line in said_of_quality(found):
+        console.print(line, soft_wrap=True)
+    for line in record_next(found, names_of(found, sequence))[:_IN_TRAINING]:
+        console.print(line, soft_wrap=True)
