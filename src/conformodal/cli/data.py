@@ -6,7 +6,7 @@ import json
 from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -17,13 +17,13 @@ from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
 from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.odometry import model_digest, provenance, write_metrics
+from conformodal.odometry import load_model, model_digest, provenance
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
 from conformodal.vision import default_cache_dir
 
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
-from .quality import FIGURES, PAGE, judge, say_quality, write_quality
+from .quality import FIGURES, PAGE, judge, say_quality, write_findings
 from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
@@ -64,9 +64,12 @@ def _check(
     if out is not None:
         _check_out(out)
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
+    known = None if model is None else load_model(model)
+    if known is not None:
+        known.check_camera(sequence.camera)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
-        quality = judge(sequence, model, cache or default_cache_dir(), report)
+        quality = judge(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
@@ -85,12 +88,11 @@ def _check(
     if quality is not None:
         say_quality(quality, sequence)
     if out is not None:
-        configuration = {"data": folder.name, "format": str(layout)}
+        configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
             configuration |= {"model": model_digest(model)}
         record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
-        record |= {"check": asdict(found)}
-        write_metrics(out, record if quality is None else write_quality(out, quality, sequence, found, record))
+        write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
         print_where(out)
     if found.findings:
         raise typer.Exit(_FOUND)

@@ -9,7 +9,7 @@ import numpy as np
 
 from conformodal.core import StageProgress
 from conformodal.datasets import DatasetCheck, Sequence
-from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, load_model
+from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, write_metrics
 from conformodal.odometry.quality import (
     RecordingQuality,
     examine,
@@ -20,7 +20,7 @@ from conformodal.odometry.quality import (
     record_next,
     said_of_quality,
 )
-from conformodal.report.quality import write_quality_page
+from conformodal.report.quality import PLAN, write_quality_page
 from conformodal.vision import FeatureCache
 
 from .console import console, say_strongly
@@ -29,10 +29,10 @@ PAGE, FIGURES = "report.html", "figures"
 _IN_TRAINING = 3  # sentences of advice
 
 
-def judge(sequence: Sequence, model: Path | None, cache: Path | None, report: StageProgress) -> RecordingQuality | None:
+def judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
     """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
     if model is not None:
-        return examine(sequence, load_model(model), cache=FeatureCache(cache), progress=report)
+        return examine(sequence, model, cache=FeatureCache(cache), progress=report)
     found = examine(sequence)
     return None if found.poses is None else found
 
@@ -48,14 +48,19 @@ def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
         console.print(f"  {number}. {line}", soft_wrap=True)
 
 
-def write_quality(
-    out: Path, found: RecordingQuality, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
-) -> dict[str, Any]:
-    """Write the page; returns the record with what was found."""
+def write_findings(
+    out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
+) -> None:
+    """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    if found is None:
+        write_metrics(out, record)
+        (out / PAGE).unlink(missing_ok=True)  # of an earlier check
+        (out / FIGURES / PLAN).unlink(missing_ok=True)
+        return
     whole = {**record, "quality": quality_record(found, sequence)}
+    write_metrics(out, whole)
     findings = [f"{finding.count} x {finding.what}: {finding.first}" for finding in check.findings]
     write_quality_page(out, found, sequence, whole, findings)
-    return whole
 
 
 def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfig) -> RecordingQuality | None:

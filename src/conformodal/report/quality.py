@@ -47,6 +47,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
     recording = sequence.recording[found.posed]
     for number in np.unique(recording):
         axis.plot(*flat[recording == number].T, "-", lw=1, color=KNOWN, alpha=0.6, zorder=1)
+    axis.annotate("start", flat[0], xytext=(-6, -14), textcoords="offset points", fontsize="small", zorder=6)
     thin, ambiguous = found.coverage.thin_frames, _ambiguous(found)
     good = ~thin & ~ambiguous
     axis.plot(*flat[good].T, ".", ms=5, color=GOOD, label=f"well covered ({good.sum()} frames)", zorder=2)
@@ -113,11 +114,12 @@ def _steps(axis: Axes, found: RecordingQuality, flat: FloatArray) -> None:
     assert found.coverage is not None
     gaps = [(one.first, one.last) for one in found.coverage.thin if one.between]
     fast = [(one.first, one.last) for one in found.coverage.fast]
-    for stretches, style, colour, what in ((gaps, ":", THIN, "gap"), (fast, "--", FAST, "turning or moving fast")):
+    kinds = ((fast, "--", FAST, 1.5, "turning or moving fast"), (gaps, ":", THIN, 4, "gap between neighbours"))
+    for stretches, style, colour, order, what in kinds:
         for number, (first, last) in enumerate(stretches):
             rows = np.flatnonzero((found.posed >= first) & (found.posed <= last))
             label = f"{what} ({len(stretches)})" if number == 0 else None
-            axis.plot(*flat[rows].T, style, lw=2.6, color=colour, label=label, zorder=3)
+            axis.plot(*flat[rows].T, style, lw=3 if order > 2 else 2, color=colour, label=label, zorder=order)
 
 
 def _stretches(axis: Axes, found: RecordingQuality, axes: tuple[int, int], length: float) -> None:
@@ -125,7 +127,7 @@ def _stretches(axis: Axes, found: RecordingQuality, axes: tuple[int, int], lengt
     assert found.coverage is not None
     assert found.poses is not None
     for one in found.coverage.thin:
-        at = np.array(one.place_xyz)[list(axes)]
+        at = one.place_xyz[axes[0]], one.place_xyz[axes[1]]
         axis.annotate(
             f"{one.first}-{one.last}",
             at,

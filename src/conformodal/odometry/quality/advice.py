@@ -86,14 +86,15 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
     if coverage is not None:
         n, n_thin = len(coverage.thin_frames), int(coverage.thin_frames.sum())
         gaps = sum(one.between for one in coverage.thin)
+        stretches = f", in {_count(len(coverage.thin) - gaps, 'stretch')}" if n_thin else ""
         said.append(
-            f"thinly covered: {n_thin} of {_count(n, 'frame')}, in {_count(len(coverage.thin) - gaps, 'stretch')}, and "
-            f"{_count(gaps, 'gap')} between neighbouring frames (the nearest known view differs by more than "
-            f"{100 * QUALITY.thin:.0f} % of the field of view)"
+            f"thinly covered: {n_thin or 'none'} of {_count(n, 'frame')}{stretches}; "
+            f"{_count(gaps, 'gap') if gaps else 'no gap'} between neighbouring frames (thin: the nearest known view "
+            f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view)"
         )
         said.append(
-            f"turning or moving fast (more than {100 * QUALITY.fast:.0f} % of the view from frame to frame): "
-            f"{_count(len(coverage.fast), 'stretch')}"
+            f"turning or moving fast, more than {100 * QUALITY.fast:.0f} % of the view from frame to frame: "
+            + (_count(len(coverage.fast), "stretch") if coverage.fast else "nowhere")
         )
     if found.ambiguity is not None:
         said += _said_of_ambiguity(found)

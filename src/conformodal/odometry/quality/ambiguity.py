@@ -153,8 +153,7 @@ def ambiguity(
         part = places.parts(held)
         n_places[i] = max(1, part.max(initial=-1) + 1)
         elsewhere[i] = held if own is None else held & (part != part[own[i]])
-    believed = [c.positions_xyz[int(np.argmax(c.log_mass))] for c in found.candidates]
-    where = np.array(believed) if truth is None else truth.positions_xyz
+    where = most_probable(found) if truth is None else truth.positions_xyz
     stretches = []
     for whole in runs_of(n_places > 1, np.arange(len(frames)), recording):
         run = whole[n_places[whole] > 1]
@@ -173,6 +172,11 @@ def ambiguity(
         dict(zip(TARGET_NAMES, mean, strict=False)),
         stretches,
     )
+
+
+def most_probable(found: Localization) -> FloatArray:
+    """(m, 3) positions of the most probable hypotheses of each image by itself."""
+    return np.array([c.positions_xyz[int(np.argmax(c.log_mass))] for c in found.candidates])
 
 
 def _alike(counts: IntArray) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ from ..identity import identify
 from ..learning import TrainingData, measure_depths
 from ..model import PoseModel
 from ..sizing import depth_or_default
-from .ambiguity import Ambiguity, ambiguity
+from .ambiguity import Ambiguity, ambiguity, most_probable
 from .coverage import PoseCoverage, pose_coverage
 from .promise import KindPromise, promises
 from .settings import QUALITY
@@ -192,8 +192,7 @@ def _judged(
         truth = None
         if poses is not None and np.isin(held.frames, posed).all():
             truth = poses[np.searchsorted(posed, held.frames)]
-            top = [c.positions_xyz[int(np.argmax(c.log_mass))] for c in found.candidates]
-            errors = np.linalg.norm(np.array(top) - truth.positions_xyz, axis=1)
+            errors = np.linalg.norm(most_probable(found) - truth.positions_xyz, axis=1)
         own = sequence.recording[held.frames]
         places = ambiguity(held.frames, own, found, known, truth, model.sign_reference, scale)
     return RecordingQuality(

@@ -120,7 +120,8 @@ def stations(poses: Trajectory, recording: IntArray, scale: ViewScale) -> Statio
     linked = np.flatnonzero(np.diff(recording) == 0)
     if linked.size:
         steps = scale.change(poses[linked], poses[linked + 1])
-        parts[linked] = np.clip(np.ceil(steps / QUALITY.spacing), 1, QUALITY.most_stations).astype(np.int64)
+        halves = np.ceil(steps / QUALITY.spacing / 2)  # an even number has a station in the middle
+        parts[linked] = np.where(steps > QUALITY.spacing, np.minimum(2 * halves, QUALITY.most_stations), 1)
     start = np.repeat(np.arange(n), parts)
     share = np.concatenate([np.arange(k) / k for k in parts.tolist()]) if n else np.empty(0)
     end = np.minimum(start + 1, n - 1)
