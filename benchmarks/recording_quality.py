@@ -1,15 +1,17 @@
 """Are errors where a recording is called thin? Judged from poses and known frames, before any error is looked at.
 
-python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER]
+python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER] [--quick]
 
-redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). The frames of a seed are kept in the
-folder of runs and not measured again.
+redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). With ``--quick`` models have no
+landmarks, and each frame is answered by itself, without a path. The frames of a seed are kept in the folder of runs and
+not measured again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,11 @@ import numpy as np
 from common import DATA, ROOT, write_page
 
 from conformodal.datasets import SplitKind, read_sevenscenes
+from conformodal.localization import FrameEvidence, SourceData
 from conformodal.odometry import (
     Calibration,
     ModelConfig,
+    TrainingData,
     VisualOdometry,
     depth_or_default,
     prepare_training_data,
@@ -27,68 +31,81 @@ from conformodal.odometry import (
     train_model,
 )
 from conformodal.odometry.quality import QUALITY, ViewScale, pose_coverage
+from conformodal.odometry.quality.ambiguity import most_probable
+from conformodal.poses import position_errors_m
 from conformodal.vision import FeatureCache, default_cache_dir
 
 LARGE_M = 0.1
+PATH, ALONE = "the path", "one frame alone"
+SHARED: list[SourceData] = []
 LIMITS = (0.05, 0.1, 0.15, 0.2, 0.25)
 
 
-def measured(seed: int, cache: Path) -> dict[str, Any]:
+def measured(seed: int, cache: Path, *, quick: bool) -> dict[str, Any]:
     """Of each frame of the test part: what poses say of it, and then the errors of its answers."""
     sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
-    config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed)
+    how: dict[str, Any] = {"sources": ("head", "neighbours")} if quick else {}
+    config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed, **how)
     data = prepare_training_data(sequence, config, FeatureCache(cache))
+    share(data)
     model = train_model(data, config, checkpoint_dir=cache / "training")
-    truth = sequence.require_truth()
+    truth, test = sequence.require_truth(), model.split.test
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
     coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)
-    run = VisualOdometry(model).process(sequence, model.split.test, cache=FeatureCache(cache))
-    tops = [c.positions_xyz[int(np.argmax(c.log_mass))] for c in run.localization.candidates]
-    own = truth.positions_xyz[run.frames]
+    errors: dict[str, list[float]] = {}
+    if quick:
+        found = model.localize(FrameEvidence(data.features[test]))
+    else:
+        run = VisualOdometry(model).process(sequence, test, cache=FeatureCache(cache))
+        found = run.localization
+        errors[PATH] = position_errors_m(run.trajectory, truth[test]).tolist()
+    off = most_probable(found) - truth.positions_xyz[test]
+    errors[ALONE] = np.linalg.norm(off, axis=1).tolist()
     return {
-        "seed": seed,
         "source": provenance()["source_revision"],
         "depth_m": scale.depth_m,
-        "frame": run.frames.tolist(),
-        "change": coverage.change[run.frames].tolist(),
-        "answer_m": np.linalg.norm(run.trajectory.positions_xyz - own, axis=1).tolist(),
-        "single_m": np.linalg.norm(np.array(tops) - own, axis=1).tolist(),
-        "unknown": (~run.localization.known).tolist(),
+        "frame": test.tolist(),
+        "change": coverage.change[test].tolist(),
+        "errors_m": errors,
     }
 
 
-def kept(seed: int, runs: Path, cache: Path) -> dict[str, Any]:
+def share(data: TrainingData) -> None:
+    """Local features and their matches do not depend on the split: they are worked out once for all seeds."""
+    if SHARED:
+        shared = replace(data._shared, matcher=SHARED[0].matcher, _local_features=SHARED[0]._local_features)
+        object.__setattr__(data, "_shared", shared)
+    SHARED[:] = [data._shared]
+
+
+def kept(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     """The numbers of a seed, measured once."""
-    path = runs / f"redkitchen-{seed}.json"
+    path = options.runs / f"redkitchen-{seed}{'-quick' if options.quick else ''}.json"
     if not path.exists():
-        runs.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(measured(seed, cache)), encoding="utf-8")
+        options.runs.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(measured(seed, options.cache, quick=options.quick)), encoding="utf-8")
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return found
 
 
-def row(name: str, results: list[dict[str, Any]], limit: float) -> list[str]:
-    """Errors where the nearest known view differs by more than the limit, and elsewhere."""
-    change, answer, single = (
-        np.concatenate([result[k] for result in results]) for k in ("change", "answer_m", "single_m")
-    )
-    cells = [name]
-    for part in (change > limit, change <= limit):
-        if not part.any():
-            cells += ["0", "", "", ""]
-            continue
-        cells += [
-            str(int(part.sum())),
-            f"{np.median(answer[part]):.3f}",
-            f"{100 * np.mean(answer[part] > LARGE_M):.0f}",
-            f"{np.median(single[part]):.3f}",
-        ]
-    return cells
+def rows(name: str, results: list[dict[str, Any]], limit: float) -> list[list[str]]:
+    """Errors where the nearest known view differs by more than the limit, and elsewhere: a row each kind of error."""
+    change = np.concatenate([result["change"] for result in results])
+    found = []
+    for kind in results[0]["errors_m"]:
+        off, cells = np.concatenate([result["errors_m"][kind] for result in results]), [name, kind]
+        for part in (change > limit, change <= limit):
+            cells.append(str(int(part.sum())))
+            large = 100 * np.mean(off[part] > LARGE_M) if part.any() else 0
+            cells += [f"{np.median(off[part]):.3f}", f"{large:.0f}"] if part.any() else ["", ""]
+        found.append(cells)
+    return found
 
 
-def lines(header: list[str], rows: list[list[str]]) -> list[str]:
-    head = [f"| {' | '.join(header)} |", f"| {' | '.join('---' for _ in header)} |"]
-    return head + [f"| {' | '.join(cells)} |" for cells in rows]
+def lines(first: str, content: list[list[str]]) -> list[str]:
+    what = ("frames", "median, m", f"% over {LARGE_M:g} m")
+    header = [first, "errors of", *(f"{part}: {name}" for part in ("thin", "others") for name in what)]
+    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *content)]
 
 
 def main() -> None:
@@ -97,34 +114,31 @@ def main() -> None:
     parser.add_argument("--chosen-on", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--runs", type=Path, default=ROOT / "quality-out")
     parser.add_argument("--cache", type=Path, default=default_cache_dir())
+    parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
-    chosen = [kept(seed, options.runs, options.cache) for seed in options.chosen_on]
-    reported = [kept(seed, options.runs, options.cache) for seed in options.seeds]
-    header = [
-        f"{kind}: {what}"
-        for kind in ("thin", "others")
-        for what in ("frames", "median error, m", f"% over {LARGE_M:g} m", "median error of one frame alone, m")
+    chosen = [kept(seed, options) for seed in options.chosen_on]
+    reported = [kept(seed, options) for seed in options.seeds]
+    each = [
+        row for seed, one in zip(options.seeds, reported, strict=True) for row in rows(str(seed), [one], QUALITY.thin)
     ]
-    rows = [row(str(result["seed"]), [result], QUALITY.thin) for result in reported]
-    rows.append(row("all", reported, QUALITY.thin))
-    by_limit = [row(f"{limit:g}", chosen, limit) for limit in LIMITS]
-    depths = [result["depth_m"] for result in chosen + reported]
+    by_limit = [row for limit in LIMITS for row in rows(f"{limit:g}", chosen, limit)]
+    depths = [one["depth_m"] for one in chosen + reported]
+    models = "models have no landmarks, and each frame is answered by itself" if options.quick else "models are whole"
     write_page(
         "recording_quality",
         "Errors where a recording is called thin",
-        "python benchmarks/recording_quality.py",
+        f"python benchmarks/recording_quality.py{' --quick' if options.quick else ''}",
         [
-            f"redkitchen sequence 01, `blocks`, regions calibrated on frames; the test part. A frame is called thin if "
-            f"the nearest view that the model knows differs by more than {QUALITY.thin:g} of the field of view (scene "
-            f"depth {min(depths):.2f} to {max(depths):.2f} m, as the models found it): poses and known frames alone "
-            "tell. Errors are of the answer (the smoothed path), and of the most probable hypothesis of each frame "
-            "alone.",
+            f"redkitchen sequence 01, `blocks`, regions calibrated on frames; {models}. Frames of the test part. One "
+            f"is called thin if the nearest view that the model knows differs by more than {QUALITY.thin:g} of the "
+            f"field of view, in a scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
+            "and known frames alone tell.",
             "",
-            *lines(["seed", *header], rows),
+            *lines("seed", [*each, *rows("all", reported, QUALITY.thin)]),
             "",
             f"Other limits, on the seeds on which the limit was chosen ({', '.join(map(str, options.chosen_on))}):",
             "",
-            *lines(["limit", *header], by_limit),
+            *lines("limit", by_limit),
         ],
     )
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from conformodal.core import StageProgress
 from conformodal.datasets import DatasetCheck, Sequence
 from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, write_metrics
@@ -14,7 +12,6 @@ from conformodal.odometry.quality import (
     RecordingQuality,
     examine,
     examine_training,
-    frames_to_look_at,
     names_of,
     quality_record,
     record_next,
@@ -67,10 +64,7 @@ def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfi
     """Of the recording that a model was just trained on; None for the paper's system, which has no more to say."""
     if config.method is Method.PAPER:
         return None
-    every = np.arange(len(data.sequence))
-    frames = frames_to_look_at(np.setdiff1d(every, model.localizer.frames))
-    local = data.for_sources(config).local_features(frames) if model.looks_at_local_features else None
-    return examine_training(data, model, local)
+    return examine_training(data, model, data.for_sources(config).local_features)
 
 
 def say_shortly(found: RecordingQuality, sequence: Sequence) -> None:

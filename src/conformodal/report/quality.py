@@ -56,7 +56,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
         axis.plot(*flat[ambiguous].T, "s", ms=7, mfc="none", mew=1.4, color=AMBIGUOUS, label=label, zorder=3)
     if thin.any():
         label = f"thinly covered ({thin.sum()})"
-        axis.plot(*flat[thin].T, "X", ms=7, mec="white", mew=0.5, color=THIN, label=label, zorder=4)
+        axis.plot(*flat[thin].T, "x", ms=6, mew=1.6, color=THIN, label=label, zorder=4)
     _steps(axis, found, flat)
     _stretches(axis, found, axes, _ARROW * max(float(width), float(height)))
     axis.set_aspect("equal", adjustable="datalim")

@@ -7,7 +7,7 @@ import pytest
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.odometry import EvidenceKind
-from conformodal.odometry.quality import ViewScale
+from conformodal.odometry.quality import Names, ViewScale, record_next, said_of_quality
 from conformodal.odometry.quality.ambiguity import ambiguity
 from conformodal.poses import Trajectory
 
@@ -87,3 +87,18 @@ def test_where_regions_hold_one_place_nothing_is_ambiguous():
     found = judged([[(1, 2)]] * 8, [1.5] * 8)
     assert found.stretches == []
     assert (found.n_places == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("n", "said"), [(5, "Frames 20 to 28 (around x=1.5, y=0.0) look"), (1, "Frame 20 (around x=1.5, y=0.0) looks")]
+)
+def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
+    parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
+    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    quality = SimpleNamespace(
+        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=1000 + np.arange(80)
+    )
+    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
+    (advice,) = record_next(quality, names)
+    assert advice.startswith(f"{said} like frames 1050 to 1069: record the way")
+    assert said_of_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")

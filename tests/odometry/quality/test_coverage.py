@@ -128,7 +128,7 @@ def test_a_camera_that_turns_about_its_line_of_sight_is_tilted():
     rolled = path(turns=about("z", 0.02 * EVERY))
     found, advice = quality(rolled, rolled[:60])
     assert found.coverage.thin[0].turned == "tilted"
-    assert "again, tilting the camera;" in advice[0]
+    assert "again, tilted against known frame 59;" in advice[0]
 
 
 def test_fast_turns_are_found_where_they_are():

@@ -3,7 +3,7 @@
 from .advice import WHERE, Names, plan_axes, record_next, said_of_promise, said_of_quality
 from .ambiguity import Ambiguity, AmbiguousStretch
 from .coverage import FastStretch, PoseCoverage, ThinStretch, pose_coverage
-from .examining import RecordingQuality, examine, examine_training, frames_to_look_at
+from .examining import RecordingQuality, examine, examine_training
 from .promise import KindPromise, least_alpha, promises
 from .record import names_of, quality_record
 from .settings import QUALITY, QualitySettings
@@ -24,7 +24,6 @@ __all__ = [
     "ViewScale",
     "examine",
     "examine_training",
-    "frames_to_look_at",
     "least_alpha",
     "names_of",
     "plan_axes",

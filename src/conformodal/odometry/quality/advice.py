@@ -11,7 +11,7 @@ from conformodal.datasets import Sequence
 
 from ..region_rules import EvidenceKind
 from .ambiguity import AmbiguousStretch
-from .coverage import FastStretch, ThinStretch
+from .coverage import TILTED, FastStretch, ThinStretch
 from .examining import RecordingQuality
 from .promise import N_NEW, KindPromise
 from .settings import QUALITY
@@ -156,14 +156,13 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
             f"Record the way from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)} (around "
             f"{names.place(one.place_xyz)}): on it nothing is known within {gap}."
         )
-    how = []
-    if one.turned:
-        how.append("tilting the camera" if one.turned == "tilted" else f"looking further {one.turned}")
-    if one.moved:
-        how.append(f"from further {one.moved}")
     number = int(found.known_names[one.nearest])
-    other = f" than known frame {number}" if number >= 0 else " than the nearest known frame"
-    ways = f", {' and '.join(how)}{other}" if how and one.turned != "tilted" else "".join(f", {way}" for way in how)
+    other = f"known frame {number}" if number >= 0 else "the nearest known frame"
+    how = [f"looking further {one.turned}"] if one.turned and one.turned != TILTED else []
+    how += [f"from further {one.moved}"] if one.moved else []
+    ways = f", {' and '.join(how)} than {other}" if how else ""
+    if one.turned == TILTED:
+        ways = f", tilted against {other}" + (f" and from further {one.moved}" if one.moved else "")
     return (
         f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) again{ways}; nothing is "
         f"known within {gap}."
@@ -182,8 +181,9 @@ def _apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
     runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
     named = [f"{names.frames(a, b)}" for a, b in runs if 0 <= a <= b]
     other = " and ".join(named) if named else "other places"
+    look = "looks" if one.first == one.last else "look"
     return (
-        f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) look like {other}: "
+        f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) {look} like {other}: "
         "record the way from one to the other in one piece, and each with more of what tells them apart in view."
     )
 

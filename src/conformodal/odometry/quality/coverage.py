@@ -14,6 +14,7 @@ from .settings import QUALITY
 from .views import KnownViews, ViewScale, stations
 
 _SIDES = (("right", "left"), ("down", "up"), ("forward", "back"))
+TILTED = "tilted"
 _SHARE = 0.5  # of the largest part of a turn or a way that another part is named from
 
 
@@ -171,7 +172,7 @@ def _directions(known: Trajectory, view: Trajectory) -> tuple[str, str]:
     moved = R_world_known.T @ (view.positions_xyz - known.positions_xyz)[0]
     aside, turn = R_known_view[:2, 2], np.arccos(np.clip((np.trace(R_known_view) - 1) / 2, -1, 1))
     if np.linalg.norm(aside) < _SHARE * np.sin(turn):  # it turned about its own line of sight
-        return "tilted", _in_words(moved)
+        return TILTED, _in_words(moved)
     return _in_words(np.array([*aside, 0.0])), _in_words(moved)
 
 

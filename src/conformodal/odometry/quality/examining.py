@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,7 +114,7 @@ def examine(
 
 
 def examine_training(
-    data: TrainingData, model: PoseModel, local: list[LocalFeatures] | None = None
+    data: TrainingData, model: PoseModel, local_features: Callable[[IntArray], list[LocalFeatures]]
 ) -> RecordingQuality:
     """Judge the recording that a model was just trained on, from what is there already.
 
@@ -123,13 +124,14 @@ def examine_training(
         What it was trained on.
     model
         Trained.
-    local
-        Local features of the frames that :func:`frames_to_look_at` names; None looks at the network's features alone.
+    local_features
+        Gives those of frames.
     """
-    frames = frames_to_look_at(np.setdiff1d(np.arange(len(data.sequence)), model.localizer.frames))
-    evidence = FrameEvidence(data.features[frames], local or ())
+    unseen = np.setdiff1d(np.arange(len(data.sequence)), model.localizer.frames)
+    frames = _spread(unseen, QUALITY.most_after_training)
+    local = local_features(frames) if model.looks_at_local_features else ()
     posed, poses = frames_with_pose(data.sequence)
-    held = HeldOut(frames, evidence)
+    held = HeldOut(frames, FrameEvidence(data.features[frames], local))
     return _judged(data.sequence, posed, poses, model.localizer.frames, model.prior.depth_m, model, held)
 
 
@@ -142,10 +144,10 @@ def frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
     return np.searchsorted(sequence.timestamps_s, sequence.known_poses.timestamps_s), sequence.known_poses
 
 
-def frames_to_look_at(held_out: IntArray) -> IntArray:
-    """Some of the held-out frames, evenly spread: so many that looking at them does not take long."""
-    chosen = np.linspace(0, len(held_out) - 1, min(len(held_out), QUALITY.most_looked))
-    return held_out[chosen.round().astype(np.int64)]
+def _spread(frames: IntArray, most: int) -> IntArray:
+    """At most so many of them, evenly spread."""
+    chosen = np.linspace(0, len(frames) - 1, min(len(frames), most))
+    return frames[chosen.round().astype(np.int64)]
 
 
 def look_at(
@@ -153,7 +155,7 @@ def look_at(
 ) -> HeldOut:
     """Features of some of the frames that are held out; those that cannot be read are left out."""
     report, usable, local = stage_of(progress, "held-out"), [], []
-    wanted = frames_to_look_at(held_out)
+    wanted = _spread(held_out, QUALITY.most_looked)
     for done, i in enumerate(wanted.tolist(), start=1):
         try:
             image = sequence.image(i)

@@ -26,6 +26,8 @@ class QualitySettings:
         Known frames that differ by less stand at one place when a region is said to hold several.
     most_looked
         Held-out frames that are localized to see how ambiguous they are, evenly spread.
+    most_after_training
+        The same at the end of training, which should not take much longer for it.
     most_alike
         Stretches that are named as looking like another.
     most_advice
@@ -39,6 +41,7 @@ class QualitySettings:
     bridged: int = 5
     place: float = 0.3
     most_looked: int = 400
+    most_after_training: int = 100
     most_alike: int = 3
     most_advice: int = 8
 
