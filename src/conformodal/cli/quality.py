@@ -17,7 +17,6 @@ from conformodal.odometry.quality import (
     record_next,
     said_of_quality,
 )
-from conformodal.report.quality import PLAN, write_quality_page
 from conformodal.vision import FeatureCache
 
 from .console import console, say_strongly
@@ -49,6 +48,8 @@ def write_findings(
     out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
 ) -> None:
     """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
+
     if found is None:
         write_metrics(out, record)
         (out / PAGE).unlink(missing_ok=True)  # of an earlier check

@@ -41,7 +41,14 @@ def quality(poses, known, recording=ONE):
     coverage = pose_coverage(poses, recording[: len(poses)], known, SCALE)
     every = np.arange(len(poses))
     found = SimpleNamespace(
-        posed=every, poses=poses, known_names=every, coverage=coverage, ambiguity=None, promises=[], errors_m=None
+        posed=every,
+        poses=poses,
+        known_names=every,
+        coverage=coverage,
+        ambiguity=None,
+        promises=[],
+        errors_m=None,
+        scale=SCALE,
     )
     sequence = SimpleNamespace(recording=recording[: len(poses)])
     return found, record_next(found, Names(sequence, poses.positions_xyz))
@@ -89,7 +96,9 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
     assert found.coverage.thin == []
     assert found.coverage.fast == []
     assert advice == []
-    assert "none of 120 frames" in said_of_quality(found)[0]
+    said = said_of_quality(found)[0]
+    assert "none of 120 frames" in said
+    assert "15 % of the field of view, 8.6 degrees or 0.30 m" in said
 
 
 def test_between_two_recordings_nothing_is_missing():

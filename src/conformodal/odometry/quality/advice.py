@@ -90,7 +90,7 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
         said.append(
             f"thinly covered: {n_thin or 'none'} of {_count(n, 'frame')}{stretches}; "
             f"{_count(gaps, 'gap') if gaps else 'no gap'} between neighbouring frames (thin: the nearest known view "
-            f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view)"
+            f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
         )
         said.append(
             f"turning or moving fast, more than {100 * QUALITY.fast:.0f} % of the view from frame to frame: "
@@ -99,6 +99,14 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
     if found.ambiguity is not None:
         said += _said_of_ambiguity(found)
     return said + [said_of_promise(promise) for promise in found.promises]
+
+
+def _as_step(found: RecordingQuality) -> str:
+    """The limit as a turn and as a step."""
+    if found.scale is None:
+        return ""
+    turn = QUALITY.thin * found.scale.fov_rad
+    return f", {np.degrees(turn):.1f} degrees or {turn * found.scale.depth_m:.2f} m"
 
 
 def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
