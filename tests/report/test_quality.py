@@ -18,7 +18,7 @@ def judged(known=None):
     positions = np.column_stack((0.04 * EVERY, ZERO, ZERO))
     poses = Trajectory(EVERY / 10, positions, np.tile([1.0, 0, 0, 0], (N, 1)))
     known = (EVERY < 50) | (EVERY >= 70) if known is None else known
-    scale = ViewScale(2.0, 1.0)
+    scale = ViewScale(2.0, 1.5)
     coverage = pose_coverage(poses, ZERO, poses[known], scale)
     sequence = Sequence(
         "<b>",

@@ -11,7 +11,7 @@ from conformodal.odometry.quality.advice import Names
 from conformodal.odometry.quality.views import KnownViews, stations
 from conformodal.poses import PinholeCamera, Trajectory
 
-SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)  # thin from 0.15 rad or 0.3 m on
+SCALE = ViewScale(depth_m=2.0, fov_rad=1.5)  # thin from 0.15 rad or 0.3 m on
 N = 120
 EVERY = np.arange(N)
 ONE = np.zeros(N, dtype=np.int64)
@@ -98,7 +98,7 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
     assert advice == []
     said = said_of_quality(found)[0]
     assert "none of 120 frames" in said
-    assert "15 % of the field of view, 8.6 degrees or 0.30 m" in said
+    assert "10 % of the field of view, 8.6 degrees or 0.30 m" in said
 
 
 def test_between_two_recordings_nothing_is_missing():
@@ -140,16 +140,27 @@ def test_a_camera_that_turns_about_its_line_of_sight_is_tilted():
     assert "again, tilted against known frame 59;" in advice[0]
 
 
+def test_neighbouring_gaps_are_one_way_that_needs_more_frames():
+    rates = np.where((EVERY >= 40) & (EVERY < 45), 0.4, 0.02)
+    poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
+    found, advice = quality(poses, poses)
+    (one,) = found.coverage.thin
+    assert (one.first, one.last, one.between) == (40, 45, True)
+    assert one.angle_deg == pytest.approx(np.degrees(0.2), abs=0.01)
+    assert found.coverage.fast == []
+    assert "the way from frame 40 to frame 45 (around x=0.0, y=0.0) with more frames: between two" in advice[0]
+
+
 def test_fast_turns_are_found_where_they_are():
-    rates = np.where((EVERY >= 40) & (EVERY < 45), 0.12, 0.02)
+    rates = np.where((EVERY >= 40) & (EVERY < 45), 0.24, 0.02)
     poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
     found, advice = quality(poses, poses)
     assert found.coverage.thin == []
     (one,) = found.coverage.fast
     assert (one.first, one.last, one.turning) == (40, 45, True)
-    assert one.angle_deg == pytest.approx(np.degrees(0.12))
+    assert one.angle_deg == pytest.approx(np.degrees(0.24))
     assert advice == [
-        "Turn more slowly in frames 40 to 45 (around x=0.0, y=0.0): up to 0.00 m and 7 degrees from one frame to the "
+        "Turn more slowly in frames 40 to 45 (around x=0.0, y=0.0): up to 0.00 m and 14 degrees from one frame to the "
         "next."
     ]
 
@@ -177,7 +188,7 @@ def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
     flipped = Trajectory(views.timestamps_s, views.positions_xyz, -views.orientations_quat_wxyz)
     away = [np.linalg.norm(view - known.positions_xyz, axis=1) / 2 for view in views.positions_xyz]
     angle = np.array([(one.inv() * turns).magnitude() for one in near])
-    expected = np.hypot(away, angle).min(axis=1)
+    expected = np.hypot(away, angle).min(axis=1) / SCALE.fov_rad
     for asked in (views, flipped):
         np.testing.assert_allclose(KnownViews(known, SCALE).nearest(asked).change, expected, rtol=0.01)
 
@@ -186,7 +197,7 @@ def test_stations_lie_on_the_way():
     poses = path([[0, 0, 0], [1, 0, 0]], about("y", [0, 0.4]))
     way = stations(poses, np.zeros(2, dtype=np.int64), SCALE)
     share = way.at
-    assert len(share) == 1 + 14  # 0.64 rad in an even number of steps of 0.05 at most
+    assert len(share) == 1 + 10  # 0.64 rad in an even number of steps of 0.075 at most
     assert 0.5 in share
     np.testing.assert_allclose(way.views.positions_xyz[:, 0], share)
     turned = Rotation.from_quat(way.views.orientations_quat_wxyz, scalar_first=True).as_euler("yxz")[:, 0]

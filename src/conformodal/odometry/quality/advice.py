@@ -89,7 +89,7 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
         stretches = f", in {_count(len(coverage.thin) - gaps, 'stretch')}" if n_thin else ""
         said.append(
             f"thinly covered: {n_thin or 'none'} of {_count(n, 'frame')}{stretches}; "
-            f"{_count(gaps, 'gap') if gaps else 'no gap'} between neighbouring frames (thin: the nearest known view "
+            f"{_count(gaps, 'gap') if gaps else 'no gap'} between known frames (thin: the nearest known view "
             f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
         )
         said.append(
@@ -160,9 +160,11 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
         return f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}): nothing is known."
     gap = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"
     if one.between:
+        way = f"from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)}"
+        denser = "" if one.last - one.first == 1 else " with more frames"
         return (
-            f"Record the way from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)} (around "
-            f"{names.place(one.place_xyz)}): on it nothing is known within {gap}."
+            f"Record the way {way} (around {names.place(one.place_xyz)}){denser}: between two of its frames nothing is "
+            f"known within {gap}."
         )
     number = int(found.known_names[one.nearest])
     other = f"known frame {number}" if number >= 0 else "the nearest known frame"

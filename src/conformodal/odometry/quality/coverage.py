@@ -27,7 +27,7 @@ class ThinStretch:
     first, last
         Frames.
     between
-        Whether no frame is thin itself, only the way from `first` to `last`, which are neighbours.
+        Whether no frame is thin itself, only ways between neighbours, from `first` to `last`.
     place_xyz, change
         Where the nearest known view is farthest, and how far: a share of the view, see :class:`ViewScale`.
     nearest
@@ -146,14 +146,13 @@ def runs_of(chosen: BoolArray, at: FloatArray | IntArray, recording: IntArray) -
 def _thin(
     at: FloatArray, run: Trajectory, worst: Trajectory, nearest: int, change: float, views: KnownViews
 ) -> ThinStretch:
-    first, last = int(np.ceil(at[0])), int(np.floor(at[-1]))
-    between = first > last
-    if between:
-        first, last = int(np.floor(at[0])), int(np.ceil(at[-1]))
+    frames = at[at == np.floor(at)].astype(np.int64)
+    between = frames.size == 0
+    first, last = (np.floor(at[0]), np.ceil(at[-1])) if between else (frames[0], frames[-1])
     x, y, z = worst.positions_xyz[0].tolist()
     way = float(views.scale.change(run[:-1], run[1:]).sum())
     if nearest < 0:
-        return ThinStretch(first, last, between, (x, y, z), change, -1, np.inf, np.inf, "", "", way)
+        return ThinStretch(int(first), int(last), between, (x, y, z), change, -1, np.inf, np.inf, "", "", way)
     known = views.poses[nearest : nearest + 1]
     metres = float(np.linalg.norm(worst.positions_xyz - known.positions_xyz))
     angle = float(angle_between_quats(worst.orientations_quat_wxyz, known.orientations_quat_wxyz)[0])
@@ -162,7 +161,9 @@ def _thin(
     # a turn is worth a word if it changes the view, and so is a way
     turned = turned if angle / share.fov_rad > _SHARE * change else ""
     moved = moved if metres / share.depth_m / share.fov_rad > _SHARE * change else ""
-    return ThinStretch(first, last, between, (x, y, z), change, nearest, metres, np.degrees(angle), turned, moved, way)
+    return ThinStretch(
+        int(first), int(last), between, (x, y, z), change, nearest, metres, np.degrees(angle), turned, moved, way
+    )
 
 
 def _directions(known: Trajectory, view: Trajectory) -> tuple[str, str]:
@@ -188,7 +189,7 @@ def _in_words(way: FloatArray) -> str:
 
 
 def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[ThinStretch]) -> list[FastStretch]:
-    """Steps that are larger than the limit, but those that were found to be thin gaps."""
+    """Steps that are larger than the limit, but those of thin stretches, which are to be recorded anyway."""
     if len(poses) < 2:
         return []
     before, after = poses[:-1], poses[1:]
@@ -197,8 +198,7 @@ def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[T
     turned = angle_between_quats(before.orientations_quat_wxyz, after.orientations_quat_wxyz)
     fast = (change > QUALITY.fast) & (np.diff(recording) == 0)
     for gap in thin:
-        if gap.between:
-            fast[gap.first : gap.last] = False
+        fast[gap.first : gap.last] = False
     found = []
     for run in runs_of(fast, np.arange(len(fast)), recording[:-1]):
         steps = run[fast[run]]
