@@ -53,7 +53,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
     axis.plot(*flat[good].T, ".", ms=5, color=GOOD, label=f"well covered ({good.sum()} frames)", zorder=2)
     if ambiguous.any():
         label = f"ambiguous: looks like another place ({ambiguous.sum()})"
-        axis.plot(*flat[ambiguous].T, "s", ms=7, mfc="none", mew=1.4, color=AMBIGUOUS, label=label, zorder=3)
+        axis.plot(*flat[ambiguous].T, "s", ms=9, mfc="none", mew=1.4, color=AMBIGUOUS, label=label, zorder=3)
     if thin.any():
         label = f"thinly covered ({thin.sum()})"
         axis.plot(*flat[thin].T, "x", ms=6, mew=1.6, color=THIN, label=label, zorder=4)

@@ -64,6 +64,9 @@ def test_places_that_known_frames_join_are_one():
     assert judged([[(0, 20)]], [1.5], way).n_places.tolist() == [1]
     # two intervals of one place, with a gap that is narrower than what counts as near
     assert judged([[(1, 1.5), (2, 2.5)]], [1.2]).n_places.tolist() == [1]
+    # both sides of a stretch that nobody knows show some of the same: 0.75 of the view lies between them
+    assert judged([[(0, 20)]], [1.5], X[(X < 1.5) | (X == 3.0)]).n_places.tolist() == [1]
+    assert judged([[(0, 20)]], [1.5], np.array([1.0, 3.1])).n_places.tolist() == [2]
 
 
 def test_the_frames_own_place_counts_where_its_region_misses_it():

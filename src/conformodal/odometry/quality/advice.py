@@ -11,7 +11,7 @@ from conformodal.datasets import Sequence
 
 from ..region_rules import EvidenceKind
 from .ambiguity import AmbiguousStretch
-from .coverage import TILTED, FastStretch, ThinStretch
+from .coverage import TILTED, FastStretch, ThinStretch, listed
 from .examining import RecordingQuality
 from .promise import N_NEW, KindPromise
 from .settings import QUALITY
@@ -189,8 +189,8 @@ def _slower(one: FastStretch, names: Names) -> str:
 
 def _apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
     runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
-    named = [f"{names.frames(a, b)}" for a, b in runs if 0 <= a <= b]
-    other = " and ".join(named) if named else "other places"
+    named = [names.frames(a, b) for a, b in runs if 0 <= a <= b]
+    other = listed(named) if named else "other places"
     look = "looks" if one.first == one.last else "look"
     return (
         f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) {look} like {other}: "

@@ -185,7 +185,12 @@ def _in_words(way: FloatArray) -> str:
         for part, side in zip(way.tolist(), _SIDES, strict=True)
         if largest > 0 and abs(part) > _SHARE * largest
     ]
-    return " and ".join(named)
+    return listed(named)
+
+
+def listed(words: list[str]) -> str:
+    """As people list things."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[ThinStretch]) -> list[FastStretch]:

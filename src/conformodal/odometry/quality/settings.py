@@ -25,7 +25,8 @@ class QualitySettings:
     bridged
         Stretches with at most so many other frames between them are one.
     place
-        Known frames that differ by less stand at one place when a region is said to hold several.
+        Known frames that differ by less stand at one place when a region is said to hold several; places are apart if
+        what they show has nothing in common, which is at twice as much.
     most_looked
         Held-out frames that are localized to see how ambiguous they are, evenly spread.
     most_after_training
@@ -41,7 +42,7 @@ class QualitySettings:
     spacing: float = 0.05
     most_stations: int = 64
     bridged: int = 5
-    place: float = 0.3
+    place: float = 0.5
     most_looked: int = 400
     most_after_training: int = 100
     most_alike: int = 3
