@@ -6,7 +6,7 @@ import json
 from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -18,11 +18,14 @@ from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
 from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.odometry import provenance, write_metrics
+from conformodal.odometry import load_model, model_digest, provenance
 from conformodal.poses import PinholeCamera, read_tum
+from conformodal.vision import default_cache_dir
 
+from .arguments import cache_folder
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
+from .quality import FIGURES, PAGE, judge, say_quality, write_findings
 from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
@@ -41,21 +44,35 @@ def check(
     folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the same as metrics.json: new, empty, or of data check.")
+        Path | None,
+        typer.Option(help="Folder for metrics.json, and a page if there are poses: new, empty, or of data check."),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Saved model: says also where it knows too little, and where places look alike.")
+    ] = None,
+    cache: Annotated[
+        Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")
     ] = None,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
-    """Say what a folder holds, and all that is wrong with it (exit code 1 if there is anything)."""
+    """Say what a folder holds, all that is wrong with it (exit code 1 if there is anything), and what it lacks."""
     with nullcontext() if out is None else writing_in(out):
-        _check(folder, layout, out, follow_outside)
+        _check(folder, layout, out, model, cache, follow_outside)
 
 
-def _check(folder: Path, layout: Layout, out: Path | None, follow_outside: bool) -> None:
+def _check(
+    folder: Path, layout: Layout, out: Path | None, model: Path | None, cache: Path | None, follow_outside: bool
+) -> None:
     if out is not None:
         _check_out(out)
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
+    known = None if model is None else load_model(model)
+    if known is not None:
+        known.check_camera(sequence.camera)
+        cache = cache_folder(cache)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
+        quality = judge(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
@@ -71,10 +88,14 @@ def _check(folder: Path, layout: Layout, out: Path | None, follow_outside: bool)
         console.print(f"{finding.count} x {finding.what}: {finding.first}", soft_wrap=True, markup=False)
     if not found.findings:
         console.print("nothing is wrong with it")
+    if quality is not None:
+        say_quality(quality, sequence)
     if out is not None:
-        configuration = {"data": folder.name, "format": str(layout)}
+        configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
+        if model is not None:
+            configuration |= {"model": model_digest(model)}
         record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
-        write_metrics(out, {**record, "check": asdict(found)})
+        write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
         print_where(out)
     if found.findings:
         raise typer.Exit(_FOUND)
@@ -140,7 +161,7 @@ def _check_out(out: Path) -> None:
     command = None
     with suppress(OSError, ValueError, AttributeError, RecursionError):
         command = json.loads((out / METRICS).read_text(encoding="utf-8")).get("command")
-    if names != {METRICS} or command != "data check":
+    if METRICS not in names or names - {METRICS, PAGE, FIGURES} or command != "data check":
         raise DatasetError(f"{out}: holds files of another kind ({min(names)}); name a new or empty folder")
 
 

@@ -11,16 +11,12 @@ from conformodal.core import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
-from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
+from conformodal.odometry import Method, ModelConfig, PoseModel
+from conformodal.odometry.quality import WHERE
 from conformodal.poses import PinholeCamera
 
 _NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
-_WHERE = {
-    EvidenceKind.GLOBAL: "where local features are not matched",
-    EvidenceKind.UNMATCHED: "where landmarks recognise no place",
-    EvidenceKind.LANDMARKS: "where landmarks recognise the place",
-}
 
 
 def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
@@ -126,10 +122,10 @@ def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
     unit, units = ("frame", "frames") if by_frame else ("stretch or recording", "stretches or recordings")
     for kind, rule in model.rules.of.items():
         if not len(rule.scores_):
-            said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
+            said.append(f"no frame calibrates the regions {WHERE[kind]}: there the region is the whole space")
         elif np.isposinf(rule.thresholds_).any():
             said.append(
-                f"The region is the whole space in some target {_WHERE[kind]}: "
+                f"The region is the whole space in some target {WHERE[kind]}: "
                 f"{counted(rule.n_units, unit, units)} {noun_for(rule.n_units, 'calibrates', 'calibrate')} it, too few "
                 f"for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie beyond the training range. "
                 f"Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."

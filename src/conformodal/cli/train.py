@@ -28,6 +28,7 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
+from conformodal.odometry.quality import quality_record
 from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
@@ -46,6 +47,7 @@ from .model_notes import (
     said_of_whole_space,
 )
 from .options import was_given
+from .quality import quality_of_training, say_shortly
 from .sources import open_sequence
 
 _DEFAULT = ModelConfig()
@@ -217,6 +219,7 @@ def train_on(
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
     # at the end: until then, a model that was there before is whole
     save_model(model, out)
+    quality = quality_of_training(data, model, config)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     metrics = {
@@ -227,6 +230,7 @@ def train_on(
         "seed": config.seed,
         "split": {"kind": str(split.kind), **parts, **distances(split, sequence.recording)},
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
+        "quality": None if quality is None else quality_record(quality, sequence, short=True),
         "seconds": round(time.perf_counter() - started, 2),
     }
     write_metrics(out, metrics)
@@ -242,4 +246,6 @@ def train_on(
         say_line(line)
     for line in said_of_whole_space(model, config):
         say_strongly(line)
+    if quality is not None:
+        say_shortly(quality, sequence)
     return model

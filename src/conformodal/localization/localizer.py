@@ -69,6 +69,11 @@ class Localizer:
         return cls(sources, data.bins_of(frames), data.sign_reference)
 
     @property
+    def frames(self) -> IntArray:
+        """Frames of the training data that any source has seen, increasing."""
+        return np.unique(np.concatenate([source.frames for source in self.sources]))
+
+    @property
     def local(self) -> bool:
         """Whether a source looks at local features."""
         return any(source.local for source in self.sources)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .comparison import Section, error_chart, write_comparison
     from .diagnosis import draw_diagnosis
     from .figures import error_figure, plan_figure, trajectory_figure
+    from .quality import quality_plan, write_quality_page
     from .table1 import table1_markdown, table1_notes, table1_sections
 
 __all__ = [
@@ -33,12 +34,14 @@ __all__ = [
     "error_figure",
     "make_viewer",
     "plan_figure",
+    "quality_plan",
     "table1_markdown",
     "table1_notes",
     "table1_sections",
     "trajectory_figure",
     "write_comparison",
     "write_page",
+    "write_quality_page",
 ]
 
 __getattr__ = late(
@@ -47,6 +50,7 @@ __getattr__ = late(
         **dict.fromkeys(("Section", "error_chart", "write_comparison"), ".comparison"),
         "draw_diagnosis": ".diagnosis",
         **dict.fromkeys(("error_figure", "plan_figure", "trajectory_figure"), ".figures"),
+        **dict.fromkeys(("quality_plan", "write_quality_page"), ".quality"),
         **dict.fromkeys(("table1_markdown", "table1_notes", "table1_sections"), ".table1"),
     },
 )

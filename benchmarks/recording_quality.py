@@ -1,0 +1,155 @@
+"""Are errors where a recording is called thin? Judged from poses and known frames, before any error is looked at.
+
+python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER] [--quick]
+
+redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). With ``--quick`` models have no
+landmarks, and each frame is answered by itself, without a path. The frames of a seed are kept in the folder of runs and
+not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import DATA, ROOT, write_page
+
+from conformodal.datasets import SplitKind, read_sevenscenes
+from conformodal.localization import FrameEvidence, SourceData
+from conformodal.odometry import (
+    Calibration,
+    ModelConfig,
+    TrainingData,
+    VisualOdometry,
+    depth_or_default,
+    prepare_training_data,
+    provenance,
+    train_model,
+)
+from conformodal.odometry.quality import QUALITY, ViewScale, pose_coverage
+from conformodal.odometry.quality.ambiguity import most_probable
+from conformodal.poses import position_errors_m
+from conformodal.vision import FeatureCache, default_cache_dir
+
+LARGE_M = 0.1
+PATH, ALONE = "the path", "one frame alone"
+SHARED: list[SourceData] = []
+LIMITS = (0.05, 0.075, 0.1, 0.125, 0.15, 0.2)
+
+
+def measured(seed: int, cache: Path, *, quick: bool) -> dict[str, Any]:
+    """Of each frame of the test part: what poses say of it, and then the errors of its answers."""
+    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    how: dict[str, Any] = {"sources": ("head", "neighbours")} if quick else {}
+    config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed, **how)
+    data = prepare_training_data(sequence, config, FeatureCache(cache))
+    share(data)
+    model = train_model(data, config, checkpoint_dir=cache / "training")
+    truth, test = sequence.require_truth(), model.split.test
+    scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
+    coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)
+    errors: dict[str, list[float]] = {}
+    if quick:
+        found = model.localize(FrameEvidence(data.features[test]))
+    else:
+        run = VisualOdometry(model).process(sequence, test, cache=FeatureCache(cache))
+        found = run.localization
+        errors[PATH] = position_errors_m(run.trajectory, truth[test]).tolist()
+    off = most_probable(found) - truth.positions_xyz[test]
+    errors[ALONE] = np.linalg.norm(off, axis=1).tolist()
+    return {
+        "source": provenance()["source_revision"],
+        "depth_m": scale.depth_m,
+        "frame": test.tolist(),
+        "change": coverage.change[test].tolist(),
+        "errors_m": errors,
+    }
+
+
+def share(data: TrainingData) -> None:
+    """Local features and their matches do not depend on the split: they are worked out once for all seeds."""
+    if SHARED:
+        shared = replace(data._shared, matcher=SHARED[0].matcher, _local_features=SHARED[0]._local_features)
+        object.__setattr__(data, "_shared", shared)
+    SHARED[:] = [data._shared]
+
+
+def kept(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+    """The numbers of a seed, measured once."""
+    path = options.runs / f"redkitchen-{seed}{'-quick' if options.quick else ''}.json"
+    if not path.exists():
+        options.runs.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(measured(seed, options.cache, quick=options.quick)), encoding="utf-8")
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def rows(name: str, results: list[dict[str, Any]], limit: float) -> list[list[str]]:
+    """Errors where the nearest known view differs by more than the limit, and elsewhere: a row each kind of error."""
+    change = np.concatenate([result["change"] for result in results])
+    found = []
+    for kind in results[0]["errors_m"]:
+        off, cells = np.concatenate([result["errors_m"][kind] for result in results]), [name, kind]
+        for part in (change > limit, change <= limit):
+            cells.append(str(int(part.sum())))
+            large = 100 * np.mean(off[part] > LARGE_M) if part.any() else 0
+            cells += [f"{np.median(off[part]):.3f}", f"{large:.0f}"] if part.any() else ["", ""]
+        found.append(cells)
+    return found
+
+
+def chosen_by(row: list[str], results: list[dict[str, Any]], limit: float) -> list[str]:
+    """The row of a limit, with what it was chosen by."""
+    change = np.concatenate([result["change"] for result in results])
+    large = np.concatenate([result["errors_m"][row[1]] for result in results]) > LARGE_M
+    return [*row, f"{np.mean(change[large] > limit) - np.mean(change[~large] > limit):.2f}"]
+
+
+def lines(first: str, content: list[list[str]], *more: str) -> list[str]:
+    what = ("frames", "median, m", f"% over {LARGE_M:g} m")
+    header = [first, "errors of", *(f"{part}: {name}" for part in ("thin", "others") for name in what), *more]
+    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *content)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 11, 12])
+    parser.add_argument("--chosen-on", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--runs", type=Path, default=ROOT / "quality-out")
+    parser.add_argument("--cache", type=Path, default=default_cache_dir())
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    chosen = [kept(seed, options) for seed in options.chosen_on]
+    reported = [kept(seed, options) for seed in options.seeds]
+    each = [
+        row for seed, one in zip(options.seeds, reported, strict=True) for row in rows(str(seed), [one], QUALITY.thin)
+    ]
+    by_limit = [chosen_by(row, chosen, limit) for limit in LIMITS for row in rows(f"{limit:g}", chosen, limit)]
+    depths = [one["depth_m"] for one in chosen + reported]
+    models = "models have no landmarks, and each frame is answered by itself" if options.quick else "models are whole"
+    write_page(
+        "recording_quality",
+        "Errors where a recording is called thin",
+        f"python benchmarks/recording_quality.py{' --quick' if options.quick else ''}",
+        [
+            f"redkitchen sequence 01, `blocks`, regions calibrated on frames; {models}. Frames of the test part. One "
+            f"is called thin if the nearest view that the model knows differs by more than {QUALITY.thin:g} of the "
+            f"field of view, in a scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
+            "and known frames alone tell.",
+            "",
+            *lines("seed", [*each, *rows("all", reported, QUALITY.thin)]),
+            "",
+            f"Limits on the seeds on which one was chosen ({', '.join(map(str, options.chosen_on))}): that with the "
+            f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls thin.",
+            "",
+            *lines("limit", by_limit, "difference"),
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Whether a recording is good enough: what ``data check`` and ``train`` say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from conformodal.core import StageProgress
+from conformodal.datasets import DatasetCheck, Sequence
+from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, write_metrics
+from conformodal.odometry.quality import (
+    RecordingQuality,
+    examine,
+    examine_training,
+    names_of,
+    quality_record,
+    record_next,
+    said_of_quality,
+)
+from conformodal.vision import FeatureCache
+
+from .console import console, say_strongly
+
+PAGE, FIGURES = "report.html", "figures"
+_IN_TRAINING = 3  # sentences of advice
+
+
+def judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
+    """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
+    if model is not None:
+        return examine(sequence, model, cache=FeatureCache(cache), progress=report)
+    found = examine(sequence)
+    return None if found.poses is None else found
+
+
+def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
+    """The findings, and what to record next."""
+    for line in said_of_quality(found):
+        console.print(line, soft_wrap=True)
+    advice = record_next(found, names_of(found, sequence))
+    if advice:
+        say_strongly("what to record next, the most valuable first:")
+    for number, line in enumerate(advice, start=1):
+        console.print(f"  {number}. {line}", soft_wrap=True)
+
+
+def write_findings(
+    out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
+) -> None:
+    """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
+
+    if found is None:
+        write_metrics(out, record)
+        (out / PAGE).unlink(missing_ok=True)  # of an earlier check
+        (out / FIGURES / PLAN).unlink(missing_ok=True)
+        return
+    whole = {**record, "quality": quality_record(found, sequence)}
+    write_metrics(out, whole)
+    findings = [f"{finding.count} x {finding.what}: {finding.first}" for finding in check.findings]
+    write_quality_page(out, found, sequence, whole, findings)
+
+
+def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfig) -> RecordingQuality | None:
+    """Of the recording that a model was just trained on; None for the paper's system, which has no more to say."""
+    if config.method is Method.PAPER:
+        return None
+    return examine_training(data, model, data.for_sources(config).local_features)
+
+
+def say_shortly(found: RecordingQuality, sequence: Sequence) -> None:
+    """What ``train`` says of it."""
+    for line in said_of_quality(found):
+        console.print(line, soft_wrap=True)
+    for line in record_next(found, names_of(found, sequence))[:_IN_TRAINING]:
+        console.print(line, soft_wrap=True)

@@ -1,0 +1,36 @@
+"""Whether a recording is good enough: where it is thin, fast or ambiguous, what it can promise, what to record next."""
+
+from .advice import WHERE, Names, plan_axes, record_next, said_of_promise, said_of_quality
+from .ambiguity import Ambiguity, AmbiguousStretch
+from .coverage import FastStretch, PoseCoverage, ThinStretch, pose_coverage
+from .examining import RecordingQuality, examine, examine_training
+from .promise import KindPromise, least_alpha, promises
+from .record import names_of, quality_record
+from .settings import QUALITY, QualitySettings
+from .views import ViewScale
+
+__all__ = [
+    "QUALITY",
+    "WHERE",
+    "Ambiguity",
+    "AmbiguousStretch",
+    "FastStretch",
+    "KindPromise",
+    "Names",
+    "PoseCoverage",
+    "QualitySettings",
+    "RecordingQuality",
+    "ThinStretch",
+    "ViewScale",
+    "examine",
+    "examine_training",
+    "least_alpha",
+    "names_of",
+    "plan_axes",
+    "pose_coverage",
+    "promises",
+    "quality_record",
+    "record_next",
+    "said_of_promise",
+    "said_of_quality",
+]

@@ -1,0 +1,204 @@
+"""What is said of a recording: plain sentences, and what to record next, the most valuable first."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import numpy as np
+
+from conformodal.core import FloatArray
+from conformodal.datasets import Sequence
+
+from ..region_rules import EvidenceKind
+from .ambiguity import AmbiguousStretch
+from .coverage import TILTED, FastStretch, ThinStretch, listed
+from .examining import RecordingQuality
+from .promise import N_NEW, KindPromise
+from .settings import QUALITY
+
+WHERE = {
+    EvidenceKind.GLOBAL: "where local features are not matched",
+    EvidenceKind.UNMATCHED: "where landmarks recognise no place",
+    EvidenceKind.LANDMARKS: "where landmarks recognise the place",
+}
+
+
+class Names:
+    """How frames and places of a recording are called.
+
+    Parameters
+    ----------
+    sequence
+        Its frames; where it has several recordings, a frame is named by its file too.
+    positions_xyz
+        (n, 3) of all frames with a pose: a place is named by the two axes along which they spread most.
+    """
+
+    def __init__(self, sequence: Sequence, positions_xyz: FloatArray | None) -> None:
+        self._sequence = sequence
+        self._several = len(np.unique(sequence.recording)) > 1
+        extent = np.zeros(3) if positions_xyz is None else np.ptp(positions_xyz, axis=0)
+        self.axes: tuple[int, int] = (0, 1) if positions_xyz is None else plan_axes(extent)
+
+    def frames(self, first: int, last: int) -> str:
+        """A stretch."""
+        if not self._several:
+            return f"frame {first}" if first == last else f"frames {first} to {last}"
+        if first == last:
+            return f"frame {first} ({self._file(first)})"
+        return f"frames {first} to {last} ({self._file(first)} to {self._file(last)})"
+
+    def place(self, xyz: tuple[float, float, float]) -> str:
+        """A place, by its two widest axes."""
+        return ", ".join(f"{'xyz'[j]}={xyz[j]:.1f}" for j in self.axes)
+
+    def _file(self, frame: int) -> str:
+        path = self._sequence.image_paths[frame]
+        return f"{path.parent.name}/{path.name}"
+
+
+def plan_axes(extent: FloatArray) -> tuple[int, int]:
+    """The two axes along which a path spreads most, in order."""
+    first, second = sorted(np.argsort(-extent, kind="stable")[:2].tolist())
+    return first, second
+
+
+def record_next(found: RecordingQuality, names: Names) -> list[str]:
+    """What to record next, the most valuable first; empty where nothing is missing."""
+    said = [_more_units(promise) for promise in found.promises if not promise.finite and promise.n_frames]
+    if found.coverage is not None:
+        # far from everything known, and long: that is where most errors are to expect
+        thin = sorted(found.coverage.thin, key=lambda one: -(one.way + one.change))
+        said += [_again(one, names, found) for one in thin]
+        fast = sorted(found.coverage.fast, key=lambda one: -one.change * (one.last - one.first))
+        said += [_slower(one, names) for one in fast]
+    if found.ambiguity is not None:
+        alike = sorted(found.ambiguity.stretches, key=lambda one: -one.n_frames)
+        said += [_apart(one, names, found) for one in alike]
+    more = len(said) - QUALITY.most_advice
+    return said if more <= 0 else [*said[: QUALITY.most_advice], f"{more} more such stretches follow in metrics.json."]
+
+
+def said_of_quality(found: RecordingQuality) -> list[str]:
+    """The findings in short."""
+    said = []
+    coverage = found.coverage
+    if coverage is not None:
+        n, n_thin = len(coverage.thin_frames), int(coverage.thin_frames.sum())
+        gaps = sum(one.between for one in coverage.thin)
+        stretches = f", in {_count(len(coverage.thin) - gaps, 'stretch')}" if n_thin else ""
+        said.append(
+            f"thinly covered: {n_thin or 'none'} of {_count(n, 'frame')}{stretches}; "
+            f"{_count(gaps, 'gap') if gaps else 'no gap'} between known frames (thin: the nearest known view "
+            f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
+        )
+        said.append(
+            f"turning or moving fast, more than {100 * QUALITY.fast:.0f} % of the view from frame to frame: "
+            + (_count(len(coverage.fast), "stretch") if coverage.fast else "nowhere")
+        )
+    if found.ambiguity is not None:
+        said += _said_of_ambiguity(found)
+    return said + [said_of_promise(promise) for promise in found.promises]
+
+
+def _as_step(found: RecordingQuality) -> str:
+    """The limit as a turn and as a step."""
+    if found.scale is None:
+        return ""
+    turn = QUALITY.thin * found.scale.fov_rad
+    return f", {np.degrees(turn):.1f} degrees or {turn * found.scale.depth_m:.2f} m"
+
+
+def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
+    places = found.ambiguity
+    assert places is not None
+    n, several = len(places.frames), int((places.n_places > 1).sum())
+    bounded = places.n_places[places.n_places > 0]
+    held = (
+        f"; a region holds {bounded.mean():.2f} known places on average, {bounded.max()} at most"
+        if bounded.size
+        else ""
+    )
+    said = [f"ambiguous: {several} of {_count(n, 'frame')} that the model has not seen{held}"]
+    if places.n_unknown:
+        said[0] += f"; {places.n_unknown} show no place that is known"
+    if found.errors_m is not None and found.coverage is not None:
+        thin = found.coverage.thin_frames[np.searchsorted(found.posed, places.frames)]
+        if thin.any() and not thin.all():
+            said.append(
+                f"median error of the belief about one such frame: {np.median(found.errors_m[thin]):.3f} m where it is "
+                f"thinly covered, {np.median(found.errors_m[~thin]):.3f} m elsewhere"
+            )
+    return said
+
+
+def said_of_promise(promise: KindPromise) -> str:
+    """What the regions of one kind of evidence can promise."""
+    where = f"regions {WHERE[promise.evidence]}"
+    if not promise.n_frames:
+        return f"{where}: no frame calibrates them, they are the whole space"
+    units = "" if promise.n_units == promise.n_frames else f" of {_count(promise.n_units, 'stretch')} or recordings"
+    least = f"finite from alpha = {promise.least_alpha_shown:g}" if promise.least_alpha < 1 else "finite at no alpha"
+    said = f"{where}: {_count(promise.n_frames, 'frame')}{units} calibrate them, {least}"
+    if promise.band is not None and promise.finite:
+        low, high = promise.band
+        said += f"; of {N_NEW} new frames {low:.3f} to {high:.3f} are covered at alpha = {promise.alpha:g} (99 % band)"
+    return said
+
+
+def _more_units(promise: KindPromise) -> str:
+    unit = "frames" if promise.n_units == promise.n_frames else "stretches or recordings"
+    return (
+        f"Record more {unit} of the kind {WHERE[promise.evidence]}: there regions are the whole space, because "
+        f"{promise.n_units} calibrate them; alpha = {promise.alpha:g} needs at least {promise.n_needed}, none of them "
+        "beyond the training range."
+    )
+
+
+def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
+    if not isfinite(one.distance_m):
+        return f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}): nothing is known."
+    gap = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"
+    if one.between:
+        way = f"from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)}"
+        denser = "" if one.last - one.first == 1 else " with more frames"
+        return (
+            f"Record the way {way} (around {names.place(one.place_xyz)}){denser}: between two of its frames nothing is "
+            f"known within {gap}."
+        )
+    number = int(found.known_names[one.nearest])
+    other = f"known frame {number}" if number >= 0 else "the nearest known frame"
+    how = [f"looking further {one.turned}"] if one.turned and one.turned != TILTED else []
+    how += [f"from further {one.moved}"] if one.moved else []
+    ways = f", {' and '.join(how)} than {other}" if how else ""
+    if one.turned == TILTED:
+        ways = f", tilted against {other}" + (f" and from further {one.moved}" if one.moved else "")
+    return (
+        f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) again{ways}; nothing is "
+        f"known within {gap}."
+    )
+
+
+def _slower(one: FastStretch, names: Names) -> str:
+    return (
+        f"{'Turn' if one.turning else 'Move'} more slowly in {names.frames(one.first, one.last)} (around "
+        f"{names.place(one.place_xyz)}): up to {one.distance_m:.2f} m and {one.angle_deg:.0f} degrees from "
+        "one frame to the next."
+    )
+
+
+def _apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
+    runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
+    named = [names.frames(a, b) for a, b in runs if 0 <= a <= b]
+    other = listed(named) if named else "other places"
+    look = "looks" if one.first == one.last else "look"
+    return (
+        f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) {look} like {other}: "
+        "record the way from one to the other in one piece, and each with more of what tells them apart in view."
+    )
+
+
+def _count(n: int, what: str) -> str:
+    if n == 1:
+        return f"1 {what}"
+    return f"{n} {what}es" if what.endswith("ch") else f"{n} {what}s"

@@ -1,0 +1,52 @@
+"""Numbers that the judgement of a recording was given and did not learn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class QualitySettings:
+    """What counts as thin, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`.
+
+    Attributes
+    ----------
+    thin
+        A view is thinly covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
+        ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py).
+    fast
+        Neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
+        Relative rotations were measured to half a degree with frames that differ by 0.12
+        (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond.
+    spacing
+        The way between neighbouring frames is looked at in steps of at most this.
+    most_stations
+        Between two neighbouring frames.
+    bridged
+        Stretches with at most so many other frames between them are one.
+    place
+        Known frames that differ by less stand at one place when a region is said to hold several; places are apart if
+        what they show has nothing in common, which is at twice as much.
+    most_looked
+        Held-out frames that are localized to see how ambiguous they are, evenly spread.
+    most_after_training
+        The same at the end of training, which should not take much longer for it.
+    most_alike
+        Stretches that are named as looking like another.
+    most_advice
+        Sentences on what to record next.
+    """
+
+    thin: float = 0.1
+    fast: float = 0.15
+    spacing: float = 0.05
+    most_stations: int = 64
+    bridged: int = 5
+    place: float = 0.5
+    most_looked: int = 400
+    most_after_training: int = 100
+    most_alike: int = 3
+    most_advice: int = 8
+
+
+QUALITY = QualitySettings()

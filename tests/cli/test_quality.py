@@ -1,0 +1,84 @@
+"""``data check`` and ``train`` say whether a recording is good enough."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli.main import app
+from conformodal.datasets import read_sevenscenes
+from conformodal.odometry import load_model
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def quality_of(folder):
+    return json.loads((folder / "metrics.json").read_text()).get("quality")
+
+
+@pytest.mark.slow
+def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_world, tmp_path):
+    out = tmp_path / "out"
+    options = ["--model", small_world.model, "--cache", small_world.cache, "--out", out]
+    for _ in range(2):  # its own folder is written over
+        result = invoke("data", "check", small_world.folder, *options)
+        assert result.exit_code == 0, result.output
+    found, model = quality_of(out), load_model(small_world.model)
+    looked = found["ambiguity"]["frames"]
+    assert len(looked) > 20
+    assert not np.isin(looked, model.localizer.frames).any()
+    assert found["n_known"] == len(model.localizer.frames)
+    assert {row["evidence"] for row in found["promises"]} == {"global", "unmatched", "landmarks"}
+    assert "frames that the model has not seen" in result.output
+    page = (out / "report.html").read_text()
+    assert "What to record next" in page
+    assert "well covered" in page
+    assert "well covered" in (out / "figures" / "plan.svg").read_text()
+
+
+@pytest.mark.slow
+def test_training_says_it_too(small_world):
+    found = quality_of(small_world.model)
+    model = load_model(small_world.model)
+    assert found["n_frames"] == len(read_sevenscenes(small_world.folder))
+    assert found["ambiguity"]["n_looked_at"] == min(100, found["n_frames"] - len(model.localizer.frames))
+    assert len(found["promises"]) == 3
+    assert "change" not in found
+
+
+@pytest.mark.slow
+def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
+    result = invoke("data", "check", small_world.folder, "--out", tmp_path / "whole")
+    assert result.exit_code == 0, result.output
+    whole = quality_of(tmp_path / "whole")
+    assert whole["thin"] == []
+    assert "ambiguity" not in whole
+    shutil.copytree(small_world.folder, tmp_path / "cut")
+    names = sorted(path.name for path in (tmp_path / "cut" / "seq-01").glob("*.pose.txt"))
+    poses = read_sevenscenes(small_world.folder).require_truth()
+    first = 20
+    away = np.linalg.norm(poses.positions_xyz - poses.positions_xyz[first], axis=1)
+    last = first + int(np.argmax(away[first:] > 2.0))  # metres
+    for name in names[first + 1 : last]:
+        for path in (tmp_path / "cut" / "seq-01").glob(name.replace("pose.txt", "*")):
+            path.unlink()
+    result = invoke("data", "check", tmp_path / "cut", "--out", tmp_path / "out")
+    (gap,) = quality_of(tmp_path / "out")["thin"]
+    assert (gap["first"], gap["last"], gap["between"]) == (first, first + 1, True)
+    assert f"from frame {first} to frame {first + 1}" in result.output
+
+
+def test_without_poses_and_model_there_is_nothing_to_say(small_world, tmp_path):
+    shutil.copytree(
+        small_world.folder / "seq-01", tmp_path / "a" / "seq-01", ignore=shutil.ignore_patterns("*.pose.txt")
+    )
+    for path in small_world.folder.glob("*.txt"):
+        shutil.copy(path, tmp_path / "a")
+    result = invoke("data", "check", tmp_path / "a", "--out", tmp_path / "out")
+    assert "record next" not in result.output
+    assert [path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")] == ["metrics.json"]
+    assert quality_of(tmp_path / "out") is None
