@@ -135,9 +135,9 @@ def table1(
     with _opened(data, layout, out, cache) as (sequence, features):
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
         repeats = list(range(first_seed, first_seed + seeds))
-        settings: dict[str, Any] = {"data": sequence.name, "seeds": repeats, "epochs": epochs, "splits": splits}
+        settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
         settings |= {"method": method, "networks": networks, "fine_tune": fine_tune}
-        settings |= {"baselines": baselines, "engine": engine, "workers": workers}
+        settings |= {"first_seed": first_seed, "baselines": baselines, "engine": engine, "workers": workers}
         # a run that only goes on does not hide what those before it took, if they came to their end
         earlier = _earlier(out)
         before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
