@@ -169,7 +169,8 @@ def main() -> None:
         "",
         f"{asked.frames} consecutive frames of redkitchen, 640x480, reduced to 320x240 for the network in all rows, "
         f"10 of them to warm up, {asked.rounds} rounds over all rows; one thread of one core, that core's time. "
-        "The head is the only source but in one row. The network is the features' part of EfficientNet-Lite0 in ONNX Runtime; heads are worked out with NumPy; the "
+        "The head is the only source but in one row. The network is "
+        "the features' part of EfficientNet-Lite0 in ONNX Runtime; heads are worked out with NumPy; the "
         "answer of a bare network is the mean of its softmaxes, that of MC dropout and ensembles mean and standard "
         "deviation of these means. Neither gives a region with a promise, nor a path.",
         "",

@@ -89,5 +89,5 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> np
     if k > n:
         return np.full(arr.shape[1:], np.inf, dtype=arr.dtype)
     if arr.ndim == 1 and n > MANY:
-        return np.asarray(kth_smallest(arr, k))
+        return kth_smallest(arr, k)
     return np.asarray(np.partition(arr, k - 1, axis=0)[k - 1])

@@ -10,8 +10,8 @@ import numpy.typing as npt
 _ROWS, _DIGIT = 1 << 20, 16
 
 
-def kth_smallest(values: npt.NDArray[np.floating[Any]], k: int) -> np.floating[Any]:
-    """The k-th smallest, from 1, of a vector without NaN; it may be a memory-mapped file.
+def kth_smallest(values: npt.NDArray[np.floating[Any]], k: int) -> npt.NDArray[np.floating[Any]]:
+    """The k-th smallest, from 1, of a vector without NaN, as an array without axes; it may be a mapped file.
 
     The bits of floating numbers, read as whole numbers, have the order of the numbers themselves once those of negative
     ones are turned over. So the number is found digit by digit, sixteen bits at a time from the highest: each pass
@@ -33,7 +33,7 @@ def kth_smallest(values: npt.NDArray[np.floating[Any]], k: int) -> np.floating[A
         found = (found << _DIGIT) | digit
     top = 1 << (8 * unsigned.itemsize - 1)
     bits = found ^ top if found & top else found ^ (2 * top - 1)
-    return np.array(bits, dtype=unsigned).view(values.dtype)[()]
+    return np.array([bits], dtype=unsigned).view(values.dtype).reshape(())
 
 
 def _in_order(block: npt.NDArray[np.floating[Any]], unsigned: np.dtype[Any]) -> npt.NDArray[Any]:
