@@ -63,6 +63,7 @@ RANGES = {
     "workers": Range(1, 1024),
     "limit": Range(1),
     "match_every": Range(1),
+    "budget_ms": Range(0, low_open=True),
     "metres_per_radian": Range(0, low_open=True),
 }
 # Options that say something only where another has a certain value.

@@ -40,7 +40,7 @@ class PaperOdometry:
     """
 
     answer = PAPERS_METHOD
-    lag, match_every = 0, 1
+    lag, match_every, budget = 0, 1, None
     whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
@@ -155,14 +155,18 @@ def paper_motions(sequence: Sequence, frames: IntArray, progress: StageProgress 
     return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
 
 
-def odometry_of(model: PoseModel, match_every: int = 1) -> VisualOdometry | PaperOdometry:
+def odometry_of(
+    model: PoseModel, match_every: int = 1, budget_ms: float | None = None
+) -> VisualOdometry | PaperOdometry:
     """What runs a model, by its method.
 
     Parameters
     ----------
     model
         Trained and calibrated.
-    match_every
+    match_every, budget_ms
         See :class:`VisualOdometry`; the paper's system looks at no local features.
     """
-    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, match_every=match_every)
+    if model.method is Method.PAPER:
+        return PaperOdometry(model)
+    return VisualOdometry(model, match_every=match_every, budget_ms=budget_ms)

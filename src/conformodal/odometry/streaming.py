@@ -56,9 +56,9 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable, n_localized, n_unknown
-        Frames so far; the last two: those with an absolute pose estimate from landmarks,
-        and those that show no known place.
+    n_answered, n_unreliable, n_matched, n_localized, n_unknown
+        Frames so far; the last three: those whose local features were matched, those with an absolute pose estimate
+        from landmarks, and those that show no known place.
     answered
         Their places in the data set, if the truth is known.
     by_recording
@@ -82,7 +82,8 @@ class StreamRunner:
     ) -> None:
         self.odometry, self.writer = odometry, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_matched = self.n_localized = 0
+        self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
@@ -103,6 +104,12 @@ class StreamRunner:
     def statistics(self) -> RegionStatistics:
         """Of the regions of all answered frames, if the truth is known and there are any."""
         return RegionStatistics.concatenate(self._statistics)
+
+    @property
+    def matched_all(self) -> bool:
+        """Whether local features of all answered frames were matched, if the model looks at them."""
+        asked = self.odometry.match_every == 1 and self.odometry.budget is None
+        return asked or self.n_matched == self.n_answered
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
@@ -161,6 +168,7 @@ class StreamRunner:
         self.n_answered += 1
         self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
+        self.n_matched += estimate.matched
         self.n_localized += bool(estimate.estimates)
         if motion is not None:
             self.motion[str(motion.status)] += 1
