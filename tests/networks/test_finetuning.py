@@ -81,8 +81,10 @@ def test_a_stopped_tuning_goes_on(pictures, tmp_path):
 @pytest.mark.parametrize("batch_size", [7, 23])  # the last batch has three images, and one
 def test_two_processes_give_what_one_gives(pictures, batch_size):
     backbone, config = TorchBackbone(SMALL), FineTuning(blocks=1, epochs=3, batch_size=batch_size, learning_rate=1e-3)
-    one, two = (fine_tune(backbone, *pictures, [2], config, FeatureCache(None), processes=n).weights() for n in (1, 2))
     before = backbone.weights()
+    kept = {name: value.copy() for name, value in before.items()}
+    one, two = (fine_tune(backbone, *pictures, [2], config, FeatureCache(None), processes=n).weights() for n in (1, 2))
+    assert all(np.array_equal(before[name], kept[name]) for name in kept)  # the memory of the network stays its own
     moved = max(np.abs(one[k] - before[k]).max() for k in one if one[k].dtype == np.float32)
     off = max(np.abs(one[k] - two[k]).max() for k in one if one[k].dtype == np.float32)
     assert moved > 1e-3

@@ -15,23 +15,27 @@ from torch.utils.data import Dataset
 
 from conformodal.core import Progress
 from conformodal.datasets import ImageError, read_image
-from conformodal.vision import FeatureCache, FineTuning, VisionError
+from conformodal.vision import BackboneConfig, FeatureCache, FineTuning, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 
 from .backbone import TorchBackbone
 
 
 class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):
-    """Prepared images, decoded when asked for, with their labels."""
+    """Prepared images, decoded when asked for, with their labels.
 
-    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], backbone: TorchBackbone) -> None:
-        self.files, self.labels, self.backbone = files, torch.from_numpy(labels), backbone
+    They do not know the network: torch moves the weights of one that goes to another process, under arrays that share
+    their memory.
+    """
+
+    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], config: BackboneConfig) -> None:
+        self.files, self.labels, self.config = files, torch.from_numpy(labels), config
 
     def __len__(self) -> int:
         return len(self.files)
 
     def __getitem__(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
-        image = self.backbone.prepare(read_image(self.files[i]))
+        image = self.config.prepare(read_image(self.files[i]))
         return torch.from_numpy(np.array(image)), self.labels[i]
 
 
@@ -96,7 +100,7 @@ def fine_tune(
 
     tuned.to(backbone.device)
     folder = None if cache.folder is None else cache.folder.parent / "training" / key
-    run_tuning(tuned, _Images(image_files, y, backbone), outputs, config, folder, progress, processes)
+    run_tuning(tuned, _Images(image_files, y, backbone.config), outputs, config, folder, progress, processes)
     weights = tuned.weights()
     tuned.take_weights(weights)
     if kept is not None:
