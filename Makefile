@@ -5,8 +5,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEV := $(VENV)/.ready-dev
 DOCS := $(VENV)/.ready-docs
-# The CPU build of torch: the default one brings gigabytes of CUDA. Set TORCH_INDEX to another index for a GPU.
+# The CPU build of torch: the default one brings gigabytes of CUDA. For a GPU set TORCH_INDEX to another index. The
+# version is one that every test has run with: where an index is not reached, a range could bring the CUDA build.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+TORCH ?= torch==2.13.0
 
 .PHONY: demo test lint check docs setup clean
 
@@ -35,7 +37,7 @@ $(READY): pyproject.toml
 	@$(PYTHON) -c 'import venv, ensurepip' || { echo "Python's venv module is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "torch>=2.13,<3"
+	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "$(TORCH)"
 	$(BIN)/python -m pip install --quiet --editable '.[train]'
 	@touch $(READY)
 

@@ -22,7 +22,7 @@ from conformodal.reasoning import (
     PosePath,
     bridge,
     greedy,
-    interval_means,
+    interval_runs,
     online,
     smooth,
     viterbi,
@@ -165,10 +165,10 @@ class Paths:
         model, record = self.trained.model, motions or self.seen.motions
         if rule is None:
             found = self.localization(BARE)
-            intervals = interval_means(model.localizer.marginals(found.beliefs), found.regions)
+            intervals = interval_runs(model.localizer.marginals(found.beliefs), found.regions)
         else:
             proba = model.localizer.beliefs(FrameEvidence(self.features)).proba
-            intervals = interval_means(proba, rule.predict(proba))
+            intervals = interval_runs(proba, rule.predict(proba))
         return greedy(intervals, [record.motions[i] for i in self.seen.frames.tolist()], self.seen.times)
 
     def _searched(self, given: Observations, prior: MotionPrior, how: str) -> PosePath:

@@ -25,8 +25,8 @@ from torch import nn
 
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.networks import TorchBackbone
-from conformodal.networks.backbone import backbone_config
 from conformodal.networks.exporting import OPSET
+from conformodal.networks.torch_backbone import backbone_config
 from conformodal.odometry import ModelConfig, prepare_training_data, save_model, train_model
 from conformodal.vision import FeatureCache, TrainingConfig
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from common import DATA, write_page
 
-COMMAND = "from conformodal.cli.main import main; main()"
+COMMAND = "from conformodal.cli import main; main()"
 NETWORK = "efficientnet_lite0"
 
 

@@ -34,7 +34,7 @@ class TimedFrontEnd(MotionFrontEnd):
     def __init__(self, camera: PinholeCamera, solver: TwoViewSolver) -> None:
         super().__init__(camera, solver=solver)
         self.seconds: dict[str, list[float]] = {part: [] for part in PARTS}
-        self._advance = self._timed("flow", self._advance)  # type: ignore[method-assign]
+        self.tracker.advance = self._timed("flow", self.tracker.advance)  # type: ignore[method-assign]
         self._since_mark = self._timed("geometry", self._since_mark)  # type: ignore[method-assign]
         self.tracker.mark = self._timed("corners", self.tracker.mark)  # type: ignore[method-assign]
 

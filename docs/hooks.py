@@ -1,4 +1,4 @@
-"""What the site has beside the pages in docs/: front page, tables, examples, reference and gallery; nothing is copied.
+"""What the site has beside docs/: front page, notebooks, tables, examples, reference and gallery; nothing is copied.
 
 MkDocs calls the functions ``on_*``, see mkdocs.yml. The others need the standard library only.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import posixpath
 import re
+import runpy
 from collections.abc import Callable
 from fnmatch import fnmatch
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 TABLES = "benchmarks/results"
+NOTEBOOKS = runpy.run_path(str(ROOT / "docs" / "notebook_pages.py"))
 AT_ROOT = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -26,6 +28,7 @@ INTERNAL = {"cli", "core"}  # packages without a page in the reference
 GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1[ \t]*$", re.DOTALL | re.MULTILINE)
+NAMED = re.compile(r"<code>((?:examples|docs|notebooks)/[\w/-]+\.(?:py|md|ipynb))</code>")
 ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):<code>(~?)([\w.]+)</code>")
 
 
@@ -33,6 +36,7 @@ def added_pages() -> dict[str, Callable[[], str]]:
     """Pages that are not files of docs/, by their place on the site; each function gives the Markdown."""
     pages: dict[str, Callable[[], str]] = {site: (ROOT / path).read_text for path, site in AT_ROOT.items()}
     pages |= {f"tables/{path.name}": path.read_text for path in sorted((ROOT / TABLES).glob("*.md"))}
+    pages |= {f"notebooks/{n}.md": lambda n=n: NOTEBOOKS["notebook_page"](n) for n in NOTEBOOKS["notebooks"]()}  # type: ignore[misc]
     pages |= {f"reference/{name}.md": lambda name=name: package_page(name) for name in packages()}  # type: ignore[misc]
     pages["tables/index.md"] = tables_page
     pages["reference/index.md"] = reference_page
@@ -48,7 +52,7 @@ def origin(site: str) -> str:
         return named[site]
     if site.startswith("tables/") and site != "tables/index.md":
         return f"{TABLES}/{posixpath.basename(site)}"
-    return f"docs/{site}"
+    return site if site.startswith("notebooks/") else f"docs/{site}"
 
 
 def place(path: str) -> str | None:
@@ -60,6 +64,8 @@ def place(path: str) -> str | None:
         return f"tables/{name}"
     if folder == "examples" and name.endswith(".py"):
         return f"examples.md#{name.removesuffix('.py')}"
+    if folder == "notebooks" and name.endswith(".ipynb"):
+        return path.removesuffix(".ipynb") + ".md"
     parts = path.split("/")
     if parts[:2] == ["src", "conformodal"] and len(parts) > 2:
         return reference_of(ROOT / path, parts[2]) if parts[2] in packages() else None
@@ -192,9 +198,9 @@ def tables_page() -> str:
 
 
 def examples_page() -> str:
-    """The files of examples/, whole."""
-    parts = ["# Add a part of your own\n\nFiles of `examples/`; each runs as it is.\n"]
-    for path in sorted((ROOT / "examples").glob("*.py")):
+    """The files of examples/, whole: those that use the package, then those that add to it."""
+    parts = ["# Examples\n\nFiles of `examples/`; each runs as it is.\n"]
+    for path in sorted((ROOT / "examples").glob("*.py"), key=lambda path: (path.stem.startswith("custom_"), path.stem)):
         code = path.read_text(encoding="utf-8")
         said = (ast.get_docstring(ast.parse(code)) or "").split("\n")[0]
         parts.append(f"## {path.name} {{#{path.stem}}}\n\n{said}\n\n```python\n{code}```\n")
@@ -203,7 +209,9 @@ def examples_page() -> str:
 
 def gallery_page() -> str:
     """Every picture of docs/images/ with the text and the page that it stands in."""
-    pages = AT_ROOT | {f"docs/{path.name}": path.name for path in sorted((ROOT / "docs").glob("*.md"))}
+    docs = ROOT / "docs"
+    sites = [path.relative_to(docs).as_posix() for path in [*sorted(docs.glob("*.md")), *sorted(docs.glob("*/*.md"))]]
+    pages = AT_ROOT | {f"docs/{site}": site for site in sites}
     shown: dict[str, tuple[str, str, str]] = {}
     for path, site in pages.items():
         text = (ROOT / path).read_text(encoding="utf-8")
@@ -219,7 +227,7 @@ def gallery_page() -> str:
 
 
 def linked_roles(html: str, package: str) -> str:
-    """Cross-references of docstrings as links of the reference; those to nothing there as code."""
+    """Cross-references of docstrings as links of the reference; those to nothing there as code. Files too, by page."""
 
     def link(match: re.Match[str]) -> str:
         short, name = match.groups()
@@ -228,7 +236,13 @@ def linked_roles(html: str, package: str) -> str:
         shown = name.rpartition(".")[2] if short else name
         return f'<autoref identifier="{identifier(full)}" optional><code>{shown}</code></autoref>'
 
-    return ROLE.sub(link, html)
+    def file(match: re.Match[str]) -> str:
+        page, hash_, anchor = (place(match[1]) or "").partition("#")
+        if not page or not (ROOT / match[1]).is_file():
+            return match[0]
+        return f'<a href="../{page.removesuffix(".md")}.html{hash_}{anchor}">{match[0]}</a>'
+
+    return NAMED.sub(file, ROLE.sub(link, html))
 
 
 def on_config(config: Any) -> Any:
@@ -266,6 +280,8 @@ def on_files(files: Any, config: Any) -> Any:
 
     for site, read in added_pages().items():
         files.append(File.generated(config, site, content=read()))
+    for site, content in NOTEBOOKS["pictures"]().items():
+        files.append(File.generated(config, site, content=content))
     return files
 
 

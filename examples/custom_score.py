@@ -8,7 +8,7 @@ import numpy as np
 from conformodal import QuantileBins, SplitConformal
 
 
-class TemperedRank:
+class TemperedRank:  # a conformodal.conformal.Score
     name = "tempered_rank"
     normalised = True  # scores of different targets are comparable
 

@@ -1,7 +1,9 @@
 """The wheel is whole: what is built from the source distribution installs in an environment of its own and runs."""
 
+import importlib.util
+import re
+import shutil
 import subprocess
-import sys
 import sysconfig
 import tarfile
 import zipfile
@@ -10,6 +12,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SPEC = importlib.util.spec_from_file_location("release", ROOT / "scripts" / "release.py")
+release = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(release)
+VERSION = release.PLACES["pyproject.toml"].findall((ROOT / "pyproject.toml").read_text())[0]
 
 
 def run(*command, **options):
@@ -20,42 +26,158 @@ def run(*command, **options):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The folder with source distribution and wheel; the wheel is built from the source distribution."""
-    out = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT)
-    return out
+    """Wheel and source distribution; the wheel is built from the source distribution."""
+    return release.build(ROOT, tmp_path_factory.mktemp("dist"))
 
 
 @pytest.fixture(scope="module")
-def python(built, tmp_path_factory):
-    """Python of an empty environment with the wheel; other packages are this one's."""
-    folder = tmp_path_factory.mktemp("env")
-    run(sys.executable, "-m", "venv", folder)
-    (wheel,) = built.glob("*.whl")
-    run(folder / "bin" / "pip", "install", "--quiet", "--no-deps", "--no-index", wheel)
-    (site,) = folder.glob("lib/python*/site-packages")
-    (site / "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    return folder / "bin" / "python"
+def bare(built, tmp_path_factory):
+    """Python of an environment with the wheel and what it cannot do without."""
+    return release.environment(tmp_path_factory.mktemp("env") / "env", built[0], offline=True)
 
 
 @pytest.mark.slow
 def test_the_distributions_hold_what_they_need(built):
-    (wheel,), (source,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    wheel, source = built
     inside = zipfile.ZipFile(wheel).namelist()
     assert not [name for name in inside if not name.startswith("conformodal")]
     for needed in ("conformodal/py.typed", "conformodal/cli/main.py", "conformodal/conformal/bins.py"):
         assert needed in inside
     with tarfile.open(source) as archive:
         top = {name.split("/")[1] for name in archive.getnames() if "/" in name}
-    assert {"src", "tests", "docs", "examples", "README.md", "LICENSE", "CITATION.cff", "pyproject.toml"} <= top
+    expected = {"src", "tests", "docs", "examples", "scripts", "README.md", "LICENSE", "CITATION.cff", "pyproject.toml"}
+    assert expected <= top
 
 
 @pytest.mark.slow
-def test_the_wheel_answers_in_an_environment_of_its_own(python, small_world, tmp_path):
-    where = run(python, "-c", "import conformodal; print(conformodal.__file__)", cwd=tmp_path).strip()
-    assert Path(where).is_relative_to(python.parents[1])
-    command = python.with_name("conformodal")
-    assert run(command, "--version", cwd=tmp_path).strip() == "0.1.0"
+def test_the_wheel_regresses_without_an_extra_and_names_the_one_that_the_command_line_needs(bare, tmp_path):
+    release.check(bare, VERSION, tmp_path)
+    with pytest.raises(release.ReleaseError, match="AssertionError: " + VERSION.replace(".", r"\.")):
+        release.check(bare, "99.0.0", tmp_path)
+
+
+@pytest.mark.slow
+def test_the_wheel_answers_in_an_environment_of_its_own(bare, small_world, tmp_path):
+    folder = shutil.copytree(bare.parents[1], tmp_path / "env", symlinks=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    (site / "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    python, settings = folder / "bin" / "python", {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+    where = run(python, "-c", "import conformodal; print(conformodal.__file__)", cwd=tmp_path, env=settings).strip()
+    assert Path(where).is_relative_to(folder)
+    command = [python, "-c", "from conformodal.cli import main; main()"]
+    assert run(*command, "--version", cwd=tmp_path, env=settings).strip() == VERSION
     out = tmp_path / "out"
-    run(command, "run", small_world.model, small_world.folder, "--part", "test", "--out", out, cwd=tmp_path)
+    run(
+        *command,
+        "run",
+        small_world.model,
+        small_world.folder,
+        "--part",
+        "test",
+        "--out",
+        out,
+        cwd=tmp_path,
+        env=settings,
+    )
     assert (out / "report.html").is_file()
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A repository with what a release changes."""
+    root = tmp_path / "project"
+    root.mkdir()
+    (root / "pyproject.toml").write_text('[project]\nname = "x"\nversion = "0.1.0"\nx = ["y==0.1.0"]\n')
+    (root / "CITATION.cff").write_text("cff-version: 1.2.0\nversion: 0.1.0\ndate-released: 2020-01-01\nlicense: x\n")
+    (root / "CHANGELOG.md").write_text("# Changelog\n\n## 0.2.0 (unreleased)\n\n- x\n\n## 0.1.0 (2020-01-01)\n")
+    git = ("git", "-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false")
+    for command in (("init", "--quiet"), ("add", "."), ("commit", "--quiet", "-m", "x")):
+        run(*git, *command, cwd=root)
+    return root
+
+
+@pytest.fixture
+def passed(monkeypatch):
+    """Builds and checks that pass, and what was built."""
+    trees = []
+
+    def build(root, out):
+        trees.append({name: (root / name).read_text() for name in ("pyproject.toml", "CITATION.cff", "CHANGELOG.md")})
+        out.mkdir()
+        for name in ("x.whl", "x.tar.gz"):
+            (out / name).write_text("x")
+        return out / "x.whl", out / "x.tar.gz"
+
+    monkeypatch.setattr(release, "build", build)
+    monkeypatch.setattr(release, "check_both", lambda *_, **__: None)
+    return trees
+
+
+def contents(root):
+    return {path.name: path.read_text() for path in root.iterdir() if path.is_file()}
+
+
+def test_a_release_says_its_version_everywhere_and_leaves_the_tag_to_people(project, passed):
+    said = release.release(project, "0.2.0", offline=True, dry_run=False)
+    files = contents(project)
+    day = files["CHANGELOG.md"].split("## 0.2.0 (")[1][:10]
+    assert files == passed[0]
+    assert files["pyproject.toml"] == '[project]\nname = "x"\nversion = "0.2.0"\nx = ["y==0.1.0"]\n'
+    assert files["CITATION.cff"] == f"cff-version: 1.2.0\nversion: 0.2.0\ndate-released: {day}\nlicense: x\n"
+    assert files["CHANGELOG.md"] == f"# Changelog\n\n## 0.2.0 ({day})\n\n- x\n\n## 0.1.0 (2020-01-01)\n"
+    assert {path.name for path in (project / "dist").iterdir()} == {"x.whl", "x.tar.gz"}
+    assert "git tag -a v0.2.0" in said
+    assert run("git", "tag", cwd=project) == ""
+
+
+def test_a_dry_run_changes_nothing(project, passed):
+    before = contents(project)
+    assert "can be released" in release.release(project, "0.2.0", offline=True, dry_run=True)
+    assert len(passed) == 1
+    assert contents(project) == before
+    assert run("git", "status", "--porcelain", cwd=project) == ""
+
+
+@pytest.mark.parametrize(
+    ("version", "spoil", "match"),
+    [
+        ("0.2", lambda root: None, "is no version"),
+        ("0.2.0.dev1", lambda root: None, "is no version"),
+        ("0.3.0", lambda root: None, r"no section '## 0\.3\.0 \(unreleased\)'"),
+        ("0.0.9", lambda root: None, "is at 0.1.0 already"),
+        ("0.1.0rc1", lambda root: None, "is at 0.1.0 already"),
+        ("0.2.0", lambda root: (root / "new").write_text("x"), "not clean"),
+        ("0.2.0", lambda root: run("git", "tag", "v0.2.0", cwd=root), "tag v0.2.0 is there"),
+    ],
+)
+def test_what_cannot_be_released_is_left_as_it_is(project, passed, version, spoil, match):
+    spoil(project)
+    before = contents(project)
+    with pytest.raises(release.ReleaseError, match=match):
+        release.release(project, version, offline=True, dry_run=False)
+    assert passed == []
+    assert contents(project) == before
+
+
+def test_a_check_that_fails_leaves_the_tree_as_it_is(project, passed, monkeypatch):
+    def fail(*_, **__):
+        raise release.ReleaseError("does not import")
+
+    monkeypatch.setattr(release, "check_both", fail)
+    before = contents(project)
+    with pytest.raises(release.ReleaseError, match="does not import"):
+        release.release(project, "0.2.0", offline=True, dry_run=False)
+    assert contents(project) == before
+    assert not (project / "dist").exists()
+
+
+def test_the_project_s_own_files_agree_on_the_version():
+    for name, place in release.PLACES.items():
+        assert place.findall((ROOT / name).read_text()) == [VERSION], name
+    changes = (ROOT / "CHANGELOG.md").read_text()
+    assert re.findall(r"(?m)^## (\S+) \((?:unreleased|\d{4}-\d\d-\d\d)\)$", changes)[0] == VERSION
+
+
+def test_the_command_says_why_in_a_line(capsys):
+    assert release.main(["nonsense"]) == 2
+    assert capsys.readouterr().err.startswith("error: 'nonsense' is no version")

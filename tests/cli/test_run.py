@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import read_sequence
 from conformodal.odometry import read_region_records, read_trajectories
+from conformodal.poses import read_tum
 
 
 def invoke(*arguments):
@@ -132,3 +134,35 @@ def test_a_live_view_without_rerun_is_named(small_world, tmp_path, monkeypatch):
     result = invoke("run", small_world.model, small_world.folder, "--out", tmp_path, "--save", tmp_path / "v.rrd")
     assert result.exit_code == 2
     assert "pip install 'conformodal[view]'" in " ".join(result.output.split())
+
+
+def test_frames_without_a_pose_are_answered_and_the_others_are_measured(small_world, tmp_path):
+    """Errors and coverage are those of ``evaluate``, which pairs the frames that have a pose by their times."""
+    place = tmp_path / "some"
+    place.mkdir()
+    whole = read_sequence(small_world.folder)
+    for name in ("camera-intrinsics.txt", "frame-rate.txt"):
+        shutil.copy(next(small_world.folder.rglob(name)), place)
+    for i, path in enumerate(whole.image_paths[:50]):
+        shutil.copy(path, place)
+        if i >= 20 and i % 3:
+            shutil.copy(path.with_name(path.name.replace("color.png", "pose.txt")), place)
+    n = sum(i >= 20 and bool(i % 3) for i in range(50))
+    result = invoke("run", small_world.model, place, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert f"{n} of 50 frames have a true pose" in " ".join(result.output.split())
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert (metrics["n_answered"], metrics["n_with_truth"]) == (50, n)
+    times = read_tum(tmp_path / "out" / "truth.tum").timestamps_s
+    np.testing.assert_allclose(times, [i / 10 for i in range(50) if i >= 20 and i % 3], atol=1e-6)
+    result = invoke("evaluate", tmp_path / "out", "--truth", place)
+    assert result.exit_code == 0, result.output
+    evaluated = json.loads((tmp_path / "out" / "evaluation" / "metrics.json").read_text())
+    assert evaluated["n_matched"] == n
+    for name, row in metrics["errors"].items():
+        assert row["rmse_m"] == pytest.approx(evaluated["errors"][name]["rmse_m"], abs=1e-6)
+    assert metrics["coverage"]["joint_coverage"] == pytest.approx(evaluated["coverage"]["joint_coverage"])
+    # of the first frames, none has a pose
+    result = invoke("run", small_world.model, place, "--out", tmp_path / "none", "--limit", 12)
+    assert result.exit_code == 0, result.output
+    assert "errors" not in json.loads((tmp_path / "none" / "metrics.json").read_text())

@@ -67,8 +67,8 @@ def test_damaged_files_are_named(binary, name):
 def test_other_cameras_are_refused_as_those_of_text_are(binary):
     path = binary / "sparse" / "0" / "cameras.bin"
     head, values = struct.unpack("<QiiQQ", path.read_bytes()[:32]), path.read_bytes()[32:]
-    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 5, *head[3:]) + values)
-    with pytest.raises(DatasetError, match=r"record 1: camera model OPENCV_FISHEYE is none of"):
+    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 10, *head[3:]) + values + bytes(32))
+    with pytest.raises(DatasetError, match=r"record 1: camera model THIN_PRISM_FISHEYE is none of"):
         read_colmap(binary)
     path.write_bytes(struct.pack("<QiiQQ", *head[:2], 99, *head[3:]) + values)
     with pytest.raises(DatasetError, match="has the model 99"):

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets import DatasetError, Layout, read_sequence, recognise
+from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_sequence, recognise
 
 N, SIZE = 5, (64, 48)
 # seen from above, with z up: looks along x first, then turns to the left by 10 degrees a frame
@@ -351,3 +351,80 @@ def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
     header, *rows = path.read_text().splitlines()
     path.write_text("\n".join([header, *(rows[i] for i in (3, 0, 4, 2, 1))]) + "\n")
     np.testing.assert_allclose(read_sequence(folder).require_truth().positions_xyz, PLACES)
+
+
+@pytest.mark.parametrize("ending", ["txt", "bin"])
+def test_pictures_that_colmap_found_no_pose_for_are_frames_without_one(tmp_path, ending):
+    from .test_colmap_binary import as_binary
+
+    write_colmap(tmp_path)
+    picture(tmp_path / "images" / "0001b.png", 7)  # between the second and the third
+    picture(tmp_path / "images" / "._0002.png", 9)
+    (tmp_path / "images" / "0003.jpg").write_bytes((tmp_path / "images" / "0003.png").read_bytes())
+    if ending == "bin":
+        as_binary(tmp_path)
+    with pytest.warns(DatasetWarning, match=rf"1 x no pose: 0001b\.png: .*images\.{ending}: does not name it"):
+        whole = read_sequence(tmp_path, require_poses=False)
+    assert [path.name for path in whole.image_paths] == [
+        f"{n}.png" for n in ("0000", "0001", "0001b", "0002", "0003", "0004")
+    ]
+    assert whole.truth is None
+    np.testing.assert_allclose(whole.timestamps_s, 0.1 * np.arange(6), atol=1e-12)
+    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES, atol=1e-9)
+    with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
+        posed = read_sequence(tmp_path)
+    np.testing.assert_array_equal(posed.timestamps_s, whole.known_poses.timestamps_s)
+
+
+@pytest.mark.parametrize("matrix", ["null", None])
+def test_frames_of_nerf_without_a_matrix_are_frames_without_a_pose(tmp_path, matrix):
+    write_nerf(tmp_path)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    content["frames"][3].pop("transform_matrix")  # 0001
+    if matrix:
+        content["frames"][3]["transform_matrix"] = None
+    path.write_text(json.dumps(content))
+    with pytest.warns(DatasetWarning, match=r"0001\.png: .*transform_matrix is missing"):
+        whole = read_sequence(tmp_path, require_poses=False)
+    assert len(whole) == N
+    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES[[0, 2, 3, 4]], atol=1e-9)
+    with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
+        assert len(read_sequence(tmp_path)) == N - 1
+
+
+def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
+    write_rgbd_scenes(tmp_path)
+    for scene in (tmp_path / "imgs").iterdir():
+        (scene / "camera-intrinsics.txt").unlink()
+    (tmp_path / "camera-intrinsics.txt").write_text(K)
+    (tmp_path / "pc" / "01.pose").unlink()
+    with pytest.warns(DatasetWarning, match=r"5 x no pose: 00000-color\.png: .*01\.pose: poses are missing"):
+        whole = read_sequence(tmp_path, require_poses=False)
+    assert len(whole) == 2 * N
+    np.testing.assert_array_equal(whole.known_poses.timestamps_s, whole.timestamps_s[N:])
+    with pytest.warns(DatasetWarning, match="5 x left out, no pose"):
+        posed = read_sequence(tmp_path)
+    np.testing.assert_array_equal(posed.timestamps_s, whole.timestamps_s[N:])
+    assert (posed.recording == 1).all()
+    (tmp_path / "pc" / "02.pose").unlink()
+    with pytest.raises(DatasetError, match=r"01\.pose: poses are missing"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
+def test_colmap_and_nerf_take_times_from_a_file(tmp_path, layout):
+    WRITERS[layout](tmp_path)
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    assert read_sequence(tmp_path).timestamps_s.tolist() == [1, 2, 4, 5, 7]
+    (tmp_path / "times.txt").write_text("1 2 4\n")
+    with pytest.raises(DatasetError, match=r"times\.txt: holds 3 times for 5 images"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("how", ["./{}", "../images/{}", "{root}/images/{}"])
+def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
+    assert len(read_sequence(tmp_path, require_poses=False)) == N

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -7,7 +8,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.datasets import DatasetError, Layout, check_sequence, read_sequence
+from conformodal.datasets import DatasetError, DatasetWarning, Layout, check_sequence, read_sequence
 from conformodal.datasets.streams import SequenceStream, VideoStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import Trajectory, write_tum
@@ -48,18 +49,42 @@ def test_frames_without_a_pose_or_an_image_are_left_out_and_counted(tmp_path):
     before = scene(tmp_path / "a")
     before.image_paths[2].write_bytes(b"no image")
     known = before.truth[np.array([0, 1, 2, 4])]
-    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
-    assert (done.n_frames, done.n_unreadable, done.n_without_pose) == (3, 1, 2)
-    assert "without a pose: 5.300000.png, 5.500000.png" in done.notes[0]
-    assert "no timestamps" in done.notes[-1]
+    done = write_layout(tmp_path / "b", Layout.NERF, SequenceStream(before), before.camera, known)
+    assert (done.n_frames, done.n_posed, done.n_unreadable, done.n_without_pose) == (3, 3, 1, 2)
+    assert "left out 2 frames without a pose: 5.300000.png, 5.500000.png" in done.notes
     after = read_sequence(tmp_path / "b")
     np.testing.assert_allclose(after.truth.positions_xyz, known.positions_xyz[[0, 1, 3]], atol=1e-7)
+
+
+def test_seven_scenes_keeps_gaps_by_the_numbers_of_its_frames(tmp_path):
+    before = scene(tmp_path / "a")
+    before.image_paths[2].write_bytes(b"no image")
+    known = before.truth[np.array([0, 1, 2, 4])]
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
+    assert (done.n_frames, done.n_posed, done.n_unreadable, done.n_without_pose) == (5, 3, 1, 0)
+    assert done.notes == [
+        "left out 1 frame without an image: 5.200000.png",
+        "kept 2 frames without a pose: 5.300000.png, 5.500000.png",
+    ]
+    with pytest.warns(DatasetWarning, match="2 x no pose"):
+        after = read_sequence(tmp_path / "b", require_poses=False)
+    assert [path.name[6:12] for path in after.image_paths] == ["000000", "000001", "000003", "000004", "000005"]
+    np.testing.assert_allclose(after.timestamps_s, [0, 0.1, 0.3, 0.4, 0.5], atol=1e-9)
+    np.testing.assert_allclose(after.known_poses.timestamps_s, [0, 0.1, 0.4], atol=1e-9)
+
+
+def test_seven_scenes_says_that_uneven_times_are_lost(tmp_path):
+    before = scene(tmp_path / "a", n=12)
+    times = np.cumsum([0, 0.1, 0.1, 0.13, 0.04, 0.1, 0.17, 0.1, 0.06, 0.1, 0.11, 0.08])
+    moved = replace(before, timestamps_s=times, truth=replace(before.truth, timestamps_s=times))
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(moved), moved.camera, moved.truth)
+    assert done.notes == ["7scenes has no timestamps: they are read back as even, 10.000 Hz"]
 
 
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        ({"layout": Layout.EUROC}, "read only"),
+        ({"layout": Layout.RGBD_SCENES}, "read only"),
         ({"layout": Layout.KITTI}, "distortion"),
         ({"layout": Layout.NERF, "poses": None}, "needs a pose"),
         ({"folder": "a"}, "not empty"),

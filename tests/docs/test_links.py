@@ -13,7 +13,8 @@ PAGES = sorted(
 )
 ADDED = HOOKS["added_pages"]()
 SITE = {*ADDED, *(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md"))}
-FILES = SITE | {f"images/{path.name}" for path in (ROOT / "docs" / "images").iterdir()}
+FILES = SITE | {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*") if path.is_file()}
+FILES |= set(HOOKS["NOTEBOOKS"]["pictures"]())
 
 
 def markdown_of(site):
@@ -61,9 +62,26 @@ def test_files_that_no_page_shows_become_text():
     assert rewritten("```\n[a](docs/data.md)\n```", "index.md") == "```\n[a](docs/data.md)\n```"
     assert rewritten("[a](docs/data.md)", "index.md") == "[a](data.md)"
     assert rewritten("[a](nowhere.md)", "index.md") == "[a](nowhere.md)"
+    assert rewritten("[a](../notebooks/table.ipynb)", "tutorial.md") == "[a](notebooks/table.md)"
+    assert (
+        rewritten("[a](../docs/data.md), [b](camera.ipynb)", "notebooks/table.md") == "[a](../data.md), [b](camera.md)"
+    )
     assert rewritten("[a](../examples/custom_score.py)", "tutorial.md") == "[a](examples.md#custom_score)"
     rank = "reference/conformal.md#conformodal.conformal.conformal_rank"
     assert rewritten("[a](../src/conformodal/conformal/rank.py)", "tutorial.md") == f"[a]({rank})"
+
+
+@pytest.mark.parametrize("name", HOOKS["NOTEBOOKS"]["notebooks"]())
+def test_links_of_a_notebook_lead_to_files(name):
+    for target in links_of(HOOKS["NOTEBOOKS"]["notebook_page"](name)):
+        at_home = (ROOT / "notebooks" / target.partition("#")[0]).exists()
+        assert at_home or f"notebooks/{target}" in HOOKS["NOTEBOOKS"]["pictures"](), target
+
+
+def test_pictures_have_a_text_for_those_who_do_not_see_them():
+    for site in sorted(SITE):
+        texts = [text for image, text, _ in HOOKS["LINK"].findall(markdown_of(site)) if image]
+        assert all(len(text) > 20 for text in texts), site
 
 
 def test_every_picture_is_in_the_gallery():

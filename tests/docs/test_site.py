@@ -1,9 +1,10 @@
-"""The site is built without a warning, and its links lead to pages and places on them."""
+"""The site is built without a warning, its links lead to pages and places, and people can read it and use keys."""
 
 import ast
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from html import unescape
@@ -17,6 +18,8 @@ pytest.importorskip("material")
 pytest.importorskip("mkdocstrings_handlers.python")
 
 ROOT = Path(__file__).parents[2]
+CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
+LOOKED_AT = ("index", "examples", "gallery", "robots", "notebooks/table", "reference/conformal")
 HOOKS = runpy.run_path(str(ROOT / "docs" / "hooks.py"))
 
 
@@ -73,3 +76,42 @@ def test_every_public_class_and_function_is_in_the_reference(site, package):
     folder = ROOT / "src" / "conformodal" / package
     names = {name for path in folder.rglob("__init__.py") for name in HOOKS["exported"](path.parent)}
     assert names & defined(folder) <= places
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield opened
+        opened.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", LOOKED_AT)
+def test_texts_stand_out_and_pictures_have_words(site, browser, scheme, name):
+    page = browser.new_page(viewport={"width": 1300, "height": 900}, color_scheme=scheme)
+    page.goto((site / f"{name}.html").as_uri())
+    page.wait_for_function("document.body.hasAttribute('data-md-color-media')")
+    page.wait_for_timeout(300)  # colours fade into one another
+    used = page.evaluate("document.body.getAttribute('data-md-color-scheme')")
+    assert used == {"light": "default", "dark": "slate"}[scheme]
+    n_texts, faint = page.evaluate((Path(__file__).parent / "contrast.js").read_text(encoding="utf-8"))
+    assert n_texts > 20
+    assert not faint
+    assert page.evaluate("[...document.images].filter((image) => !image.alt).map((image) => image.src)") == []
+    page.close()
+
+
+@pytest.mark.slow
+def test_the_first_key_leads_past_the_navigation(site, browser):
+    page = browser.new_page()
+    page.goto((site / "start.html").as_uri())
+    page.keyboard.press("Tab")
+    link = page.evaluate("[document.activeElement.className, document.activeElement.hash.slice(1)]")
+    assert "md-skip" in link[0].split()
+    assert page.evaluate("(id) => document.getElementById(id).closest('article') !== null", link[1])
+    page.close()

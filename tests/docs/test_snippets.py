@@ -8,6 +8,7 @@ import contextlib
 import io
 import re
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from conformodal.cli.main import app
 from conformodal.conformal import QuantileBins
 
 ROOT = Path(__file__).parents[2]
-HOW_TO = sorted((ROOT / "docs" / "howto").glob("*.md"))
+HOW_TO = [*sorted((ROOT / "docs" / "howto").glob("*.md")), ROOT / "docs" / "robots.md"]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?:<!-- given: (\w+) -->\n)?```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -98,7 +99,7 @@ def test_a_snippet_runs_and_prints_what_the_page_says(given, code, said, tmp_pat
 
 @pytest.fixture(scope="module")
 def in_world(small_world, tmp_path_factory):
-    """A folder in which the names that the pages use are: model, recording, scene, and the results of a short run."""
+    """A folder in which the names that the pages use are: model, recording, scene, and what a short run has written."""
     from typer.testing import CliRunner
 
     folder = tmp_path_factory.mktemp("world")
@@ -109,6 +110,7 @@ def in_world(small_world, tmp_path_factory):
     ):
         (folder / name).symlink_to(target, target_is_directory=True)
     arguments = ["run", folder / "model", folder / "recording", "--out", folder / "out", "--limit", 20]
+    arguments += ["--save", folder / "out.mcap"] if find_spec("rosbags") else []
     result = CliRunner().invoke(app, [str(a) for a in arguments])
     assert result.exit_code == 0, result.output
     return folder
@@ -136,7 +138,10 @@ def verbs():
 
 
 VERBS = dict(verbs())
-OPTIONS = {option for command in VERBS.values() for param in command.params for option in param.opts} | {"--help"}
+OPTIONS = {
+    option for command in (get_command(app), *VERBS.values()) for param in command.params for option in param.opts
+}
+OPTIONS |= {"--help"}
 FIRST = {words[0] for words in VERBS}
 CHOSEN = {"LAYOUT": "images"}  # for a word that stands for one of several
 OF_OTHERS = {"--quick", "--seeds", "--places"}  # of scripts in benchmarks/

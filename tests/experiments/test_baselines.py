@@ -1,13 +1,15 @@
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+import conformodal
 from conformodal.datasets import Split, SplitKind
+from conformodal.experiments.baseline_kinds import BASELINES, Problem, register_baseline
 from conformodal.experiments.baselines import (
-    Problem,
     deep_ensemble,
     dropout_passes,
     learnt_weights,
@@ -16,6 +18,7 @@ from conformodal.experiments.baselines import (
     with_thumbnail,
 )
 from conformodal.experiments.classical import train_classical
+from conformodal.experiments.errors import ExperimentError
 from conformodal.experiments.losses import (
     N_COMPONENTS,
     WeightedHead,
@@ -24,6 +27,7 @@ from conformodal.experiments.losses import (
     pinball_loss,
     split_mixture,
 )
+from conformodal.experiments.table1 import METHODS
 from conformodal.odometry import TrainingData
 from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
@@ -50,7 +54,7 @@ def make_data(two_answers=False, told_by="network", n=900):
 def trained():
     data = make_data()
     classical = train_classical(data, CONFIG)
-    return data, classical, Problem.of(data, classical)
+    return data, classical, Problem(data, classical)
 
 
 @pytest.mark.parametrize("whole", [False, True])
@@ -81,40 +85,52 @@ def test_all_learn_what_can_be_learnt(trained):
         "classical": classical.predict(x),
         "weights": learnt_weights(problem).answer(x),
         "mixture": mixture_density(problem).answer(x),
-        "dropout": dropout_passes(problem, classical).answer(x),
-        "ensemble": deep_ensemble(problem, classical).answer(x),
-        "quantiles": quantile_regression(problem, 0.1).baseline.answer(x),
+        "dropout": dropout_passes(problem).answer(x),
+        "ensemble": deep_ensemble(problem).answer(x),
+        "quantiles": quantile_regression(problem).answer(x),
     }
     errors = {name: rmse(values, data) for name, values in found.items()}
     assert max(errors.values()) < 0.5 * nothing, errors
     assert errors["ensemble"] < 1.05 * errors["classical"]
 
 
+def test_a_baseline_is_named_in_one_file_of_the_source():
+    source = Path(conformodal.__file__).parent
+    texts = {path.relative_to(source).as_posix(): path.read_text(encoding="utf-8") for path in source.rglob("*.py")}
+    assert len(BASELINES) == 7
+    for name in BASELINES:
+        assert [path for path, text in texts.items() if f'"{name}"' in text] == ["experiments/baselines.py"]
+        assert METHODS[name] == BASELINES[name].label
+
+
+def test_two_baselines_of_one_name_are_refused():
+    with pytest.raises(ExperimentError, match="'deep_ensemble' already: deep ensemble of 5"):
+        register_baseline("deep_ensemble", "another")(lambda problem: None)
+
+
 def test_networks_see_a_thumbnail_only_if_they_are_shown_it():
     data = make_data(told_by="thumbnail")
     classical = train_classical(data, CONFIG)
-    shown = with_thumbnail(Problem.of(data, classical))
+    shown = with_thumbnail(Problem(data, classical))
     x = data.features[data.split.test]
     assert rmse(classical.predict(x), data) > 0.95 * data.targets.std()
     assert rmse(shown.answer(x), data) < 0.5 * data.targets.std()
-    assert shown.train_s > 0
     assert shown.n_parameters > 0
 
 
 def test_an_ensemble_is_the_mean_of_five_and_knows_its_size(trained):
     data, classical, problem = trained
     x = data.features[:5]
-    ensemble = deep_ensemble(problem, classical)
+    ensemble = deep_ensemble(problem)
     one = sum(p.numel() for p in classical.head.parameters())
     assert ensemble.n_parameters == 5 * one
-    assert ensemble.train_s > 0
     assert not np.allclose(ensemble.answer(x), classical.predict(x))
 
 
 def test_dropout_is_averaged_the_same_way_every_time_and_switched_off_again(trained):
     data, classical, problem = trained
     x = data.features[:5]
-    passes = dropout_passes(problem, classical)
+    passes = dropout_passes(problem)
     first = passes.answer(x)
     np.testing.assert_array_equal(first, passes.answer(x))
     assert not classical.head.training
@@ -125,8 +141,13 @@ def test_a_mixture_answers_with_one_of_two_values_where_a_mean_lies_between():
     data = make_data(two_answers=True)
     known = np.concatenate((data.split.train, data.split.calibration))
     through = fit_projection(data.features[known], CONFIG.components)
-    problem = Problem(data, CONFIG, data.targets.mean(axis=0), data.targets.std(axis=0), through)
-    answers = mixture_density(problem).answer(data.features[data.split.test])
+    classical = SimpleNamespace(
+        training=CONFIG,
+        mean=data.targets.mean(axis=0),
+        scale=data.targets.std(axis=0),
+        head=SimpleNamespace(projection=through),
+    )
+    answers = mixture_density(Problem(data, classical)).answer(data.features[data.split.test])
     assert np.median(np.abs(np.abs(answers) - 1)) < 0.1
 
 
@@ -169,7 +190,7 @@ def test_pinball_loss_is_least_at_the_quantiles():
 
 def test_quantile_intervals_hold_as_often_as_promised(trained):
     data, _, problem = trained
-    found = quantile_regression(problem, 0.2)
+    found = quantile_regression(replace(problem, alpha=0.2))
     lower, upper = found.interval(data.features[data.split.test])
     y = data.targets[data.split.test]
     held = ((y >= lower) & (y <= upper)).mean(axis=0)
@@ -184,7 +205,7 @@ def test_quantile_regression_learns_from_a_lone_training_recording():
     recording[data.split.calibration], recording[data.split.test] = 1, 2
     split = replace(data.split, kind=SplitKind.RECORDINGS)
     data = replace(data, split=split, sequence=SimpleNamespace(recording=recording, given_test=None))
-    problem = Problem.of(data, train_classical(data, CONFIG))
-    lower, upper = quantile_regression(problem, 0.2).interval(data.features[split.test])
+    problem = Problem(data, train_classical(data, CONFIG), 0.2)
+    lower, upper = quantile_regression(problem).interval(data.features[split.test])
     assert (lower <= upper).all()
     assert np.isfinite(lower).all()

@@ -29,7 +29,7 @@ from conformodal.experiments.table1 import (
     write_parquet,
 )
 from conformodal.experiments.table1.conditions import CALIBRATION_SHARE
-from conformodal.experiments.table1.sizes import rank_correlation
+from conformodal.experiments.table1.size_against_error import rank_correlation
 from conformodal.experiments.table1.summary import METHODS
 from conformodal.odometry import Method, ResultsError, read_metrics, read_trajectories
 from conformodal.report.stored import StoredRun

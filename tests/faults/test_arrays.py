@@ -690,29 +690,14 @@ def test_damaged_tables_are_refused(change):
         Regions.from_arrow(damaged(change))
 
 
-def test_a_file_of_regions_stays_when_another_cannot_be_written(tmp_path):
-    pytest.importorskip("pyarrow")
-    from conformodal.conformal.arrow import read_regions, write_regions
-
-    path = tmp_path / "regions.parquet"
-    write_regions(REGIONS, path)
-    assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    with pytest.raises(ConformalError, match="cannot be written"):
-        write_regions(REGIONS, tmp_path / "missing" / "regions.parquet")
-    np.testing.assert_array_equal(read_regions(path).masks[0], REGIONS.masks[0])
-    path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(ConformalError, match=r"regions\.parquet"):
-        read_regions(path)
-
-
 def test_plain_arrays_are_not_copied():
     cal = SPLIT["density"]
-    from conformodal.conformal.checks import as_probabilities, as_reals
+    from conformodal.conformal.checks import as_reals, as_table
 
     for dtype in (np.float32, np.float64):
         proba = P.astype(dtype)
         assert as_reals(proba, "proba") is proba
-        assert all(np.shares_memory(part, proba) for part in as_probabilities(proba, cal.bins.sizes))
+        assert all(np.shares_memory(part, proba) for part in as_table(proba, cal.bins.sizes)[0])
 
 
 with warnings.catch_warnings():

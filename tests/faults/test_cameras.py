@@ -219,12 +219,10 @@ def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layo
 
 
 COLMAP_MODELS = (
-    "OPENCV_FISHEYE",
     "SIMPLE_RADIAL_FISHEYE",
     "RADIAL_FISHEYE",
     "THIN_PRISM_FISHEYE",
     "FOV",
-    "FULL_OPENCV",
 )
 
 
@@ -236,7 +234,27 @@ def test_colmap_models_without_a_pinhole_say_what_to_do(tmp_path, model):
         read_sequence(tmp_path)
 
 
-@pytest.mark.parametrize("model", ["PINHOLE 64 48 40 40 32 24 1", "OPENCV 64 48 40 40 32 24", "RADIAL 64 48 40"])
+@pytest.mark.parametrize("k", [4, 5, 6])
+def test_a_rational_lens_of_colmap_says_what_to_do(tmp_path, k):
+    WRITERS[Layout.COLMAP](tmp_path)
+    path, lens = next(tmp_path.rglob("cameras.txt")), [0.1, 0, 0, 0, 0.01, 0, 0, 0]
+    path.write_text(f"3 FULL_OPENCV 64 48 40 40 32 24 {' '.join(map(str, lens))}\n")
+    assert read_sequence(tmp_path).camera.distortion == (0.1, 0, 0, 0, 0.01)
+    lens[k + 1] = 0.1
+    path.write_text(f"3 FULL_OPENCV 64 48 40 40 32 24 {' '.join(map(str, lens))}\n")
+    with pytest.raises(DatasetError, match=r"line 1: camera model FULL_OPENCV has k4, k5 or k6.* undistort"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        "FULL_OPENCV 64 48 40 40 32 24 0 0 0 0 0",
+        "PINHOLE 64 48 40 40 32 24 1",
+        "OPENCV 64 48 40 40 32 24",
+        "RADIAL 64 48 40",
+    ],
+)
 def test_colmap_cameras_with_other_numbers_of_parameters_are_refused(tmp_path, model):
     WRITERS[Layout.COLMAP](tmp_path)
     next(tmp_path.rglob("cameras.txt")).write_text(f"3 {model}\n")
@@ -247,10 +265,9 @@ def test_colmap_cameras_with_other_numbers_of_parameters_are_refused(tmp_path, m
 @pytest.mark.parametrize(
     "change",
     [
-        {"camera_model": "OPENCV_FISHEYE"},
         {"camera_model": "EQUIRECTANGULAR"},
         {"camera_model": ["OPENCV"]},
-        {"is_fisheye": True},
+        {"camera_model": "OPENCV", "is_fisheye": True},
         {"k1": 0.1, "k2": 0.1, "k3": 0.1, "k4": 0.1},
     ],
 )

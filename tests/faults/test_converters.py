@@ -1,6 +1,7 @@
 """Conversions lose nothing in silence, and leave nothing by halves."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -52,13 +53,18 @@ def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, t
     lose(layout, tmp_path / "a", lost)
     result = invoke("data", "convert", folder, "--to", to, "--out", tmp_path / "b")
     assert result.exit_code == 0, result.output
-    assert f"{len(lost)} without a pose" in result.output
+    all_posed = to in (Layout.KITTI, Layout.NERF)
+    assert f"{len(lost) if all_posed else 0} without a pose" in result.output
     for i in lost:
         assert names[i] in result.output
     kept = [i for i in range(N) if i not in lost]
     after = read_sequence(tmp_path / "b", to)
     np.testing.assert_allclose(after.require_truth().positions_xyz, PLACES[kept], atol=1e-6)
     assert [int(after.image(k)[0, 0, 0]) for k in range(len(kept))] == [10 * i for i in kept]
+    whole = read_sequence(tmp_path / "b", to, require_poses=False)
+    frames = kept if all_posed else list(range(N))
+    assert [int(whole.image(k)[0, 0, 0]) for k in range(len(whole))] == [10 * i for i in frames]
+    np.testing.assert_array_equal(whole.known_poses.timestamps_s, after.timestamps_s)
 
 
 def test_poses_of_neighbours_are_not_lent(tmp_path):
@@ -74,8 +80,12 @@ def test_poses_of_neighbours_are_not_lent(tmp_path):
     (folder / "poses.txt").write_text("\n".join(rows))
     result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert result.exit_code == 0, result.output
-    assert "without a pose: 2.png" in result.output
+    assert (
+        "left out 1 frame without a pose, so near to others in time that they would be read back with theirs: 2.png"
+        in (result.output)
+    )
     assert len((tmp_path / "b" / "rgb.txt").read_text().splitlines()) == 1 + 5
+    assert len(list((tmp_path / "b" / "rgb").iterdir())) == 5
 
 
 def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
@@ -159,7 +169,14 @@ KNOWABLE = {
         "no place for the lens",
     ),
     "nerf without poses": (lambda s: s, {"layout": Layout.NERF, "poses": None}, "needs a pose"),
-    "a layout that is read only": (lambda s: s, {"layout": Layout.COLMAP}, "read only"),
+    "a layout that is read only": (lambda s: s, {"layout": Layout.RGBD_SCENES}, "read only"),
+    "colmap without poses": (lambda s: s, {"layout": Layout.COLMAP, "poses": None}, "colmap needs poses"),
+    "a fifth number of the lens in euroc": (
+        lambda s: replace(s, camera=replace(s.camera, distortion=(0.1, 0, 0, 0, 0.01))),
+        {"layout": Layout.EUROC},
+        "no place for k3",
+    ),
+    "binary files of another layout": (lambda s: s, {"binary": True}, "no binary files"),
     "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
     "a file": (lambda s: s, {"out": "file"}, "is a file"),
     "below a file": (lambda s: s, {"out": "file/out"}, "cannot be written"),
@@ -187,13 +204,24 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
             sequence.camera,
             settings["poses"],
             progress.append,
+            binary=settings.get("binary", False),
         )
     assert progress == []
     assert sorted(tmp_path.rglob("*")) == before
     assert (tmp_path / "full" / "mine").read_text() == (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize("layout", [Layout.NERF, Layout.TUM, Layout.IMAGES, Layout.SEVENSCENES])
+@pytest.mark.parametrize("to", [layout for layout in WRITABLE if layout is not Layout.SEVENSCENES])
+def test_several_recordings_where_one_has_a_place_are_refused_before_the_first_file(tmp_path, to):
+    scene = WRITERS[Layout.SEVENSCENES](tmp_path / "a")
+    shutil.copytree(scene / "seq-01", scene / "seq-02")
+    result = invoke("data", "convert", scene, "--to", to, "--out", tmp_path / "b")
+    assert result.exit_code == 2
+    assert "several recordings" in result.output
+    assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize("layout", [Layout.NERF, Layout.TUM, Layout.IMAGES, Layout.SEVENSCENES, Layout.COLMAP])
 def test_a_lens_of_five_numbers_is_kept(tmp_path, layout):
     (tmp_path / "a").mkdir()
     sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))

@@ -1,7 +1,7 @@
 """Standard deviations and inlier probabilities, learnt from errors that are drawn with known laws."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -156,4 +156,4 @@ def test_an_estimate_keeps_all_else():
 
 def test_it_goes_through_json():
     model = ErrorModel(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, -0.7, (0.8, 0.9))
-    assert ErrorModel.from_json(json.loads(json.dumps(model.as_json()))) == model
+    assert ErrorModel.from_json(json.loads(json.dumps(asdict(model)))) == model

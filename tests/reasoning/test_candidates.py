@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.reasoning import Candidates, interval_candidates, mode_candidates, softmax_mean
+from conformodal.reasoning.settings import CANDIDATES
 
 K = 20
 
@@ -33,13 +36,15 @@ def test_every_mode_is_a_candidate_at_its_mean():
     assert abs(found.orientations_quat_wxyz[0, 0]) > 0.99
 
 
-def test_candidates_are_bounded_and_keep_the_most_probable():
+def test_candidates_are_bounded_and_keep_the_most_probable(monkeypatch):
     many = bumps(*[(c, 1.0) for c in (2, 10, 18)])
     proba = [many, many, many, *identity_quat()]
-    found = mode_candidates(proba, pose_bins(), max_candidates=10)[0]
+    monkeypatch.setattr("conformodal.reasoning.candidates.CANDIDATES", replace(CANDIDATES, most=10))
+    found = mode_candidates(proba, pose_bins())[0]
     assert len(found.positions_xyz) == 10
     assert (np.diff(found.log_mass) <= 1e-12).all()
-    few = mode_candidates(proba, pose_bins(), min_mass=0.9)[0]
+    monkeypatch.setattr("conformodal.reasoning.candidates.CANDIDATES", replace(CANDIDATES, least_mass=0.9))
+    few = mode_candidates(proba, pose_bins())[0]
     assert len(few.positions_xyz) == 1  # never none
 
 

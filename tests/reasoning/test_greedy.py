@@ -8,14 +8,20 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.poses import MotionStatus, RelativeMotion
-from conformodal.reasoning import IntervalMeans, ReasoningError, greedy, interval_means
+from conformodal.reasoning import BinRuns, ReasoningError, greedy, interval_runs
 
 
 def some_intervals(rng, counts):
     """Intervals in no order, with probabilities in another."""
-    means = [rng.normal(size=m) for m in counts]
-    mass = [np.log(rng.dirichlet(np.ones(m))) for m in counts]
-    return IntervalMeans(means, [rng.uniform(0.1, 0.2, m) for m in counts], mass)
+    return [BinRuns(rng.normal(size=m), rng.uniform(0.1, 0.2, m), np.log(rng.dirichlet(np.ones(m)))) for m in counts]
+
+
+def means(runs):
+    return [of.mean for of in runs]
+
+
+def masses(runs):
+    return [of.log_mass for of in runs]
 
 
 def some_motions(rng, n):
@@ -29,10 +35,10 @@ def brute_force(intervals, motions):
     """Section 3 of the paper, word by word: all combinations, one by one."""
     path = []
     for t, here in enumerate(intervals):
-        places = np.array(list(product(*here.means[:3])))
-        quats = np.array(list(product(*here.means[3:])))
+        places = np.array(list(product(*means(here)[:3])))
+        quats = np.array(list(product(*means(here)[3:])))
         if t == 0:
-            mass = [sum(c) for c in product(*here.log_mass[:3])], [sum(c) for c in product(*here.log_mass[3:])]
+            mass = [sum(c) for c in product(*masses(here)[:3])], [sum(c) for c in product(*masses(here)[3:])]
             p, q = places[np.argmax(mass[0])], quats[np.argmax(mass[1])]
         else:
             p_prev, q_prev = path[-1]
@@ -65,9 +71,8 @@ def test_one_wrong_pick_steers_all_later_ones():
     for t in range(n):
         mass = np.log([0.4, 0.6] if t == 0 else [0.9, 0.1])
         along = [np.array([float(t)]), *ways]
-        intervals.append(
-            IntervalMeans(along, [np.full_like(m, 0.1) for m in along], [np.zeros(1), mass, *(np.zeros(1),) * 5])
-        )
+        log_mass = [np.zeros(1), mass, *(np.zeros(1),) * 5]
+        intervals.append([BinRuns(m, np.full_like(m, 0.1), its) for m, its in zip(along, log_mass, strict=True)])
     ahead = RelativeMotion(MotionStatus.OK, np.eye(3), np.array([1.0, 0.0, 0.0]))
     found = greedy(intervals, [None, *[ahead] * (n - 1)], np.arange(n))
     np.testing.assert_array_equal(found.positions_xyz[:, 1], 5.0)
@@ -78,7 +83,7 @@ def test_the_most_probable_is_taken_where_motion_is_unknown(motion):
     rng = np.random.default_rng(1)
     intervals = [some_intervals(rng, [3] * 7) for _ in range(4)]
     found = greedy(intervals, [motion] * 4, np.arange(4))
-    best = np.array([[m[np.argmax(mass)] for m, mass in zip(i.means, i.log_mass, strict=True)] for i in intervals])
+    best = np.array([[m[np.argmax(mass)] for m, mass in zip(means(i), masses(i), strict=True)] for i in intervals])
     np.testing.assert_array_equal(found.positions_xyz, best[:, :3])
     expected = best[:, 3:] / np.linalg.norm(best[:, 3:], axis=1, keepdims=True)
     np.testing.assert_allclose(found.orientations_quat_wxyz, expected)
@@ -88,14 +93,15 @@ def test_without_a_direction_the_place_is_the_most_probable():
     rng = np.random.default_rng(2)
     intervals = [some_intervals(rng, [4] * 7) for _ in range(2)]
     found = greedy(intervals, [None, RelativeMotion(MotionStatus.LOW_PARALLAX, np.eye(3))], [0, 1])
-    best = [intervals[1].means[j][np.argmax(intervals[1].log_mass[j])] for j in range(3)]
+    best = [intervals[1][j].mean[np.argmax(intervals[1][j].log_mass)] for j in range(3)]
     np.testing.assert_array_equal(found.positions_xyz[1], best)
 
 
 def test_components_that_cancel_leave_the_orientation_before():
-    one = [np.zeros(1)] * 3
-    there = IntervalMeans([*one, *(np.array([v]) for v in (0.0, 1.0, 0.0, 0.0))], [np.ones(1)] * 7, [np.zeros(1)] * 7)
-    nothing = IntervalMeans([*one, *[np.zeros(1)] * 4], [np.ones(1)] * 7, [np.zeros(1)] * 7)
+    there, nothing = (
+        [BinRuns(np.array([v]), np.ones(1), np.zeros(1)) for v in (0.0, 0.0, 0.0, 0.0, q_x, 0.0, 0.0)]
+        for q_x in (1.0, 0.0)
+    )
     found = greedy([there, nothing], [None, None], [0, 1])
     np.testing.assert_array_equal(found.orientations_quat_wxyz, [[0, 1, 0, 0]] * 2)
 
@@ -106,10 +112,10 @@ def test_intervals_stand_at_their_means_and_an_empty_set_at_its_best_bin():
     p[0, [2, 3, 7]] = 0.31
     masks = [np.zeros((1, 10), bool) for _ in range(7)]
     masks[0][0, [2, 3, 7]] = True
-    (found,) = interval_means([p] * 7, Regions(bins, masks, np.zeros((1, 7), bool)))
-    np.testing.assert_allclose(found.means[0], [3.0, 7.5])
-    np.testing.assert_allclose(np.exp(found.log_mass[0]), [0.62, 0.31])
-    np.testing.assert_allclose(found.means[1], [2.5])
+    (found,) = interval_runs([p] * 7, Regions(bins, masks, np.zeros((1, 7), bool)))
+    np.testing.assert_allclose(found[0].mean, [3.0, 7.5])
+    np.testing.assert_allclose(np.exp(found[0].log_mass), [0.62, 0.31])
+    np.testing.assert_allclose(found[1].mean, [2.5])
 
 
 @pytest.mark.parametrize(("n_motions", "n_times"), [(1, 2), (2, 1), (3, 3)])

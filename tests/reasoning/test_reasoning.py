@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from conformodal.poses import MotionStatus, RelativeMotion, Trajectory, angle_between_quats
 from conformodal.reasoning import (
     Candidates,
-    Decoder,
     MotionPrior,
     Observations,
     OnlineReasoner,
@@ -25,6 +24,7 @@ from conformodal.reasoning import (
     viterbi,
 )
 from conformodal.reasoning.settings import SEARCH
+from conformodal.reasoning.viterbi import best_step, way_back
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 
@@ -175,15 +175,22 @@ def test_a_relative_rotation_chooses_between_places_that_look_alike_after_a_half
     assert (reasoner(still, quick).positions_xyz[n_vague + 1 :, 0] < 0).all()  # the likelier side, not the right one
 
 
-def test_the_online_decoder_agrees_with_the_path_it_ends_on():
+def test_the_way_back_is_the_best_of_all_sequences():
     rng = np.random.default_rng(0)
-    decoder = Decoder()
-    decoder.push(rng.normal(size=3))
-    for _ in range(20):
-        best = decoder.push(rng.normal(size=3), rng.normal(size=(3, 3)))
-    assert decoder.path()[-1] == best
-    with pytest.raises(ReasoningError, match="first frame"):
-        decoder.push(np.zeros(3))
+    first, unaries = rng.normal(size=3), rng.normal(size=(4, 3))
+    transitions = rng.normal(size=(4, 3, 3))
+    score, backs = first, [np.zeros(3, dtype=np.int64)]
+    for transition, unary in zip(transitions, unaries, strict=True):
+        score, origin = best_step(score, transition, unary)
+        backs.append(origin)
+
+    def total(sequence):
+        steps = zip(sequence, sequence[1:], transitions, unaries, strict=False)
+        return first[sequence[0]] + sum(transition[a, b] + unary[b] for a, b, transition, unary in steps)
+
+    best = max(product(range(3), repeat=5), key=total)
+    np.testing.assert_array_equal(way_back(backs, int(np.argmax(score))), best)
+    assert score.max() == 0  # so that long sequences do not run out of digits
 
 
 def test_observations_that_do_not_belong_together_are_refused():

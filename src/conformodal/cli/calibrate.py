@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal.core.files import check_writable
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.odometry import (
     METHODS,
@@ -22,11 +22,12 @@ from conformodal.odometry import (
     save_model,
 )
 from conformodal.odometry.results.folders import claimed
-from conformodal.vision import FeatureCache, default_cache_dir
+from conformodal.vision import FeatureCache
 
-from .console import console, kind_errors, print_where, progress_bars, say_strongly
+from .arguments import Cache, FollowOutside, cache_folder
+from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
 from .options import OptionError
-from .sources import FOLLOW_OUTSIDE, open_sequence
+from .sources import open_sequence
 
 
 @kind_errors
@@ -46,8 +47,8 @@ def calibrate(
         float | None,
         typer.Option(min=0, help="Metres that weigh as much as one radian; the scene's depth by default."),
     ] = None,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+    follow_outside: FollowOutside = False,
+    cache: Cache = None,
 ) -> None:
     """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
     if method not in METHODS:
@@ -55,9 +56,8 @@ def calibrate(
     loaded = load_model(model)
     if loaded.method is Method.PAPER:
         raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
-    cache_dir = cache or default_cache_dir()
     with claimed(model, "train", apart=[data]):
-        check_writable(cache_dir)
+        features = FeatureCache(cache_folder(cache))
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
             radius = calibrate_selection(
@@ -68,7 +68,7 @@ def calibrate(
                 method,
                 sizing,
                 metres_per_radian,
-                cache=FeatureCache(cache_dir),
+                cache=features,
                 progress=report,
             )
         loaded.radius = radius
@@ -76,10 +76,11 @@ def calibrate(
     if isfinite(radius.radius_m):
         size = "" if sizing is Sizing.NONE else ", times the size of the recording"
         console.print(f"radius {radius.radius_m:.4f} m and {radius.degrees():.2f} degrees{size}. ", end="")
-        console.print(radius.assumption, soft_wrap=True)
+        say_line(radius.assumption)
     else:
         say_strongly(
-            f"The radius is infinite: {radius.n_recordings} recordings are too few for alpha = {alpha:g}; "
+            f"The radius is infinite: {counted(radius.n_recordings, 'recording')} "
+            f"{noun_for(radius.n_recordings, 'is', 'are')} too few for alpha = {alpha:g}; "
             f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read."
         )
     print_where(model)

@@ -1,4 +1,4 @@
-"""What all verbs share on the terminal: progress, kind errors, the last line."""
+"""What all verbs print on the terminal: progress, errors on one line, tables, the folder of the results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def plain(text: str) -> str:
 class PlainConsole(Console):
     """Prints text as it is: what a name or a message holds is no markup, no emoji and no command.
 
-    Where the reader of the output goes, as ``head`` does, the work goes on without one.
+    Where the reader closes the pipe, as ``head`` does, the work goes on and nothing more is printed.
     """
 
     def render_str(self, text: str, **options: Any) -> Text:
@@ -46,7 +46,7 @@ class PlainConsole(Console):
         return super().render_str(plain(text), **{**options, "markup": False, "emoji": False, "highlight": False})
 
     def on_broken_pipe(self) -> None:
-        """Nobody reads any more: that is no reason to lose the work."""
+        """Print no more, and let the work go on."""
         self.quiet = True
         with suppress(OSError, ValueError):  # else the interpreter tries once more when it ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
@@ -89,25 +89,30 @@ def kind_errors(command: Callable[P, None]) -> Callable[P, None]:
             except (typer.Exit, typer.Abort, typer.BadParameter):
                 raise
             except KeyboardInterrupt:
-                say_error("interrupted; the same command goes on from what was kept (features, training state)", "")
+                _say_error("interrupted; the same command goes on from what was kept (features, training state)", "")
                 raise typer.Exit(stop_code(came)) from None
             except Exception as exc:
                 said, code = explained(exc)
                 if code == OWN_FAULT and show_all():
                     raise
-                say_error(said)
+                _say_error(said)
                 raise typer.Exit(code) from exc
 
     return wrapped
 
 
-def say_error(said: str, start: str = "error: ") -> None:
+def say_line(said: str) -> None:
+    """One line of the result, however long."""
+    console.print(said, soft_wrap=True)
+
+
+def _say_error(said: str, start: str = "error: ") -> None:
     """One line on stderr."""
     _errors.print(Text(start, style="bold red") + Text(plain(said)), soft_wrap=True)
 
 
 def say_strongly(said: str) -> None:
-    """A line that a user should not miss."""
+    """A line in bold, for what a user must see."""
     console.print(Text(plain(said), style="bold"), soft_wrap=True)
 
 
@@ -138,7 +143,7 @@ def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
 
 def print_where(folder: Path) -> None:
     """The last line: where the results are."""
-    console.print(f"results: {folder.resolve()}", soft_wrap=True)
+    say_line(f"results: {folder.resolve()}")
 
 
 class StatusLine:

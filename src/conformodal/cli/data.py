@@ -12,13 +12,14 @@ import typer
 from rich.table import Table
 
 from conformodal.core.files import LOCK, writing_in
+from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
 from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import provenance, write_metrics
-from conformodal.poses import PinholeCamera, Trajectory, read_tum
+from conformodal.poses import PinholeCamera, read_tum
 
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
@@ -60,7 +61,7 @@ def _check(folder: Path, layout: Layout, out: Path | None, follow_outside: bool)
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
     table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
     if found.extent_m is None:
-        some = f"for {found.n_poses} of {found.n_frames} frames" if found.n_poses else "none"
+        some = f"for {found.n_poses} of {counted(found.n_frames, 'frame')}" if found.n_poses else "none"
         table.add_row("poses", some)
     else:
         sides = " x ".join(f"{side:.2f}" for side in found.extent_m)
@@ -91,13 +92,17 @@ def convert(
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+    binary: Annotated[
+        bool, typer.Option("--binary", help="Write a COLMAP model in binary files, not as text.")
+    ] = False,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
     """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
     stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
-    truth = read_tum(poses) if poses is not None else _truth(stream)
+    own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
+    truth = own if poses is None else read_tum(poses)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources that say no camera, and {stream.name} says {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
@@ -111,9 +116,13 @@ def convert(
             truth,
             lambda number: report("frames", number, max(total, number)),
             max_difference_s=0.0 if poses is None else MAX_TIME_DIFFERENCE_S,
+            binary=binary,
         )
+    how_many = (
+        "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
+    )
     console.print(
-        f"{done.n_frames} frames written as {to}, {'with' if truth is not None else 'without'} poses; left out: "
+        f"{counted(done.n_frames, 'frame')} written as {to}, {how_many} poses; left out: "
         f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose"
         + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
         soft_wrap=True,
@@ -121,13 +130,6 @@ def convert(
     for note in done.notes:
         console.print(f"note: {note}", soft_wrap=True)
     print_where(out)
-
-
-def _truth(stream: FrameStream) -> Trajectory | None:
-    """The source's own poses, of all frames or of those that have one."""
-    if not isinstance(stream, SequenceStream):
-        return None
-    return stream.sequence.known_poses if stream.sequence.truth is None else stream.sequence.truth
 
 
 def _check_out(out: Path) -> None:

@@ -1,4 +1,4 @@
-"""``conformodal demo``: the whole story on the corridor world."""
+"""``conformodal demo``: make the corridor world, train in it, answer the test frames, write the page."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.core import StageProgress
+from conformodal.core import StageProgress, stage_of
 from conformodal.core.files import FolderError, write_whole
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.experiments import AmbiguityCheck, check_ambiguity
 from conformodal.odometry import Method, ModelConfig, write_metrics
-from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.report import write_page
 from conformodal.vision import TrainingConfig
 
-from .console import console, kind_errors, print_where, progress_bars
-from .demo_outcome import Told, answer_test_part
+from .arguments import results_folder
+from .console import console, kind_errors, print_where, progress_bars, say_line
+from .demo_outcome import DemoResults, answer_test_part
 from .demo_pages import page_of, ratios_said
 from .outcome import say
 from .train import train_on
@@ -33,7 +34,7 @@ N_MODULES, N_LAPS = 5, 2
 # features, not their principal components: rooms differ in small things.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
 ALPHA = 0.02
-PAPERS_ALPHA = 0.1  # the paper's example, of each target
+_PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
 @kind_errors
@@ -48,8 +49,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
     config = _config(method, seed)
-    with claimed(out, "demo"), progress_bars() as report:
-        check_no_stray(out, "demo")
+    with results_folder(out, "demo"), progress_bars() as report:
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
         outcome = answer_test_part(model, config, out, sequence, report)
@@ -59,31 +59,31 @@ def demo(
             outcome.truth,
             model,
             Renderer(world),
-            progress=lambda done, total: report("look-alikes", done, total),
+            progress=stage_of(report, "look-alikes"),
         )
         outcome.metrics["ambiguity"] = _ambiguity_record(alike)
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
-        told = Told(outcome, sequence, model, world, alike, N_LAPS, out)
-        write_page(out / "report.html", page_of(told))
+        results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
+        write_page(out / "report.html", page_of(results))
     say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
     record = outcome.metrics["ambiguity"]
     console.print(
-        f"{record['n_frames']} frames have other places with the same view, {record['n_places']} in all; the regions "
-        f"hold {record['share_held']:.3f} of them (whole pose)"
+        f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
+        f"same view, {record['n_places']} in all; the regions hold {record['share_held']:.3f} of them (whole pose)"
     )
     for line in ratios_said(method, outcome.metrics):
-        console.print(line, soft_wrap=True)
-    console.print(f"open {(out / 'report.html').resolve()}", soft_wrap=True)
+        say_line(line)
+    say_line(f"open {(out / 'report.html').resolve()}")
     print_where(out)
 
 
 def _config(method: Method, seed: int) -> ModelConfig:
-    """Of both methods with the same training."""
+    """The configuration of a method; both train in the same way."""
     training = replace(TRAINING, seed=seed)
     if method is Method.PAPER:
-        return ModelConfig.paper(alpha=PAPERS_ALPHA, seed=seed, training=training)
+        return ModelConfig.paper(alpha=_PAPERS_ALPHA, seed=seed, training=training)
     return ModelConfig(alpha=ALPHA, seed=seed, training=training)
 
 
@@ -106,7 +106,7 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
             n_modules=N_MODULES,
             n_laps=N_LAPS,
             seed=seed,
-            progress=lambda done, total: report("corridor", done, total),
+            progress=stage_of(report, "corridor"),
         )
     return read_sevenscenes(place)
 

@@ -41,15 +41,15 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """Everything that the demo's page tells of.
+class DemoResults:
+    """Everything that the demo's page shows.
 
     Attributes
     ----------
     outcome, sequence, model
-        What was answered, the flight, and who answered.
+        The answers to the test part, the flight, and the model that answered.
     world, n_laps
-        What was flown through, and how often.
+        The corridor, and how often the camera flew through it.
     alike
         Places with the same view.
     folder

@@ -1,4 +1,4 @@
-"""The demo's page, and its last word: what the answer's error is beside those of regressors on the same features."""
+"""The demo's page, and its last lines on the terminal: errors beside those of regressors on the same features."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.core.words import counted, noun_for
 from conformodal.odometry import Method
 from conformodal.report import (
     PageFigure,
@@ -17,13 +18,13 @@ from conformodal.report import (
     trajectory_figure,
 )
 
-from .demo_outcome import Told
+from .demo_outcome import DemoResults
 
 _OURS, _PAPERS = "conformal, after reasoning", "the paper's greedy answer"
 
 
 def ratios_said(method: Method, metrics: dict[str, Any]) -> list[str]:
-    """What the terminal says last of the errors."""
+    """The last lines on the terminal: ratios of errors."""
     errors = metrics["errors"]
     took = f"({metrics['seconds']:.0f} s in all)"
     if method is Method.CONFORMODAL:
@@ -36,12 +37,12 @@ def ratios_said(method: Method, metrics: dict[str, Any]) -> list[str]:
     ]
 
 
-def page_of(told: Told) -> ReportContent:
+def page_of(demo: DemoResults) -> ReportContent:
     """The page, with the plan of a frame that has several look-alike places, and all of them held if there is one."""
-    outcome, sequence = told.outcome, told.sequence
+    outcome, sequence = demo.outcome, demo.sequence
     run, truth = outcome.run, outcome.truth
-    paper = told.model.method is Method.PAPER
-    index = _telling_frame(told)
+    paper = demo.model.method is Method.PAPER
+    index = _telling_frame(demo)
     name = sequence.image_paths[run.frames[index]].name
     answer = _PAPERS if paper else _OURS
     svg = plan_figure(
@@ -49,13 +50,13 @@ def page_of(told: Told) -> ReportContent:
         index,
         truth,
         classical=run.trajectories["classical"],
-        walls=told.world.plan(),
-        alike=told.alike.places[index],
+        walls=demo.world.plan(),
+        alike=demo.alike.places[index],
         answer=answer,
     )
-    n_places = len(told.alike.places[index]) + 1
-    caption = f"{name}, from above. The image fits {n_places} places equally well; " + (
-        f"the region holds {int(told.alike.held[index].sum())} of the other {n_places - 1}. Greedy reasoning chooses "
+    n_places = len(demo.alike.places[index]) + 1
+    caption = f"{name}, from above. The image fits {counted(n_places, 'place')} equally well; " + (
+        f"the region holds {int(demo.alike.held[index].sum())} of the other {n_places - 1}. Greedy reasoning chooses "
         "one of its cuboids, and goes on from there in the next frame, right or wrong."
         if paper
         else "the region names all, and motion through the corridor chooses among them. A regressor answers in "
@@ -74,18 +75,23 @@ def page_of(told: Told) -> ReportContent:
     pictures = Thumbnails()
     for i in run.frames.tolist():
         pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    viewer = make_viewer(told.folder, pictures.kept, told.model.rules.level)
+    viewer = make_viewer(demo.folder, pictures.kept, demo.model.rules.level, demo.world.plan())
     title = "conformodal: a corridor of identical rooms" + (", by the paper's system" if paper else "")
-    summary = [_flown(told), _errors_said(outcome.metrics["errors"], paper), _places_said(outcome.metrics["ambiguity"])]
+    summary = [
+        _flown(demo),
+        _errors_said(outcome.metrics["errors"], paper),
+        _places_said(outcome.metrics["ambiguity"]),
+    ]
     return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
 
 
-def _flown(told: Told) -> str:
-    split = told.model.split
+def _flown(demo: DemoResults) -> str:
+    split = demo.model.split
     return (
-        f"A drone flew {told.n_laps} times along a dark hallway of {told.world.n_modules} identical modules, into "
-        f"every room. {len(split.train)} frames trained a network, {len(split.calibration)} calibrated its regions, "
-        f"{len(told.outcome.run.frames)} were held out ({told.outcome.metrics['split_note']})"
+        f"A drone flew {counted(demo.n_laps, 'time')} along a dark hallway of "
+        f"{counted(demo.world.n_modules, 'identical module')}, into every room. {counted(len(split.train), 'frame')} "
+        f"trained a network, {len(split.calibration)} calibrated its regions, {len(demo.outcome.run.frames)} "
+        f"{noun_for(len(demo.outcome.run.frames), 'was', 'were')} held out ({demo.outcome.metrics['split_note']})"
     )
 
 
@@ -107,8 +113,8 @@ def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
 
 def _places_said(record: dict[str, Any]) -> str:
     return (
-        f"{record['n_frames']} frames have other places with the same view; the regions hold "
-        f"{100 * record['share_held']:.1f} % of these {record['n_places']} places."
+        f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
+        f"same view, {record['n_places']} in all; the regions hold {100 * record['share_held']:.1f} % of them."
     )
 
 
@@ -117,10 +123,10 @@ def _over(errors: dict[str, dict[str, float]], method: str) -> float:
     return errors[method]["rmse_m"] / errors["greedy"]["rmse_m"]
 
 
-def _telling_frame(told: Told) -> int:
+def _telling_frame(demo: DemoResults) -> int:
     """Of the frames with most look-alike places, all held, the one whose regressor is furthest from any of them."""
-    truth, alike = told.outcome.truth, told.alike
-    classical = told.outcome.run.trajectories["classical"].positions_xyz
+    truth, alike = demo.outcome.truth, demo.alike
+    classical = demo.outcome.run.trajectories["classical"].positions_xyz
     counts = [len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]
     best, furthest = 0, -1.0
     for i in np.flatnonzero(np.array(counts) == max(counts)):

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from conformodal.core.files import writing_in
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
@@ -45,12 +46,12 @@ def evaluate(
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), claimed(out / "evaluation", "evaluate"):
         settle(out)
-        found = read_results(out)
-        true_poses = read_truth(truth, layout)
+        found = _read_results(out)
+        true_poses = _read_truth(truth, layout)
         mine, theirs = associate(found.times, true_poses)
         matched = true_poses[theirs]
         moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
-        errors = {name: row | motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
+        errors = {name: row | _motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
         metrics = found.metrics
         sign = metrics.get("sign_reference_quat_wxyz")
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
@@ -79,7 +80,8 @@ def evaluate(
         write_metrics(out / "evaluation", result)
     if found.unfinished:
         say_strongly("the run did not come to its end: what it had written until then is evaluated")
-    console.print(f"{len(mine)} of {len(found.times)} poses have a true one within 0.01 s")
+    have = noun_for(len(mine), "has", "have")
+    console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
     console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
@@ -109,7 +111,7 @@ class Results:
     unfinished: bool
 
 
-def read_results(out: Path) -> Results:
+def _read_results(out: Path) -> Results:
     """Read results; of a run that was killed, what is whole: frames that all its files know.
 
     Raises
@@ -150,7 +152,7 @@ def _common(metrics: dict[str, Any], records: list[dict[str, Any]], trajectories
     return Results(metrics, [records[at[s]] for s in both], kept, next(iter(kept.values()), nowhere), True)
 
 
-def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
+def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     """Recall; relative errors from pose to pose; and KITTI's drift where the path is long enough."""
     found: dict[str, Any] = {"recall": recall(estimate, truth)}
     if len(truth) > 1:
@@ -163,7 +165,7 @@ def motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def read_truth(path: Path, layout: Layout) -> Trajectory:
+def _read_truth(path: Path, layout: Layout) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
         return open_sequence(path, layout, require_poses=True).require_truth()

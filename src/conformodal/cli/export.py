@@ -9,26 +9,28 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conformodal.core.files import check_writable, write_whole
+from conformodal.core.files import write_whole
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
 from conformodal.localization import TARGET_NAMES, HeadSource
 from conformodal.networks import TorchBackbone, exported
 from conformodal.networks.with_head import with_head
 from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
 from conformodal.odometry.results.folders import claimed
-from conformodal.vision import FeatureCache, OnnxBackbone, default_cache_dir
+from conformodal.vision import FeatureCache, OnnxBackbone
 
+from .arguments import Cache, DataLayout, FollowOutside, SavedModel, cache_folder
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
-from .sources import FOLLOW_OUTSIDE, open_sequence
+from .sources import open_sequence
 from .train import train_on
 
-NETWORK = "pose_network.onnx"
+_NETWORK = "pose_network.onnx"
 
 
 @kind_errors
 def export(
-    model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
+    model: SavedModel,
     out: Annotated[Path, typer.Option(help="Folder for the model that runs without torch.")],
     quantise: Annotated[
         str,
@@ -39,9 +41,9 @@ def export(
     data: Annotated[
         Path | None, typer.Option(help="The data set that the model was trained on, for --quantise.")
     ] = None,
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+    layout: DataLayout = Layout.AUTO,
+    follow_outside: FollowOutside = False,
+    cache: Cache = None,
 ) -> None:
     """Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file."""
     if quantise not in ("none", "int8"):
@@ -49,27 +51,26 @@ def export(
     if (quantise == "int8") != (data is not None):
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
     loaded = load_model(model)
-    cache_dir = cache or default_cache_dir()
     with claimed(out, "train", apart=[model] if data is None else [model, data]):
-        check_writable(cache_dir)
+        cache_dir = cache_folder(cache)
         if data is None:
-            made = replace(loaded, backbone=in_onnx(loaded, FeatureCache(cache_dir)))
+            made = replace(loaded, backbone=_in_onnx(loaded, FeatureCache(cache_dir)))
             save_model(made, out)
         else:
             sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
-            check_same_data(loaded, sequence, model)
+            _check_same_data(loaded, sequence, model)
             with progress_bars() as report:
                 config = replace(config_of(loaded.configuration), runtime=Runtime.INT8)
                 made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
         head = made.localizer.find(HeadSource)
         if head is not None:
             assert isinstance(made.backbone, OnnxBackbone)
-            write_whole(out / NETWORK, with_head(made.backbone, head.head, TARGET_NAMES))
-            console.print(f"network and head, from pixels to probabilities: {NETWORK}")
+            write_whole(out / _NETWORK, with_head(made.backbone, head.head, TARGET_NAMES))
+            console.print(f"network and head, from pixels to probabilities: {_NETWORK}")
     print_where(out)
 
 
-def in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
+def _in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
     """The network of a model in ONNX."""
     if isinstance(model.backbone, OnnxBackbone):
         return model.backbone
@@ -77,7 +78,7 @@ def in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
     return exported(model.backbone, cache)
 
 
-def check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
+def _check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
     """Refuse other data than the model was trained on.
 
     Raises
@@ -89,6 +90,6 @@ def check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
     same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
     if same < len(known) or len(here) != len(known):
         raise OdometryError(
-            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its {len(known)} frames are "
-            f"here in their places, among {len(here)}"
+            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its "
+            f"{counted(len(known), 'frame')} {noun_for(same, 'is', 'are')} here in their places, among {len(here)}"
         )

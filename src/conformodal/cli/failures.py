@@ -1,4 +1,4 @@
-"""What ends a command early: one line on stderr, and an exit code that says of what kind it was."""
+"""Errors that end a command: one line on stderr, and an exit code for each kind of error."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def explained(error: Exception) -> tuple[str, int]:
 
 
 def show_all() -> bool:
-    """Whether someone wants to see where an error comes from."""
+    """Whether the environment asks for the traceback of an error."""
     return bool(os.environ.get(SHOW_ALL))
 
 

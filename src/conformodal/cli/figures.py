@@ -25,9 +25,8 @@ from conformodal.report.paper import (
 from conformodal.report.stored import StoredRun
 from conformodal.vision import FeatureCache
 
-from .steps import flow_to, steps_of, training_values
+from .steps import MOST_CUBOIDS, flow_to, steps_of, training_values
 
-_MOST_CUBOIDS = 30
 _ENDINGS = {Method.PAPER: "paper", Method.CONFORMODAL: "ours"}
 _ANSWERS = {Method.PAPER: "the paper's greedy answer", Method.CONFORMODAL: "our answer, after reasoning"}
 
@@ -117,4 +116,4 @@ def _frame_to_show(runs: Collection[StoredRun]) -> int:
     frames = range(len(runs[0].records))
     counts = np.array([[np.prod([max(len(run.intervals(i, t)), 1) for t in "xyz"]) for run in runs] for i in frames])
     most = counts.max(axis=1)
-    return int(np.argmax(np.where(most <= _MOST_CUBOIDS, counts.sum(axis=1), -most)))
+    return int(np.argmax(np.where(most <= MOST_CUBOIDS, counts.sum(axis=1), -most)))

@@ -13,26 +13,27 @@ import typer
 from conformodal.odometry import EvidenceKind, PoseModel, load_model, model_digest
 from conformodal.vision import OnnxBackbone
 
-from .console import console, kind_errors
+from .arguments import SavedModel
+from .console import kind_errors, say_line
 
 _TIMED = 20
 
 
 @kind_errors
 def info(
-    model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
+    model: SavedModel,
     as_json: Annotated[bool, typer.Option("--json", help="For machines: one JSON object.")] = False,
 ) -> None:
     """Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here."""
-    found = facts(load_model(model), model)
+    found = _facts(load_model(model), model)
     if as_json:
         typer.echo(json.dumps(found, indent=1))
         return
     for line in said(found):
-        console.print(line, soft_wrap=True, markup=False)
+        say_line(line)
 
 
-def facts(model: PoseModel, folder: Path) -> dict[str, Any]:
+def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """What :func:`info` says, as JSON takes it."""
     rules, split, camera = model.rules, model.split, model.camera
     kinds = np.array([kind.value for kind in EvidenceKind])

@@ -1,19 +1,20 @@
-"""What a user should know of a trained model: its landmarks, its split, and what its regions can promise."""
+"""Notes on a trained model, printed after training: its landmarks, its split, the coverage its regions guarantee."""
 
 from __future__ import annotations
 
 from math import ceil
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core import IntArray
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
 from conformodal.odometry import EvidenceKind, Method, ModelConfig, PoseModel
 from conformodal.poses import PinholeCamera
 
-NEAR_FRAMES = 5
+_NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 _WHERE = {
     EvidenceKind.GLOBAL: "where local features are not matched",
@@ -23,10 +24,11 @@ _WHERE = {
 
 
 def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
-    """What a user should know of the landmarks."""
+    """Note on the landmarks."""
     if landmarks is None:
         return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
-    said = f"{landmarks.summary['n_landmarks']} landmarks of {landmarks.summary['n_keyframes']} frames"
+    n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
+    said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
         said += (
@@ -36,7 +38,7 @@ def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -
     return said
 
 
-def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float | None]:
+def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
 
     Parameters
@@ -50,11 +52,11 @@ def distances(split: Split, recording: npt.NDArray[np.int64]) -> dict[str, float
     median = float(np.median(found))
     return {
         "median_frames_to_known": median if np.isfinite(median) else None,
-        "share_within_5_frames": float(np.mean(found <= NEAR_FRAMES)),
+        "share_within_5_frames": float(np.mean(found <= _NEAR_FRAMES)),
     }
 
 
-def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
+def said_of_distances(split: Split, recording: IntArray) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:
@@ -62,12 +64,12 @@ def said_of_distances(split: Split, recording: npt.NDArray[np.int64]) -> str:
     median = found["median_frames_to_known"]
     return (
         f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
-        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {NEAR_FRAMES}"
+        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {_NEAR_FRAMES}"
     )
 
 
 def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """What a user should know of the regions' calibration.
+    """Notes on the regions' calibration.
 
     Parameters
     ----------
@@ -82,17 +84,17 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     by_frame, n = softmax.groups_ is None, softmax.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
     if by_frame:
-        said = [f"regions are calibrated on the {n} frames of the calibration part"]
+        said = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
         said = [
-            f"regions are calibrated on {n} {units}, {n_frames} frames of training and calibration part together; each "
-            f"is answered by sources that did not see its {unit}"
+            f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of training and "
+            f"calibration part together; each is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {units_needed(config.alpha)} "
-            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there are {n}"
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
+            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
         )
     if config.method is Method.PAPER:
         said.append("images are not tested for unknown places: the paper has no such test")
@@ -104,14 +106,15 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     elif model.rules.level < model.novelty.test.least_p:
         said.append(
             f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
-            f"{model.novelty.test.n_groups} pieces of the data no p-value is below {model.novelty.test.least_p:.3g}"
+            f"{counted(model.novelty.test.n_groups, 'piece')} of the data no p-value is below "
+            f"{model.novelty.test.least_p:.3g}"
         )
     else:
         said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
     return said
 
 
-def units_needed(alpha: Alpha) -> int:
+def _units_needed(alpha: Alpha) -> int:
     """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
 
@@ -119,14 +122,16 @@ def units_needed(alpha: Alpha) -> int:
 def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
     """Kinds of evidence whose region is the whole space in some target, with the reason."""
     by_frame = model.calibration.groups_ is None
-    said, units = [], "frames" if by_frame else "stretches or recordings"
+    said: list[str] = []
+    unit, units = ("frame", "frames") if by_frame else ("stretch or recording", "stretches or recordings")
     for kind, rule in model.rules.of.items():
         if not len(rule.scores_):
             said.append(f"no frame calibrates the regions {_WHERE[kind]}: there the region is the whole space")
         elif np.isposinf(rule.thresholds_).any():
             said.append(
-                f"The region is the whole space in some target {_WHERE[kind]}: {rule.n_units} {units} "
-                f"calibrate it, too few for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie "
-                f"beyond the training range. Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
+                f"The region is the whole space in some target {_WHERE[kind]}: "
+                f"{counted(rule.n_units, unit, units)} {noun_for(rule.n_units, 'calibrates', 'calibrate')} it, too few "
+                f"for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie beyond the training range. "
+                f"Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
             )
     return said

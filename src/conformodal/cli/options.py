@@ -1,4 +1,4 @@
-"""What options may say: checked for all commands in one place, before anything is read."""
+"""Which values options may have: checked for all commands in one place, before anything is read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class OptionError(ConformodalError):
 
 
 @dataclass(frozen=True)
-class Range:
+class _Range:
     """Numbers from `low` to `high`; the ends count unless they are open."""
 
     low: float
@@ -45,28 +45,28 @@ def _plain(value: float) -> str:
 
 
 RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
-_SHARE = Range(0, 1, low_open=True, high_open=True)
+_SHARE = _Range(0, 1, low_open=True, high_open=True)
 _MANY = 1_000_000
-# By the name of the parameter, whatever the command.
+# Ranges by the name of the parameter, the same for every command.
 RANGES = {
-    "bins": Range(1, 10_000),
-    "sigma": Range(0, 10_000),
-    "epochs": Range(1, _MANY),
-    "fine_tune_epochs": Range(1, _MANY),
-    "dropout": Range(0, 0.95),
+    "bins": _Range(1, 10_000),
+    "sigma": _Range(0, 10_000),
+    "epochs": _Range(1, _MANY),
+    "fine_tune_epochs": _Range(1, _MANY),
+    "dropout": _Range(0, 0.95),
     "test": _SHARE,
     "calibration_share": _SHARE,
-    "used": Range(0, 1, low_open=True),
-    "novelty_level": Range(0, 1, high_open=True),
-    "seed": Range(0, 2**31 - 1),
-    "seeds": Range(1, 10_000),
-    "workers": Range(1, 1024),
-    "limit": Range(1),
-    "match_every": Range(1),
-    "budget_ms": Range(0, low_open=True),
-    "metres_per_radian": Range(0, low_open=True),
+    "used": _Range(0, 1, low_open=True),
+    "novelty_level": _Range(0, 1, high_open=True),
+    "seed": _Range(0, 2**31 - 1),
+    "seeds": _Range(1, 10_000),
+    "workers": _Range(1, 1024),
+    "limit": _Range(1),
+    "match_every": _Range(1),
+    "budget_ms": _Range(0, low_open=True),
+    "metres_per_radian": _Range(0, low_open=True),
 }
-# Options that say something only where another has a certain value.
+# Options that have an effect only where another option has a certain value.
 _NEED: dict[str, tuple[str, Any, str]] = {
     "fine_tune_epochs": ("fine_tune", lambda value: value != "none", "--fine-tune"),
     "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
@@ -75,7 +75,7 @@ _NEED: dict[str, tuple[str, Any, str]] = {
 
 
 def was_given(context: typer.Context, name: str) -> bool:
-    """Whether a user has given an option, be it the value that it has anyway."""
+    """Whether a user has given an option, even with its default value."""
     source = context.get_parameter_source(name)
     return source is not None and not source.name.startswith("DEFAULT")
 
@@ -88,7 +88,7 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
     given
         A command's parameters by name.
     defaults
-        What they are where nothing was said.
+        Their default values.
 
     Raises
     ------

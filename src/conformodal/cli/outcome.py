@@ -7,8 +7,9 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core import IntArray
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.odometry import (
     METHODS,
@@ -25,9 +26,9 @@ from conformodal.odometry import (
 )
 from conformodal.poses import Trajectory
 
-from .console import console, print_errors, say_strongly
+from .console import console, print_errors, say_line, say_strongly
 
-_SAME_CAMERA = 1e-6  # shares of the width: what a text file may round
+_SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
 
 
 class Part(StrEnum):
@@ -41,13 +42,22 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """True poses of the answered frames, and what is known of their regions."""
+    """True poses of answered frames, and what is known of these frames' regions.
+
+    Attributes
+    ----------
+    truth, regions
+        Of the frames.
+    frames
+        Which of the answered frames they are, counted from 0; None for all.
+    """
 
     truth: Trajectory
     regions: RegionStatistics
+    frames: IntArray | None = None
 
 
-def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray[np.int64] | None:
+def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
@@ -67,8 +77,8 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
     seen = np.maximum(at, moved)
     if (seen < 0).all():
         raise OdometryError(
-            f"{sequence.name}: none of its {len(sequence)} frames has the pixels of one of the {n} frames of {its}; "
-            "give that data set, or run on all of this one"
+            f"{sequence.name}: none of its {counted(len(sequence), 'frame')} has the pixels of one of the "
+            f"{counted(n, 'frame')} of {its}; give that data set, or run on all of this one"
         )
     try:
         model.check_camera(sequence.camera, _SAME_CAMERA)
@@ -80,12 +90,14 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> npt.NDArray
         expected = model.known_frames.poses[rows[moved == first][0]]
         raise OdometryError(
             f"{sequence.image_paths[first]}: has the pixels of a frame of {its}, but another pose, and so have "
-            f"{(moved >= 0).sum()} of {n} frames; found x y z qw qx qy qz {here.poses[first].round(6).tolist()}, "
-            f"expected {expected.round(6).tolist()}"
+            f"{(moved >= 0).sum()} of {counted(n, 'frame')}; found x y z qw qx qy qz "
+            f"{here.poses[first].round(6).tolist()}, expected {expected.round(6).tolist()}"
         )
     if (at < 0).any():
-        missing = f"{(at < 0).sum()} of {n} frames of the {part} part are not in {sequence.name}, or have no pose there"
-        console.print(missing, soft_wrap=True)
+        n_missing = int((at < 0).sum())
+        are, have = noun_for(n_missing, "is", "are"), noun_for(n_missing, "has", "have")
+        which = f"{n_missing} of {counted(n, 'frame')} of the {part} part"
+        say_line(f"{which} {are} not in {sequence.name}, or {have} no pose there")
     return np.sort(at[at >= 0])
 
 
@@ -98,7 +110,7 @@ def run_metrics(
     *,
     whole: bool = True,
     matched_all: bool = True,
-    recording: npt.NDArray[np.int64] | None = None,
+    recording: IntArray | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -132,8 +144,12 @@ def run_metrics(
     }
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     radius = model.radius if whole and matched_all and part is Part.ALL else None
-    metrics["radius"] = radius_table(radius, trajectories, None if known is None else known.truth, recording)
+    truth, frames = (None, None) if known is None else (known.truth, known.frames)
+    metrics["radius"] = radius_table(radius, trajectories, truth, recording, frames)
     if known is not None:
+        metrics["n_with_truth"] = len(known.truth)
+        if frames is not None:
+            trajectories = {name: trajectory[frames] for name, trajectory in trajectories.items()}
         metrics["errors"] = error_table(trajectories, known.truth)
         shown = known.regions.kinds != EvidenceKind.UNKNOWN
         if shown.any() and not shown.all():
@@ -167,7 +183,7 @@ def unfinished_metrics(model: PoseModel, part: Part, digest: str | None) -> dict
 def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     """The page's first lines."""
     lines = [
-        f"{name}: {metrics['n_answered']} frames answered, {metrics['split_note']}",
+        f"{name}: {counted(metrics['n_answered'], 'frame')} answered, {metrics['split_note']}",
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
@@ -184,13 +200,13 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
-    console.print(f"{metrics['n_answered']} frames, {metrics['n_unreliable']} not reliable{localized}{lost}")
+    console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for line in _said_of_budget(metrics):
-        console.print(line, soft_wrap=True)
+        say_line(line)
     for name, why in list(metrics["problems"].items())[:3]:
-        console.print(f"  {name}: {why}", soft_wrap=True)
+        say_line(f"  {name}: {why}")
     for line in _said_of_unknown(metrics):
-        console.print(line, soft_wrap=True)
+        say_line(line)
     if whole_space:
         say_strongly(
             "The region of a known place is the whole space in some target: too few calibration frames with the same "
@@ -199,12 +215,13 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
     if "errors" in metrics:
+        if metrics["n_with_truth"] < metrics["n_answered"]:
+            console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
-        console.print(
+        say_line(
             f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
-            f"({coverage['joint']}); {_abstained(coverage)}. " + coverage["assumption"],
-            soft_wrap=True,
+            f"({coverage['joint']}); {_abstained(coverage)}. {coverage['assumption']}"
         )
 
 
@@ -231,9 +248,8 @@ def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
     n, n_answered = metrics["n_unknown"], metrics["n_answered"]
     if not n:
         return []
-    frames = "frame" if n_answered == 1 else "frames"
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
-    said = [f"{n} of {n_answered} {frames} {shows} no place that is known: {their} region is the whole space"]
+    said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is the whole space"]
     rest = metrics.get("errors_known_places", {}).get(METHODS[0])
     if rest is not None:
         said.append(f"Without {it} the answer's RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
@@ -269,6 +285,6 @@ def _n_frames(model: PoseModel, part: Part) -> int | None:
 def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:
     if part is Part.ALL:
         return "all frames of the source (parts of the training data among them, if it is the same)."
-    n = _n_frames(model, part)
-    some = "" if n_answered == n else f"{n_answered} of {n} frames of "
+    n = len(model.split.part(str(part)))
+    some = "" if n_answered == n else f"{n_answered} of {counted(n, 'frame')} of "
     return f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.core.files import check_writable, write_whole
+from conformodal.core.files import write_whole
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.experiments import Engine, ExperimentError, LocalEngine, RayEngine, run_tasks
 from conformodal.experiments.table1 import (
@@ -28,11 +30,11 @@ from conformodal.experiments.table1 import (
     write_parquet,
 )
 from conformodal.odometry import Method, ResultsError, data_digest, provenance, read_metrics, write_metrics
-from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.report import table1_markdown, table1_notes, table1_sections, write_comparison
-from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, default_cache_dir
+from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
 
-from .console import console, kind_errors, print_where, progress_bars
+from .arguments import Cache, Data, DataLayout, cache_folder, results_folder
+from .console import kind_errors, print_where, progress_bars, say_line
 from .figures import FigureWriter
 from .sources import open_sequence
 from .train import check_fine_tuning, tuning_of
@@ -68,52 +70,46 @@ def reproduce() -> None:
     """The paper's results on a data set of your own."""
 
 
-Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
-Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
-Format = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
-MethodOption = Annotated[
+_Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
+_SystemsOption = Annotated[
     Systems, typer.Option(help="all; or paper: the paper's system and the regressors on its features alone.")
 ]
-Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
-Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
-Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
-FineTune = Annotated[str, typer.Option(help="Also train the networks: last blocks (a number), 'all', or 'none'.")]
-EngineOption = Annotated[EngineKind, typer.Option("--engine", help="This machine, or a Ray cluster (extra 'ray').")]
-Workers = Annotated[
+_Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
+_Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
+_FineTune = Annotated[str, typer.Option(help="Also train the networks: last blocks (a number), 'all', or 'none'.")]
+_EngineOption = Annotated[EngineKind, typer.Option("--engine", help="This machine, or a Ray cluster (extra 'ray').")]
+_Workers = Annotated[
     int | None,
     typer.Option(
         min=1,
         help="Trainings at a time on this machine; they share its cores. 1 by default, 2 with --method paper.",
     ),
 ]
-Address = Annotated[str | None, typer.Option(help="Of the Ray cluster; one on this machine alone by default.")]
+_Address = Annotated[str | None, typer.Option(help="Of the Ray cluster; one on this machine alone by default.")]
 
 
 @app.command()
 @kind_errors
 def table1(
     data: Data,
-    out: Out,
-    layout: Format = Layout.AUTO,
-    method: MethodOption = Systems.ALL,
+    out: _Out,
+    layout: DataLayout = Layout.AUTO,
+    method: _SystemsOption = Systems.ALL,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
     split: Annotated[SplitKind | None, typer.Option(help="One split only; by default interleaved and blocks.")] = None,
-    networks: Networks = _NETWORKS,
-    epochs: Epochs = _EPOCHS,
-    fine_tune: FineTune = "none",
+    networks: _Networks = _NETWORKS,
+    epochs: _Epochs = _EPOCHS,
+    fine_tune: _FineTune = "none",
     cache: Cache = None,
-    engine: EngineOption = EngineKind.LOCAL,
-    workers: Workers = None,
-    address: Address = None,
+    engine: _EngineOption = EngineKind.LOCAL,
+    workers: _Workers = None,
+    address: _Address = None,
 ) -> None:
     """Less data, other networks, noise: the paper's system, ours and every baseline. Writes OUT/table1.md and .html."""
     workers = workers or _workers(method)
-    where, cache_dir = _engine(engine, workers, address), cache or default_cache_dir()
+    where = _engine(engine, workers, address)
     rows = _rows(networks, fine_tune)
-    with claimed(out, "reproduce", apart=[data]):
-        check_no_stray(out, "reproduce")
-        check_writable(cache_dir)
-        sequence = open_sequence(data, layout, require_poses=True)
+    with _opened(data, layout, out, cache) as (sequence, features):
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
         settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
         settings |= {"method": method, "networks": networks, "fine_tune": fine_tune}
@@ -122,7 +118,8 @@ def table1(
         earlier = _earlier(out)
         before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
         started = time.perf_counter()
-        tasks, results = _work(sequence, out, rows, method, splits, seeds, epochs, fine_tune, cache_dir, where)
+        plan = _Plan(rows, method, splits, seeds, epochs, fine_tune)
+        tasks, results = plan.carry_out(sequence, out, features, where)
         records = tidy(rows, tasks, results)
         write_json(records, out / "table1.json")
         if find_spec("pyarrow"):  # an extra
@@ -137,7 +134,7 @@ def table1(
         write_metrics(out, record)
         write_comparison(out / "table1.html", title, notes, sections, record)
     for line in text.splitlines():
-        console.print(line, soft_wrap=True)
+        say_line(line)
     print_where(out)
 
 
@@ -145,27 +142,25 @@ def table1(
 @kind_errors
 def draw(
     data: Data,
-    out: Out,
-    layout: Format = Layout.AUTO,
-    method: MethodOption = Systems.ALL,
+    out: _Out,
+    layout: DataLayout = Layout.AUTO,
+    method: _SystemsOption = Systems.ALL,
     split: Annotated[SplitKind, typer.Option(help="Which split's runs to draw.")] = SplitKind.INTERLEAVED,
-    networks: Networks = _NETWORKS,
-    epochs: Epochs = _EPOCHS,
-    fine_tune: FineTune = "none",
+    networks: _Networks = _NETWORKS,
+    epochs: _Epochs = _EPOCHS,
+    fine_tune: _FineTune = "none",
     cache: Cache = None,
-    engine: EngineOption = EngineKind.LOCAL,
-    workers: Workers = None,
-    address: Address = None,
+    engine: _EngineOption = EngineKind.LOCAL,
+    workers: _Workers = None,
+    address: _Address = None,
 ) -> None:
     """The paper's figures from the runs of seed 0 under OUT, as SVG and PNG; what is not there yet is run first."""
-    where, cache_dir = _engine(engine, workers or _workers(method), address), cache or default_cache_dir()
+    where = _engine(engine, workers or _workers(method), address)
     rows = _rows(networks, fine_tune)
-    with claimed(out, "reproduce", apart=[data]):
-        check_no_stray(out, "reproduce")
-        check_writable(cache_dir)
-        sequence = open_sequence(data, layout, require_poses=True)
-        tasks, results = _work(sequence, out, rows, method, [split], 1, epochs, fine_tune, cache_dir, where)
-        figures, features = FigureWriter(sequence, out, split, rows), FeatureCache(cache_dir)
+    with _opened(data, layout, out, cache) as (sequence, features):
+        plan = _Plan(rows, method, [split], 1, epochs, fine_tune)
+        tasks, results = plan.carry_out(sequence, out, features, where)
+        figures = FigureWriter(sequence, out, split, rows)
         figures.flow()
         for system in method.methods:
             with progress_bars() as report:
@@ -175,23 +170,11 @@ def draw(
                 figures.steps(bins, features)
         if method is Systems.ALL:
             figures.sizes(_region_at(rows[1], tasks, results))
-        write_metrics(
-            out / "figures",
-            {
-                "command": "reproduce figures",
-                "provenance": provenance(),
-                "configuration": {
-                    "data": sequence.name,
-                    "method": method,
-                    "seed": 0,
-                    "split": split,
-                    "epochs": epochs,
-                    "networks": networks,
-                },
-                "figures": figures.written,
-            },
-        )
-    console.print(f"{len(figures.written)} figures: {', '.join(figures.written)}", soft_wrap=True)
+        settings = {"data": sequence.name, "method": method, "seed": 0, "split": split, "epochs": epochs}
+        record: dict[str, Any] = {"command": "reproduce figures", "provenance": provenance()}
+        record |= {"configuration": settings | {"networks": networks}, "figures": figures.written}
+        write_metrics(out / "figures", record)
+    say_line(f"{len(figures.written)} figures: {', '.join(figures.written)}")
     print_where(out / "figures")
 
 
@@ -210,23 +193,35 @@ def _earlier(out: Path) -> dict[str, Any]:
     return {}
 
 
-def _work(
-    sequence: Sequence,
-    out: Path,
-    rows: tuple[Row, ...],
-    systems: Systems,
-    splits: list[SplitKind],
-    seeds: int,
-    epochs: int,
-    fine_tune: str,
-    cache: Path,
-    engine: Engine,
-) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
-    tuning = tuning_of(fine_tune, FineTuning().epochs, 0)
-    tasks = tasks_of(rows, splits, list(range(seeds)), epochs, data_digest(sequence), tuning, systems.methods)
-    worker = Table1Worker(sequence, FeatureCache(cache), out / "runs")
-    with progress_bars() as report:
-        return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)
+@contextmanager
+def _opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterator[tuple[Sequence, FeatureCache]]:
+    """The data set and the cache of features, with the folder of results to oneself."""
+    with results_folder(out, "reproduce", apart=[data]):
+        features = FeatureCache(cache_folder(cache))
+        yield open_sequence(data, layout, require_poses=True), features
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is trained and answered: all rows, by all systems, on all splits and seeds."""
+
+    rows: tuple[Row, ...]
+    systems: Systems
+    splits: list[SplitKind]
+    seeds: int
+    epochs: int
+    fine_tune: str
+
+    def carry_out(
+        self, sequence: Sequence, out: Path, features: FeatureCache, engine: Engine
+    ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
+        """The tasks, and the result of each; those that have one already are not run again."""
+        tuning = tuning_of(self.fine_tune, FineTuning().epochs, 0)
+        seeds, digest = list(range(self.seeds)), data_digest(sequence)
+        tasks = tasks_of(self.rows, self.splits, seeds, self.epochs, digest, tuning, self.systems.methods)
+        worker = Table1Worker(sequence, features, out / "runs")
+        with progress_bars() as report:
+            return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)
 
 
 def _region_at(row: Row, tasks: list[TrainingTask], results: list[dict[str, Any]]) -> dict[str, Any]:

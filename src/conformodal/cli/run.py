@@ -35,25 +35,26 @@ from conformodal.odometry import (
     write_metrics,
     write_region_parquet,
 )
-from conformodal.odometry.results.folders import check_no_stray, claimed, result_digests
+from conformodal.odometry.results.folders import result_digests
 from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
+from .arguments import FollowOutside, SavedModel, results_folder
 from .console import StatusLine, kind_errors, print_where, said_strongly, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
 from .outcome import Known, Part, part_frames, run_metrics, say, summary, unfinished_metrics
-from .sources import FOLLOW_OUTSIDE, open_source
+from .sources import open_source
 from .watching import Watcher, watchers
 
-INTERRUPTED = "interrupted"
+_INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
 MATCH_EVERY_LIVE = 6
 
 
 @kind_errors
 def run(
-    model: Annotated[Path, typer.Argument(help="Folder of a saved model.")],
+    model: SavedModel,
     source: Annotated[
         str, typer.Argument(help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0.")
     ],
@@ -87,7 +88,7 @@ def run(
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    follow_outside: FollowOutside = False,
     save: Annotated[
         Path | None,
         typer.Option(help="Record: a file .rrd for Rerun (extra 'view'), or .mcap with ROS 2 messages (extra 'ros')."),
@@ -95,8 +96,7 @@ def run(
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
-    with claimed(out, "run", apart=[model, Path(source)]):
-        check_no_stray(out, "run")
+    with results_folder(out, "run", apart=[model, Path(source)]):
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
@@ -114,20 +114,20 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         watching = watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images)
-        how = StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
-        metrics, whole_space = stream_through(loaded, stream, out, how, watching)
+        how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
+        metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
         say_strongly(f"stopped early: {metrics['stopped']}")
     print_where(out)
-    if metrics["stopped"] == INTERRUPTED:
+    if metrics["stopped"] == _INTERRUPTED:
         raise typer.Exit(stop_code([metrics["signal"]]))
     if metrics["stopped"]:
         raise typer.Exit(BROKE_OFF)
 
 
 @dataclass(frozen=True)
-class StreamOptions:
+class _StreamOptions:
     """How a stream is run.
 
     Attributes
@@ -148,25 +148,23 @@ class StreamOptions:
 
 @dataclass(eq=False)
 class _Shown:
-    """What people see of a stream while it runs and afterwards."""
+    """What is shown of a stream: live views while it runs, pictures for the page afterwards."""
 
     watching: tuple[Watcher, ...]
-    truth: Trajectory | None
     pictures: Thumbnails = field(default_factory=Thumbnails)
     whole_space: bool = False
 
-    def take(self, frame: Frame, estimate: Estimate) -> None:
+    def take(self, frame: Frame, estimate: Estimate, truth: Trajectory | None) -> None:
         if estimate.region is not None and frame.image is not None:
             self.pictures.add(frame.name, frame.image)
             for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
             self.whole_space = self.whole_space or bool(for_want)
-        truth = None if self.truth is None else self.truth[frame.index : frame.index + 1]
         for watcher in self.watching:
             watcher.log(frame, estimate, truth)
 
 
-def stream_through(
-    model: PoseModel, stream: FrameStream, out: Path, how: StreamOptions, watching: tuple[Watcher, ...] = ()
+def _stream_through(
+    model: PoseModel, stream: FrameStream, out: Path, how: _StreamOptions, watching: tuple[Watcher, ...]
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
@@ -178,7 +176,7 @@ def stream_through(
         If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
-    shown = _Shown(watching, None if sequence is None else sequence.truth)
+    shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
     # a budget leaves out what there is no time for
     seldom = MATCH_EVERY_LIVE if lossy and how.budget_ms is None else 1
@@ -191,20 +189,21 @@ def stream_through(
         said_strongly(BudgetWarning),
     ):
         write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
-        runner = StreamRunner(odometry, writer, truth=shown.truth)
+        truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
+        runner = StreamRunner(odometry, writer, truth=truth, posed=posed)
         stopped, limited = _push_all(runner, stream, shown, how, stop)
         runner.finish()
         seconds = time.perf_counter() - started
         _check_answered(runner, stream.name, stopped)
         counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
-        counts |= {"signal": stop[0]} if stopped == INTERRUPTED else {}
+        counts |= {"signal": stop[0]} if stopped == _INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
         metrics = _write_results(model, runner, shown, how.part, counts, stream.name, whole=whole)
     return metrics, shown.whole_space
 
 
 def _push_all(
-    runner: StreamRunner, stream: FrameStream, shown: _Shown, how: StreamOptions, stop: list[int]
+    runner: StreamRunner, stream: FrameStream, shown: _Shown, how: _StreamOptions, stop: list[int]
 ) -> tuple[str, bool]:
     """Why the stream was stopped, if it was, and whether the limit ended it."""
     try:
@@ -212,10 +211,10 @@ def _push_all(
             for number, frame in enumerate(prefetch(stream, pace=how.pace), start=1):
                 estimate = runner.push(frame)
                 if estimate is not None:
-                    shown.take(frame, estimate)
+                    shown.take(frame, estimate, runner.true_pose(frame))
                     status.update(number, estimate)
                 if stop or number == how.limit:
-                    return INTERRUPTED if stop else "", number == how.limit
+                    return _INTERRUPTED if stop else "", number == how.limit
     except SourceError as exc:
         return str(exc), False
     finally:
@@ -236,8 +235,8 @@ def _write_results(
 ) -> dict[str, Any]:
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None
-    if shown.truth is not None:
-        known = Known(shown.truth[np.array(runner.answered)], runner.statistics)
+    if runner.truth is not None:
+        known = Known(runner.truth, runner.statistics, np.array(runner.known))
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     metrics = run_metrics(

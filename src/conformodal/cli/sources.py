@@ -7,27 +7,28 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams import BagStream, FrameStream, SequenceStream, open_stream
 from conformodal.poses import PinholeCamera
 
-from .console import console
+from .console import say_line
 from .options import OptionError
 
 _MOST_REMARKS = 5
 FOLLOW_OUTSIDE = "Follow names of images that lead out of the data set's folder: absolute, by '..', or through links."
 
 
-def say_remarks(sequence: Sequence) -> None:
+def _say_remarks(sequence: Sequence) -> None:
     """Name what the reader left out, or found unlikely."""
     counts: dict[str, int] = {}
     for what, where in sequence.remarks:
         counts[what] = counts.get(what, 0) + 1
         if counts[what] <= _MOST_REMARKS:
-            console.print(f"{what}: {where}", soft_wrap=True, markup=False)
+            say_line(f"{what}: {where}")
     for what, count in counts.items():
         if count > _MOST_REMARKS:
-            console.print(f"{what}: {count - _MOST_REMARKS} more", soft_wrap=True, markup=False)
+            say_line(f"{what}: {count - _MOST_REMARKS} more")
 
 
 @contextmanager
@@ -50,11 +51,11 @@ def open_sequence(
     """
     if layout is Layout.AUTO:
         layout = recognise(path)
-        console.print(f"{path}: {layout} layout", soft_wrap=True, markup=False)
+        say_line(f"{path}: {layout} layout")
     with _said_elsewhere():
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
     if remarks:
-        say_remarks(sequence)
+        _say_remarks(sequence)
     return sequence
 
 
@@ -87,10 +88,10 @@ def open_source(
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
-        console.print(f"{source}: {kind} layout, {len(stream.sequence)} frames {poses}", soft_wrap=True, markup=False)
-        say_remarks(stream.sequence)
+        say_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
+        _say_remarks(stream.sequence)
     else:
-        count = "" if stream.n_frames is None else f", {stream.n_frames} frames"
+        count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
-        console.print(f"{stream.name}: {kind_of_stream}{count}", soft_wrap=True, markup=False)
+        say_line(f"{stream.name}: {kind_of_stream}{count}")
     return stream

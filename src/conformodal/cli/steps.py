@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.datasets import Sequence
 from conformodal.experiments.table1 import Softmaxes
 from conformodal.localization import pose_targets
@@ -12,7 +13,7 @@ from conformodal.motion import CornerTracker, grey_image
 from conformodal.report.overview import SoftmaxOfTarget, Steps
 from conformodal.report.stored import StoredRun
 
-_MOST_CUBOIDS = 30  # that an eye can tell apart
+MOST_CUBOIDS = 30  # that an eye can tell apart
 _FLOW_OVER = 5  # frames
 _POSITION = "xyz"
 
@@ -28,7 +29,7 @@ def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
     cuboids = counts.prod(axis=1)
     earlier = np.maximum(said.frames - _FLOW_OVER, 0)
     moved = (earlier < said.frames) & (sequence.recording[earlier] == sequence.recording[said.frames])
-    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= _MOST_CUBOIDS) & moved
+    fits = said.regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= MOST_CUBOIDS) & moved
     frame = int(np.argmax(np.where(fits, counts.max(axis=1), -cuboids)))
     shown = int(np.argmax(counts[frame]))
     intervals, edges = said.regions.intervals(frame), said.model.bins.edges_
@@ -43,18 +44,14 @@ def steps_of(said: Softmaxes, run: StoredRun, sequence: Sequence) -> Steps:
     return Steps(image, softmaxes, shown, (before, now), *positions, frame)
 
 
-def training_values(
-    said: Softmaxes, sequence: Sequence, target: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def training_values(said: Softmaxes, sequence: Sequence, target: int) -> tuple[FloatArray, FloatArray]:
     """Times (n,), seconds since the first, and a position's component (n,) of the training frames."""
     train = said.model.split.train
     times = sequence.timestamps_s[train]
     return times - times[0], sequence.require_truth().positions_xyz[train, target]
 
 
-def flow_to(
-    sequence: Sequence, last: int
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def flow_to(sequence: Sequence, last: int) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
     """A frame's image, and corners (m, 2) followed into it: in the frame some frames earlier, and in this one.
 
     At the beginning of a recording they are followed through the frames that there are.

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from conformodal.core import StageProgress
-from conformodal.core.files import check_writable
+from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization import LandmarkSource
 from conformodal.networks import NETWORKS, TorchBackbone, find_network
@@ -28,17 +28,16 @@ from conformodal.odometry import (
     train_model,
     write_metrics,
 )
-from conformodal.odometry.results.folders import check_no_stray, claimed
 from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
     FineTuning,
     TrainingConfig,
     VisionError,
-    default_cache_dir,
 )
 
-from .console import console, kind_errors, print_where, progress_bars, say_strongly
+from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder, results_folder
+from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
 from .model_notes import (
     distances,
     said_of_calibration,
@@ -47,7 +46,7 @@ from .model_notes import (
     said_of_whole_space,
 )
 from .options import was_given
-from .sources import FOLLOW_OUTSIDE, open_sequence
+from .sources import open_sequence
 
 _DEFAULT = ModelConfig()
 _DIGITS = 9
@@ -60,9 +59,9 @@ _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 @kind_errors
 def train(
     context: typer.Context,
-    data: Annotated[Path, typer.Argument(help="Data set: images with poses.")],
+    data: Data,
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
+    layout: DataLayout = Layout.AUTO,
     method: Annotated[
         Method,
         typer.Option(
@@ -136,8 +135,8 @@ def train(
         Runtime, typer.Option(help="What runs the network: onnx, int8 (smaller, less exact), or torch.")
     ] = _DEFAULT.runtime,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")] = None,
+    follow_outside: FollowOutside = False,
+    cache: Cache = None,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
     settings: dict[str, Any] = {
@@ -168,10 +167,8 @@ def train(
     else:
         config = ModelConfig(**settings)
     check_fine_tuning(network, config.fine_tuning)
-    cache_dir = cache or default_cache_dir()
-    with claimed(out, "train", apart=[data]):
-        check_no_stray(out, "train")
-        check_writable(cache_dir)
+    with results_folder(out, "train", apart=[data]):
+        cache_dir = cache_folder(cache)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
             train_on(sequence, config, out, cache_dir=cache_dir, report=report)
@@ -234,15 +231,15 @@ def train_on(
     }
     write_metrics(out, metrics)
     console.print(
-        f"{sequence.name}: {parts['train']} frames for training, {parts['calibration']} for calibration, "
+        f"{sequence.name}: {counted(parts['train'], 'frame')} for training, {parts['calibration']} for calibration, "
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
-    console.print(said_of_distances(split, sequence.recording), soft_wrap=True)
+    say_line(said_of_distances(split, sequence.recording))
     if LandmarkSource.name in config.sources:
         console.print(said_of_landmarks(model.landmarks, model.camera))
     used = np.concatenate((split.train, split.calibration))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
-        console.print(line, soft_wrap=True)
+        say_line(line)
     for line in said_of_whole_space(model, config):
         say_strongly(line)
     return model

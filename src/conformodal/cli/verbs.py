@@ -1,4 +1,4 @@
-"""The verbs, each imported when it is asked for: help, versions and mistakes are answered at once."""
+"""The verbs, each imported when it is run: ``--help``, ``--version`` and wrong options import nothing heavy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from conformodal.core import MissingPackageError, needing
 from .failures import explained
 
 
-class Verb(NamedTuple):
+class _Verb(NamedTuple):
     """Where a verb is, its line in the list of verbs, and the extra that installs what it needs."""
 
     place: str
@@ -23,43 +23,43 @@ class Verb(NamedTuple):
 
 
 VERBS = {
-    "demo": Verb(
+    "demo": _Verb(
         "demo:demo",
         "Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion.",
         "train",
     ),
-    "train": Verb("train:train", "Train on a data set with poses, calibrate, and save the model.", "train"),
-    "export": Verb(
+    "train": _Verb("train:train", "Train on a data set with poses, calibrate, and save the model.", "train"),
+    "export": _Verb(
         "export:export",
         "Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file.",
         "train",
     ),
-    "calibrate": Verb(
+    "calibrate": _Verb(
         "calibrate:calibrate", "Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."
     ),
-    "run": Verb(
+    "run": _Verb(
         "run:run",
         "Find regions and the trajectory of a source with a saved model, frame by frame. "
         "Ctrl-C stops it, results kept.",
     ),
-    "evaluate": Verb(
+    "evaluate": _Verb(
         "evaluate:evaluate",
         "Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json.",
     ),
-    "view": Verb("view:view", "Open the page of results."),
-    "info": Verb(
+    "view": _Verb("view:view", "Open the page of results."),
+    "info": _Verb(
         "info:info",
         "Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here.",
     ),
-    "data": Verb("data:app", "Look at a data set, or convert it."),
-    "reproduce": Verb("reproduce:app", "The paper's results on a data set of your own.", "train"),
+    "data": _Verb("data:app", "Look at a data set, or convert it."),
+    "reproduce": _Verb("reproduce:app", "The paper's results on a data set of your own.", "train"),
 }
 
 
 class _Late(TyperCommand):
     """A verb that is imported when its arguments are read."""
 
-    def __init__(self, name: str, verb: Verb) -> None:
+    def __init__(self, name: str, verb: _Verb) -> None:
         super().__init__(name, help=verb.help)
         self._verb = verb
 

@@ -10,7 +10,7 @@ import typer
 
 from conformodal.odometry import ResultsError
 
-from .console import console, kind_errors
+from .console import console, kind_errors, say_line
 
 _PAGES = ("report.html", "table1.html")
 
@@ -24,7 +24,7 @@ def view(
     page = page_of(results)
     if browser and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser was found here; open this file in one:")
-    console.print(str(page.resolve()), soft_wrap=True, markup=False)
+    say_line(str(page.resolve()))
 
 
 def page_of(results: Path) -> Path:

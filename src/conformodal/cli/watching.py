@@ -1,4 +1,4 @@
-"""Who watches a run: Rerun in a window or as a recording, and recordings of ROS messages."""
+"""Live views and recordings of a run: Rerun in a window or as a file, and files of ROS messages."""
 
 from __future__ import annotations
 
@@ -15,21 +15,19 @@ from .options import ROS_SUFFIX
 
 
 class Watcher(Protocol):
-    """Is shown every frame, and what was made of it."""
+    """Receives every frame with its estimate."""
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
         """Take a frame; `truth` is a trajectory of one, or None."""
         ...
 
     def close(self) -> None:
-        """Everything is written afterwards."""
+        """Finish writing."""
         ...
 
 
-def watchers(
-    name: str, alpha: object, *, view: bool = False, save: Path | None = None, images: bool = False
-) -> tuple[Watcher, ...]:
-    """Those that a run was asked for.
+def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images: bool) -> tuple[Watcher, ...]:
+    """The views and recordings that the options of a run ask for.
 
     Parameters
     ----------

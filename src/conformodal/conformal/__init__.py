@@ -1,4 +1,6 @@
-"""Regression sets that may fall apart: bins, scores, calibration, regions, diagnostics, a scikit-learn estimator.
+"""Conformal regression over bins, whose prediction sets may be several disjoint intervals.
+
+Holds bins, scores, calibration, regions, diagnostics and a scikit-learn estimator.
 
 Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 """

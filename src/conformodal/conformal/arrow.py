@@ -1,4 +1,4 @@
-"""Regions as Arrow tables and Parquet files (the optional extra ``arrow``).
+"""Regions as Arrow tables (the optional extra ``arrow``).
 
 One row a sample; one column ``target_J`` a target, ``list<fixed_size_list<double>[2]>``: the sorted, disjoint
 intervals, ``[-inf, inf]`` for the whole space, an empty list for an empty set. The schema's metadata holds the edges,
@@ -8,18 +8,16 @@ key ``conformodal.edges``, as JSON.
 from __future__ import annotations
 
 import json
-import os
-from os import PathLike
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
 from .checks import as_doubles
 from .errors import ConformalError
-from .regions import Regions
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -34,23 +32,22 @@ def _need_pyarrow() -> None:
         raise ConformalError("Arrow and Parquet need pyarrow: pip install 'conformodal[arrow]'") from None
 
 
-def regions_to_arrow(regions: Regions) -> pa.Table:
-    """Arrow table of `regions`; the columns are in the module's description."""
+def to_table(bins: QuantileBins, intervals: Sequence[tuple[IntArray, FloatArray]]) -> pa.Table:
+    """Arrow table of each target's offsets (n + 1,) and ends (m, 2); the columns are in the module's description."""
     _need_pyarrow()
     import pyarrow as pa  # noqa: PLC0415
 
     columns = []
-    for j in range(regions.bins.n_targets):
-        offsets, ends = regions.flat_intervals(j)
+    for offsets, ends in intervals:
         pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
         columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
-    edges = json.dumps([e.tolist() for e in regions.bins.edges_])
+    edges = json.dumps([e.tolist() for e in bins.edges_])
     names = [f"target_{j}" for j in range(len(columns))]
     return pa.table(columns, names=names).replace_schema_metadata({_EDGES: edges.encode()})
 
 
-def regions_from_arrow(table: pa.Table) -> Regions:
-    """Regions from a table made by :func:`regions_to_arrow`.
+def from_table(table: pa.Table) -> tuple[QuantileBins, list[BoolArray], BoolArray]:
+    """Bins, masks and unbounded flags of a table that :func:`to_table` made.
 
     Raises
     ------
@@ -87,10 +84,10 @@ def regions_from_arrow(table: pa.Table) -> Regions:
         np.add.at(steps, (rows[~whole], at[:, 0]), 1)
         np.add.at(steps, (rows[~whole], at[:, 1]), -1)
         masks.append(steps.cumsum(axis=1)[:, :-1] > 0)
-    return Regions(bins, masks, unbounded)
+    return bins, masks, unbounded
 
 
-def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[IntArray, FloatArray]:
     """Intervals a row (n,), and the ends of all (m, 2)."""
     import pyarrow as pa  # noqa: PLC0415
 
@@ -106,45 +103,3 @@ def _ends(chunks: pa.ChunkedArray, name: str) -> tuple[npt.NDArray[np.int64], np
         return counts.astype(np.int64), as_doubles(numbers, f"column {name!r}").reshape(-1, 2)
     except (pa.ArrowException, AttributeError, TypeError):
         raise ConformalError(f"column {name!r} must hold lists of pairs of numbers, got {chunks.type}") from None
-
-
-def write_regions(regions: Regions, path: str | PathLike[str]) -> None:
-    """Write `regions` as a Parquet file; a file that is there already stays whole until the new one is.
-
-    Raises
-    ------
-    ConformalError
-        If the file cannot be written.
-    """
-    _need_pyarrow()
-    from pyarrow import parquet  # noqa: PLC0415
-
-    part = Path(path).with_name(f"{Path(path).name}.{os.getpid()}.part")
-    try:
-        parquet.write_table(regions_to_arrow(regions), part)
-        part.replace(path)
-    except OSError as exc:
-        part.unlink(missing_ok=True)
-        raise ConformalError(f"{path} cannot be written: {exc}") from None
-
-
-def read_regions(path: str | PathLike[str]) -> Regions:
-    """Read regions from a Parquet file that :func:`write_regions` wrote.
-
-    Raises
-    ------
-    ConformalError
-        If the file is missing, is no Parquet file, or holds something else.
-    """
-    _need_pyarrow()
-    import pyarrow as pa  # noqa: PLC0415
-    from pyarrow import parquet  # noqa: PLC0415
-
-    try:
-        table = parquet.read_table(Path(path))
-    except (OSError, pa.ArrowException) as exc:
-        raise ConformalError(f"{path} cannot be read as a Parquet file: {exc}") from None
-    try:
-        return regions_from_arrow(table)
-    except ConformalError as exc:
-        raise ConformalError(f"{path}: {exc}") from None

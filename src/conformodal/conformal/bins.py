@@ -8,6 +8,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
+
 from .blocks import for_blocks
 from .checks import as_doubles, as_targets
 from .errors import ConformalError, NotCalibratedError
@@ -16,10 +18,10 @@ from .scalars import as_count, as_number
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
 _CONSTANT_HALF_WIDTH = 1e-6
 _TABLE_CELLS = 16_384
-# of a Gaussian over bin numbers; a narrower one is one-hot, and its exponents would overflow
+# least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
 # bins of a target; probabilities of a thousand samples over as many take 0.8 GB
-MOST_BINS = 100_000
+_MOST_BINS = 100_000
 
 
 class QuantileBins:
@@ -42,12 +44,21 @@ class QuantileBins:
     Attributes
     ----------
     edges_ : list of d arrays (K_d + 1,), strictly increasing, in the target's own unit
+
+    Examples
+    --------
+    >>> from conformodal.conformal import QuantileBins
+    >>> bins = QuantileBins(n_bins=2).fit([0.0, 0.1, 0.2, 5.0, 9.0])
+    >>> bins.edges_[0]  # narrow where values are dense
+    array([0. , 0.2, 9. ])
+    >>> bins.encode([0.15, 7.0, 10.0])[:, 0]  # -1 lies outside
+    array([ 0,  1, -1])
     """
 
-    edges_: list[npt.NDArray[np.float64]]
+    edges_: list[FloatArray]
 
     def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
-        self.n_bins = as_count(n_bins, "n_bins", 1, MOST_BINS)
+        self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
@@ -95,7 +106,7 @@ class QuantileBins:
         bins.edges_ = arrays
         return bins
 
-    def _edges(self) -> list[npt.NDArray[np.float64]]:
+    def _edges(self) -> list[FloatArray]:
         if not hasattr(self, "edges_"):
             raise NotCalibratedError("QuantileBins has no edges yet: call fit(y) or from_edges(edges) first")
         return self.edges_
@@ -111,12 +122,12 @@ class QuantileBins:
         return [e.size - 1 for e in self._edges()]
 
     @property
-    def widths(self) -> list[npt.NDArray[np.float64]]:
+    def widths(self) -> list[FloatArray]:
         """Width of every bin, one (K_d,) array a target."""
         return [np.diff(e) for e in self._edges()]
 
     @property
-    def centers(self) -> list[npt.NDArray[np.float64]]:
+    def centers(self) -> list[FloatArray]:
         """Middle of every bin, one (K_d,) array a target."""
         return [(e[1:] + e[:-1]) / 2 for e in self._edges()]
 
@@ -128,11 +139,11 @@ class QuantileBins:
         ConformalError
             If `cells` is below 1 or too many, or a bin is too narrow to be cut.
         """
-        cells = as_count(cells, "cells", 1, max(1, MOST_BINS // max(self.sizes)))
+        cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         return QuantileBins.from_edges(fine) if cells > 1 else self
 
-    def encode(self, y: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    def encode(self, y: npt.ArrayLike) -> IntArray:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges.
 
         Raises
@@ -152,11 +163,11 @@ class QuantileBins:
         for_blocks(arr.shape[0], fill)
         return codes
 
-    def finders(self, n_values: int) -> list[Callable[[npt.NDArray[np.float64]], npt.NDArray[np.int64]]]:
+    def finders(self, n_values: int) -> list[Callable[[FloatArray], IntArray]]:
         """One function a target from finite values (n,) to codes (n,), fast where `n_values` will be asked for."""
         return [_finder(e, n_values) for e in self._edges()]
 
-    def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[npt.NDArray[np.float64]]:
+    def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[FloatArray]:
         """Order-aware class targets: a Gaussian over bin numbers around where `y` lies, parts of a bin included.
 
         Plain one-hot targets make a classifier invent modes, because to it bin 7 is as far from bin 8 as from
@@ -189,7 +200,7 @@ class QuantileBins:
         return soft
 
 
-def _check_edges(edges: npt.NDArray[np.float64], what: str) -> None:
+def _check_edges(edges: FloatArray, what: str) -> None:
     if edges.ndim != 1 or edges.size < 2:
         raise ConformalError(f"{what}: must be a vector of at least two, got shape {edges.shape}")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -204,14 +215,14 @@ def _check_edges(edges: npt.NDArray[np.float64], what: str) -> None:
         raise ConformalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
 
 
-def _finder(edges: npt.NDArray[np.float64], n_values: int) -> Callable[..., npt.NDArray[np.int64]]:
+def _finder(edges: FloatArray, n_values: int) -> Callable[..., IntArray]:
     """Codes by ``np.searchsorted``; for many values by a table that is several times faster.
 
     The table over equal cells of the range answers for cells that no edge is in or next to; the others are searched.
     """
     low, high, last = edges[0], edges[-1], edges.size - 2
 
-    def searched(values: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    def searched(values: FloatArray) -> IntArray:
         codes = np.searchsorted(edges, values, side="right") - 1
         codes[values == high] = last
         codes[codes > last] = -1
@@ -226,7 +237,7 @@ def _finder(edges: npt.NDArray[np.float64], n_values: int) -> Callable[..., npt.
     # cell c, borders c + 1 and c + 2, is sure if no edge lies between borders c and c + 3
     table = np.where(first[:-3] == then[3:], then[:-3] - 1, -2)
 
-    def looked_up(values: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    def looked_up(values: FloatArray) -> IntArray:
         place = values - low
         place *= per_unit
         np.clip(place, 0, _TABLE_CELLS - 1, out=place)
@@ -238,7 +249,7 @@ def _finder(edges: npt.NDArray[np.float64], n_values: int) -> Callable[..., npt.
     return looked_up
 
 
-def _place(quantiles: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:
     """Strictly increasing edges at `quantiles`; a value on which several of them fall gets a bin around itself."""
     edges, counts = np.unique(quantiles, return_counts=True)
     if edges.size == 1:

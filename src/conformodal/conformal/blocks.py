@@ -6,13 +6,13 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-BLOCK_ROWS = 4096
+_BLOCK_ROWS = 4096
 _ROWS_WORTH_THREADS = 1 << 16
 
 
 def blocks(n: int) -> Iterator[slice]:
-    """Slices of at most ``BLOCK_ROWS`` rows that cover n rows."""
-    return (slice(start, min(start + BLOCK_ROWS, n)) for start in range(0, n, BLOCK_ROWS))
+    """Slices of at most ``_BLOCK_ROWS`` rows that cover n rows."""
+    return (slice(start, min(start + _BLOCK_ROWS, n)) for start in range(0, n, _BLOCK_ROWS))
 
 
 def for_blocks(n: int, work: Callable[[slice], None]) -> None:

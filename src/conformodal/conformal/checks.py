@@ -14,12 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
+from conformodal.core import BoolArray, FloatArray, RealArray
+from conformodal.core.words import counted
+
 from .blocks import for_blocks
 from .errors import ConformalError
 from .scalars import Alpha, as_alpha, brief
 
 Probabilities: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
-FloatArray: TypeAlias = npt.NDArray[np.floating[Any]]
 
 __all__ = [
     "Alpha",
@@ -29,7 +31,6 @@ __all__ = [
     "as_doubles",
     "as_finite",
     "as_flags",
-    "as_probabilities",
     "as_reals",
     "as_scores",
     "as_table",
@@ -39,7 +40,7 @@ __all__ = [
 ]
 
 # float16 softmax rows of a few hundred classes sum to one within about this
-ROW_SUM_TOLERANCE = 5e-3
+_ROW_SUM_TOLERANCE = 5e-3
 _DEEPEST_LIST = 4
 
 
@@ -79,7 +80,7 @@ def _refuse_masked(values: Any, name: str, depth: int = 0) -> None:
                 _refuse_masked(value, name, depth + 1)
 
 
-def as_reals(values: Any, name: str) -> FloatArray:
+def as_reals(values: Any, name: str) -> RealArray:
     """Return any array-like of real numbers as a float32 or float64 array of native byte order.
 
     What is float32 or float64 already is not copied. float16 becomes float32, which holds all its numbers; whole
@@ -99,13 +100,13 @@ def as_reals(values: Any, name: str) -> FloatArray:
         raise ConformalError(f"{name} must be numeric, of real numbers, got dtype {arr.dtype}")
     short = arr.dtype.kind == "f" and arr.dtype.itemsize <= 4
     with np.errstate(over="ignore"):
-        found: FloatArray = arr.astype(np.float32, copy=False) if short else arr.astype(np.float64, copy=False)
+        found: RealArray = arr.astype(np.float32, copy=False) if short else arr.astype(np.float64, copy=False)
     if arr.dtype.itemsize > 8 and not np.array_equal(np.isinf(found), np.isinf(arr)):
         raise ConformalError(f"{name} holds a number too large for float64, dtype {arr.dtype}")
     return found
 
 
-def _from_objects(arr: npt.NDArray[Any], name: str) -> npt.NDArray[np.float64]:
+def _from_objects(arr: npt.NDArray[Any], name: str) -> FloatArray:
     found = np.empty(arr.shape)
     for at, value in np.ndenumerate(arr):
         place = f" at position {list(at)}" if at else ""
@@ -119,12 +120,12 @@ def _from_objects(arr: npt.NDArray[Any], name: str) -> npt.NDArray[np.float64]:
     return found
 
 
-def as_doubles(values: Any, name: str) -> npt.NDArray[np.float64]:
+def as_doubles(values: Any, name: str) -> FloatArray:
     """:func:`as_reals` in float64."""
     return as_reals(values, name).astype(np.float64, copy=False)
 
 
-def as_finite(values: Any, name: str, shape: str) -> npt.NDArray[np.float64]:
+def as_finite(values: Any, name: str, shape: str) -> FloatArray:
     """Return finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters.
 
     Raises
@@ -141,7 +142,7 @@ def as_finite(values: Any, name: str, shape: str) -> npt.NDArray[np.float64]:
     return arr
 
 
-def as_scores(values: Any, name: str = "scores") -> FloatArray:
+def as_scores(values: Any, name: str = "scores") -> RealArray:
     """Return scores in float32 or float64: anything but NaN, infinities included.
 
     Raises
@@ -155,7 +156,7 @@ def as_scores(values: Any, name: str = "scores") -> FloatArray:
     return arr
 
 
-def as_flags(values: Any, name: str, ndim: int) -> npt.NDArray[np.bool_]:
+def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
     """Return booleans with `ndim` axes, not copied if they are an array already.
 
     Raises
@@ -169,7 +170,7 @@ def as_flags(values: Any, name: str, ndim: int) -> npt.NDArray[np.bool_]:
     return arr
 
 
-def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) -> npt.NDArray[np.float64]:
+def as_targets(y: npt.ArrayLike, n_targets: int | None = None) -> FloatArray:
     """Return `y` as a finite ``(n, d)`` float64 array; a vector is one target.
 
     Raises
@@ -178,22 +179,24 @@ def as_targets(y: npt.ArrayLike, name: str = "y", n_targets: int | None = None) 
         On another shape, another number of targets than `n_targets`, values that are not finite, or what
         :func:`as_reals` refuses.
     """
-    given = as_doubles(y, name)
+    given = as_doubles(y, "y")
     arr = given[:, None] if given.ndim == 1 else given
     if arr.ndim != 2 or arr.shape[1] == 0:
-        raise ConformalError(f"{name} must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
+        raise ConformalError(f"y must have shape (n,) or (n, d) with d >= 1, got {given.shape}")
     if n_targets is not None and arr.shape[1] != n_targets:
-        raise ConformalError(f"{name} has {arr.shape[1]} target(s), shape {given.shape}; expected {n_targets}")
+        raise ConformalError(f"y has {counted(arr.shape[1], 'target')}, shape {given.shape}; expected {n_targets}")
     if not np.isfinite(arr).all():
         row, col = np.argwhere(~np.isfinite(arr))[0]
-        raise ConformalError(f"{name} must be finite, found {arr[row, col]} in row {row}, target {col}")
+        raise ConformalError(f"y must be finite, found {arr[row, col]} in row {row}, target {col}")
     return arr
 
 
-def as_probabilities(
+def as_table(
     proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
-) -> list[FloatArray]:
-    """Return one checked ``(n, K_j)`` array per target, without copying what is already an array.
+) -> tuple[list[RealArray], RealArray | None]:
+    """Return one checked ``(n, K_j)`` array per target, and all as one ``(n, d, K)`` array if they came as one.
+
+    What is already an array is not copied.
 
     Parameters
     ----------
@@ -213,15 +216,8 @@ def as_probabilities(
         On a shape that does not fit the bins, NaN, negative values, rows that do not sum to one, or what
         :func:`as_reals` refuses.
     """
-    return as_table(proba, n_bins, name, check)[0]
-
-
-def as_table(
-    proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
-) -> tuple[list[FloatArray], FloatArray | None]:
-    """:func:`as_probabilities`, and all targets as one ``(n, d, K)`` array if they came as one."""
     d = len(n_bins)
-    whole: FloatArray | None = None
+    whole: RealArray | None = None
     if isinstance(proba, (list, tuple)) and _one_a_target(proba, n_bins):
         parts = [as_reals(part, f"{name} of target {j}") for j, part in enumerate(proba)]
     else:
@@ -281,7 +277,7 @@ def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
     # einsum reads memory at full speed where sum(axis=-1) does not; infinities end up in off as well
     sums = np.einsum("...k->...", block)
     off = np.abs(sums - 1).max(axis=tuple(range(1, sums.ndim)))
-    if not (off <= ROW_SUM_TOLERANCE).all():
-        row = int(np.argmax(~(off <= ROW_SUM_TOLERANCE)))
+    if not (off <= _ROW_SUM_TOLERANCE).all():
+        row = int(np.argmax(~(off <= _ROW_SUM_TOLERANCE)))
         total = sums[row].flat[np.abs(sums[row] - 1).argmax()]
         raise ConformalError(f"{name} must sum to 1 in every row; row {first_row + row} sums to {total:.6g}")

@@ -8,7 +8,17 @@ __all__ = ["ConformalError", "ConformalTypeError", "ConformodalError", "NotCalib
 
 
 class ConformalError(ConformodalError):
-    """Raised by :mod:`conformodal.conformal`: probabilities, targets, alpha or bins that cannot be used."""
+    """Raised by :mod:`conformodal.conformal`: probabilities, targets, alpha or bins that cannot be used.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import ConformalError, conformal_rank
+    >>> try:
+    ...     conformal_rank(99, alpha=1.5)
+    ... except ConformalError as error:
+    ...     print(error)
+    alpha must lie strictly between 0 and 1 (a miscoverage rate), got 1.5; did you mean 0.015?
+    """
 
 
 class ConformalTypeError(ConformalError, TypeError):
@@ -16,8 +26,25 @@ class ConformalTypeError(ConformalError, TypeError):
 
 
 class NotCalibratedError(ConformalError):
-    """A prediction was asked of a calibrator (or bins) that has not been fitted yet."""
+    """A prediction was asked of a calibrator (or bins) that has not been fitted yet.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import NotCalibratedError, QuantileBins, SplitConformal
+    >>> try:
+    ...     SplitConformal(QuantileBins.from_edges([[0, 1]])).predict([[1.0]])
+    ... except NotCalibratedError as error:
+    ...     print(error)
+    SplitConformal is not calibrated yet: call calibrate(proba, y) first
+    """
 
 
 class SlowFitWarning(UserWarning):
-    """A fit that will take more than ten seconds; says about how many, and what is quicker."""
+    """A fit that will take more than ten seconds; says about how many, and what is quicker.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from conformodal.conformal import SlowFitWarning
+    >>> warnings.simplefilter("ignore", SlowFitWarning)  # for who knows and waits
+    """

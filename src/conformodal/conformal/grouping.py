@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import IntArray
+
 from .checks import as_array
 from .errors import ConformalError
 from .scalars import brief
@@ -67,7 +69,7 @@ def as_label(label: Any) -> Hashable:
         label = label.item()
     if isinstance(label, tuple):
         label = tuple(as_label(part) for part in label)
-    if is_missing(label):
+    if _is_missing(label):
         raise ConformalError(f"not hold NaN or another missing label, found {brief(label)}")
     try:
         hash(label)
@@ -76,7 +78,7 @@ def as_label(label: Any) -> Hashable:
     return label  # type: ignore[no-any-return]
 
 
-def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], npt.NDArray[np.int64]]:
+def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
     """Distinct labels, and for each sample (n,) the place of its own; in order, or as they come where none is."""
     if labels.dtype.kind != "O":
         values, codes = np.unique(labels, return_inverse=True)
@@ -93,7 +95,7 @@ def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], npt.NDArray[np.
     return [keys[i] for i in order], rank[codes]
 
 
-def is_missing(label: Any) -> bool:
+def _is_missing(label: Any) -> bool:
     """Whether a label stands for no label."""
     if label is None or label is np.ma.masked:
         return True

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
+
 from .checks import as_array, as_doubles, as_finite, as_scores
 from .errors import ConformalError
 from .grouping import as_groups, factorise
 
-FloatArray = npt.NDArray[np.float64]
 _ROWS = 256
 _LARGEST_SQUARE = 1e300
 

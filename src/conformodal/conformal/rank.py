@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import RealArray
 
 from .checks import Alpha, as_alpha, as_scores
 from .errors import ConformalError
@@ -47,7 +47,7 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     return -((n + 1) * (rate.numerator - rate.denominator) // rate.denominator)  # a ceiling, in whole numbers
 
 
-def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> npt.NDArray[np.floating[Any]]:
+def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> RealArray:
     """k-th smallest score along `axis`, with k from :func:`conformal_rank`; ``+inf`` where k exceeds n.
 
     No interpolation: the result is one of the scores, in their own floating type.

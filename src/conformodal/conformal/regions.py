@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import BoolArray, FloatArray, IntArray
+
+from .arrow import from_table, to_table
 from .bins import QuantileBins
 from .blocks import for_blocks
 from .checks import as_array, as_flags, as_targets
@@ -17,12 +20,11 @@ from .scalars import as_count, brief
 if TYPE_CHECKING:
     import pyarrow as pa
 
-BoolArray = npt.NDArray[np.bool_]
-FloatArray = npt.NDArray[np.float64]
-
 
 class Regions:
     """Regions of n samples in d targets.
+
+    Calibrators make them; for an example see :class:`SplitConformal`.
 
     Parameters
     ----------
@@ -70,7 +72,7 @@ class Regions:
     def __repr__(self) -> str:
         return f"Regions(samples={len(self)}, targets={self.bins.n_targets}, bins={self.bins.sizes})"
 
-    def __getitem__(self, index: slice | npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Regions:
+    def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
         """Regions of some of the samples: a slice, a boolean mask or an array of positions.
 
         Raises
@@ -169,7 +171,7 @@ class Regions:
         for_blocks(len(self), look_up)
         return np.asarray(inside.all(axis=1)) if joint else inside
 
-    def runs(self, i: int) -> list[npt.NDArray[np.int64]]:
+    def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last.
 
         Raises
@@ -197,7 +199,7 @@ class Regions:
             found.append(whole if self.unbounded[i, j] else edges[runs])
         return found
 
-    def flat_intervals(self, target: int = 0) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    def flat_intervals(self, target: int = 0) -> tuple[IntArray, FloatArray]:
         """All intervals of one target at once.
 
         Returns
@@ -230,7 +232,7 @@ class Regions:
         return ends
 
     @property
-    def n_intervals(self) -> npt.NDArray[np.int64]:
+    def n_intervals(self) -> IntArray:
         """Number of disjoint intervals, (n, d); 0 for an empty set."""
         return self._per_block(_count_runs, np.int64)
 
@@ -257,9 +259,7 @@ class Regions:
 
     def to_arrow(self) -> pa.Table:
         """As an Arrow table, one row a sample; see :mod:`conformodal.conformal.arrow` for the columns."""
-        from .arrow import regions_to_arrow  # noqa: PLC0415 - pyarrow is an optional extra
-
-        return regions_to_arrow(self)
+        return to_table(self.bins, [self.flat_intervals(j) for j in range(self.bins.n_targets)])
 
     @classmethod
     def from_arrow(cls, table: pa.Table) -> Regions:
@@ -270,9 +270,7 @@ class Regions:
         ConformalError
             If the table is no such table.
         """
-        from .arrow import regions_from_arrow  # noqa: PLC0415 - pyarrow is an optional extra
-
-        return regions_from_arrow(table)
+        return cls(*from_table(table))
 
     def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
         out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
@@ -285,12 +283,12 @@ class Regions:
         return out
 
 
-def _count_runs(mask: BoolArray, _target: int) -> npt.NDArray[np.int64]:
+def _count_runs(mask: BoolArray, _target: int) -> IntArray:
     starts = np.count_nonzero(mask[:, 1:] & ~mask[:, :-1], axis=1)
     return np.asarray(starts + mask[:, 0], dtype=np.int64)
 
 
-def _flat_runs(mask: BoolArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     """Runs a row (n,), and all runs (m, 2) as first bin and one past the last."""
     n, k = mask.shape
     padded = np.zeros((n, k + 2), dtype=bool)

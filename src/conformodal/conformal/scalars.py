@@ -34,7 +34,7 @@ def shortened(text: str, most: int = 300) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
-def as_alpha(alpha: Alpha, name: str = "alpha") -> Fraction:
+def as_alpha(alpha: Alpha) -> Fraction:
     """Read a miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055.
 
     Raises
@@ -47,12 +47,12 @@ def as_alpha(alpha: Alpha, name: str = "alpha") -> Fraction:
             raise TypeError
         value = Fraction(alpha) if isinstance(alpha, Rational) else _as_decimal(str(alpha))
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
-        raise ConformalError(f"{name} must be a number strictly between 0 and 1, got {brief(alpha)}") from None
+        raise ConformalError(f"alpha must be a number strictly between 0 and 1, got {brief(alpha)}") from None
     if not 0 < value < 1:
         percent = float(value) / 100  # of misses, or, where it is more than half, of what is held
         hint = f"; did you mean {min(percent, 1 - percent):g}?" if 1 < value < 100 else ""
         found = brief(str(alpha)).strip("'")
-        raise ConformalError(f"{name} must lie strictly between 0 and 1 (a miscoverage rate), got {found}{hint}")
+        raise ConformalError(f"alpha must lie strictly between 0 and 1 (a miscoverage rate), got {found}{hint}")
     return value
 
 

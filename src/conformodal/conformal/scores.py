@@ -8,14 +8,12 @@ from __future__ import annotations
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray, RealArray
 
 from .checks import as_reals
 from .errors import ConformalError
 from .scalars import as_choice, as_count, as_number, brief
-
-FloatArray = npt.NDArray[np.floating[Any]]
-WidthArray = npt.NDArray[np.float64]
 
 
 @runtime_checkable
@@ -30,11 +28,13 @@ class Score(Protocol):
     threshold over all of them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
     ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never rises with the
     probability; sets are then found without computing a score.
+
+    A whole score of one's own is in ``examples/custom_score.py``.
     """
 
     name: str
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all bins."""
         ...
 
@@ -43,12 +43,20 @@ class Lac:
     """Least ambiguous set-valued classifier, the paper's score: one minus the bin's probability.
 
     Source: Sadinle, Lei and Wasserman (2019); the paper, section 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Lac
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Lac().of_bins(proba, widths)
+    array([[0.5, 0.7, 0.8]])
     """
 
     name = "lac"
     elementwise = True
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``1 - proba``."""
         return np.asarray(1 - as_reals(proba, "proba"))
 
@@ -58,13 +66,21 @@ class Density:
 
     For bins of unequal width, level sets of the density are the shortest sets of a given probability; level sets
     of the probability are not.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Density
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Density().of_bins(proba, widths)  # the widest bin is no longer the first
+    array([[-0.25, -0.3 , -0.2 ]])
     """
 
     name = "density"
     elementwise = True
     per_unit = True
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``-proba / widths``."""
         proba = as_reals(proba, "proba")
         return np.asarray(proba * -_per_unit(widths, proba.dtype))
@@ -80,6 +96,15 @@ class LinearDensity:
     ----------
     cells
         Cells a bin, at least 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import LinearDensity
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> LinearDensity(cells=2).of_bins(proba, widths)  # two cells a bin
+    array([[-0.25      , -0.26666667, -0.29166667, -0.275     , -0.225     ,
+            -0.2       ]])
     """
 
     name = "linear_density"
@@ -88,7 +113,7 @@ class LinearDensity:
     def __init__(self, cells: int = 4) -> None:
         self.cells = as_count(cells, "cells", 1)
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Minus the interpolated density at the middle of every cell, (n, K * cells)."""
         proba = as_reals(proba, "proba")
         density = proba * _per_unit(widths, proba.dtype)
@@ -104,7 +129,7 @@ class LinearDensity:
         return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
 
 
-def _per_unit(widths: WidthArray, dtype: np.dtype[Any]) -> FloatArray:
+def _per_unit(widths: FloatArray, dtype: np.dtype[Any]) -> RealArray:
     """``1 / widths`` in the probabilities' type; of bins too narrow for it, half its largest number: no infinity."""
     return np.asarray(1 / np.maximum(widths, _LEAST_WIDTH[dtype.itemsize]), dtype=dtype)
 
@@ -140,6 +165,14 @@ class Aps:
     own_share
         That fixed share: 1 makes sets larger, and never empty; one half makes them as large as random shares do, on
         average.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aps
+    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
+    >>> Aps(randomized=False).of_bins(proba, widths)
+    array([[0.5, 0.8, 1. ]])
     """
 
     normalised = True  # a share of the row's probability, whatever the target
@@ -158,7 +191,7 @@ class Aps:
         suffix = "" if randomized else _SUFFIXES.get(own_share, "_fixed")
         self.name = ("aps" if order == "probability" else "hpd") + suffix
 
-    def of_bins(self, proba: FloatArray, widths: WidthArray) -> FloatArray:
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
         proba = as_reals(proba, "proba")
         with np.errstate(over="ignore"):  # infinite densities rank first
@@ -176,7 +209,7 @@ class Aps:
         return scores
 
 
-def row_uniforms(rows: FloatArray, seed: int = 0) -> npt.NDArray[np.float64]:
+def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
     """One number in [0, 1) a row, a hash of its bits and `seed`: equal rows share theirs, others are unrelated."""
     bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
     odd = np.random.default_rng(seed).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1

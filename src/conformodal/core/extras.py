@@ -1,4 +1,4 @@
-"""Packages that only some uses need: what is missing is named with the line that installs it."""
+"""Optional packages: the error about a missing one says how to install it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class MissingPackageError(ConformodalError, ImportError):
 
 @contextmanager
 def needing(extra: str, what: str) -> Iterator[None]:
-    """Around imports that an optional part needs.
+    """Context for the imports of an optional part.
 
     Parameters
     ----------
     extra
-        That installs the packages: ``pip install 'conformodal[EXTRA]'``.
+        Extra that installs the packages: ``pip install 'conformodal[EXTRA]'``.
     what
-        Needs them, as the subject of a sentence.
+        What needs them, as the subject of a sentence.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files that are whole at any time, and folders that one process writes at a time; the standard library alone."""
+"""Atomic writes of files, and locks on folders that one process writes at a time; the standard library alone."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class FolderInUseError(FolderError):
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file beside its place and move it there: nobody ever sees half of it, and a failure leaves the old one.
+    """Write a file beside its place and move it there: no reader sees half of it, and a failure leaves the old one.
 
-    What text cannot say in UTF-8, such as undecodable bytes of a file name, is written with backslashes.
+    Text that UTF-8 cannot encode, such as undecodable bytes of a file name, is written with backslashes.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with replacing(path) as part:
@@ -90,7 +90,7 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def writing_in(folder: Path) -> Iterator[None]:
-    """Have a folder for oneself: checked, locked until the end or the death of the process, swept of half files.
+    """Reserve a folder: check it, lock it until the block or the process ends, remove files that were half written.
 
     A folder that was made for this and stays empty is removed again.
 
@@ -146,7 +146,7 @@ def locked(file: Path) -> Iterator[None]:
             _held[key] = (me, _held[key][1] - 1)
             if handle is not None:
                 del _held[key]
-                with suppress(OSError):  # nobody else can have it: whoever opened it before looks again
+                with suppress(OSError):  # no other process holds it: one that opened it earlier compares the file again
                     file.unlink()
                 os.close(handle)
 
@@ -164,7 +164,7 @@ def _take(file: Path) -> int:
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{os.getpid()}\n".encode())
                 return handle
-        except FileNotFoundError:  # the holder before has just removed it
+        except FileNotFoundError:  # the process that held the lock has just removed the file
             pass
         except OSError as exc:
             os.close(handle)

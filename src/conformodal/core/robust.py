@@ -10,7 +10,7 @@ from .arrays import FloatArray
 # dimensions; and the 95th percentile of the latter.
 MAD_OF_NORMAL = 0.6745
 MEDIAN_OF_NORM2, MEDIAN_OF_NORM3, TAIL_OF_NORM3 = 1.177, 1.5382, 2.7955
-# Cauchy's scale in standard deviations: larger residuals lose their pull.
+# Cauchy's scale in standard deviations: larger residuals get less weight.
 _CAUCHY = 2.0
 
 

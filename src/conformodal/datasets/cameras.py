@@ -18,7 +18,7 @@ Size = tuple[int, int]
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 _OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
-_SAME_SHAPE, _MOST_PX, _MOST_BENT = 0.02, 1e6, 10.0
+_SAME_SHAPE, _MOST_PX, MOST_BENT = 0.02, 1e6, 10.0
 
 
 def camera_of(
@@ -149,7 +149,7 @@ def _refuse(source: Path | str, camera: PinholeCamera) -> None:
     if max(abs(camera.cx), abs(camera.cy)) > _MOST_PX:
         raise DatasetError(f"{source}: cx, cy = {camera.cx:g}, {camera.cy:g} is no principal point")
     bent = sum(abs(v) for v in _bends(camera, _corner(camera)))
-    if not bent < _MOST_BENT:
+    if not bent < MOST_BENT:
         raise DatasetError(
             f"{source}: distortion {camera.distortion} moves the image's corner by {bent:.3g} times its distance from "
             f"the middle, which no lens does; for a fisheye lens, {UNDISTORT}"

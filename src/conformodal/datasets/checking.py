@@ -107,7 +107,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     return DatasetCheck(
         n_frames=len(sequence),
         n_recordings=len(np.unique(sequence.recording)),
-        n_poses=next((len(t) for t in (sequence.truth, sequence.known_poses) if t is not None), 0),
+        n_poses=0 if sequence.poses is None else len(sequence.poses),
         width=sequence.camera.width,
         height=sequence.camera.height,
         duration_s=round(float(steps.sum()), 4),

@@ -5,31 +5,40 @@ COLMAP stores world-to-camera poses, quaternion ``wxyz`` first, in cameras with 
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
 import numpy as np
 
+from conformodal.core import FloatArray
 from conformodal.poses import PinholeCamera, matrix_from_quat_wxyz
 from conformodal.poses.text import number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
-from .colmap_binary import binary_cameras, binary_images
+from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
-from .draft import Draft
+from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import Inside, Remark, even_times, read_lines, reader
+from .files import Inside, Remark, frame_times, image_files, read_lines, reader
+from .fisheye import Fisheye, fisheye_of, undistorted
 from .sequence import Sequence
 
+_Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
+
 _PLACES = ("", "sparse", "sparse/0", "text")
-# model: (numbers of fx, fy, cx, cy among the parameters, numbers of k1, k2, p1, p2 or None where the lens has none)
+# model: (numbers of fx, fy, cx, cy among the parameters; numbers of k1, k2, p1, p2 and perhaps k3, or of a fisheye
+# lens's k1 to k4, None where the lens has none)
 _MODELS: dict[str, tuple[tuple[int, int, int, int], tuple[int | None, ...]]] = {
     "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
     "PINHOLE": ((0, 1, 2, 3), ()),
     "SIMPLE_RADIAL": ((0, 0, 1, 2), (3, None, None, None)),
     "RADIAL": ((0, 0, 1, 2), (3, 4, None, None)),
     "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7)),
+    "FULL_OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7, 8)),
+    "OPENCV_FISHEYE": ((0, 1, 2, 3), (4, 5, 6, 7)),
 }
+_FISHEYE = "OPENCV_FISHEYE"
 # A line of points holds numbers alone, and an image's name has a letter that no number has.
 _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 
@@ -47,16 +56,17 @@ def _ending(place: Path) -> str | None:
 
 @reader
 def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
-    """Read the registered images of a model, in the natural order of their names, without decoding them.
+    """Read the images of a model, in the natural order of their names, without decoding them.
 
     Parameters
     ----------
     folder
-        With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``.
-        ``frame-rate.txt`` (Hz) gives the images their times, else 30 a second. The scale is the model's own: metres
-        only if the model was scaled.
+        With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``. Images
+        in ``images`` that the model does not name are frames without a pose. Times are those of ``times.txt`` (seconds,
+        one a line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's own: metres only if the
+        model was scaled. Fisheye images are undistorted, once.
     require_poses
-        True leaves out images that are missing, or whose pose is no rigid motion. False keeps them.
+        True leaves out images that are missing, or have no pose or one that is no rigid motion. False keeps them.
     follow_outside
         Whether the model may name images outside the folder.
 
@@ -78,14 +88,35 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     used = sorted({camera for _, _, camera in rows.values()})
     if len(used) != 1 or used[0] not in cameras:
         raise DatasetError(f"{of_images}: uses cameras {used}, expected one of {sorted(cameras)}")
-    names = sorted(rows, key=natural_key)
     base = folder / "images" if (folder / "images").is_dir() else folder
     image = Inside(folder, of_images, follow_outside=follow_outside)
-    images = [image(base, name) for name in names]
+    registered = {name: image(base, name) for name in rows}
+    others = [] if base == folder else _unregistered(base, list(registered.values()))
+    found = registered | {name: image(base, name) for name in others}
+    names = sorted(found, key=natural_key)
+    images = [found[name] for name in names]
     remarks: list[Remark] = []
-    camera = _camera(of_cameras, *cameras[used[0]], common_size(images), remarks)
-    quats = np.array([rows[name][0] for name in names])
-    shifts = np.array([rows[name][1] for name in names])
+    size = common_size([registered[name] for name in sorted(registered, key=natural_key)])
+    camera = _camera(of_cameras, *cameras[used[0]], size, remarks)
+    if isinstance(camera, Fisheye):
+        images, camera = undistorted(images, camera), camera.pinhole
+    poses, why = _poses(of_images, names, rows)
+    recording = np.zeros(len(names), dtype=np.int64)
+    draft = Draft(folder.name, images, frame_times(folder, len(names)), recording, poses, why, remarks)
+    return draft.sequence(camera, require_poses=require_poses)
+
+
+def _unregistered(base: Path, registered: list[Path]) -> list[str]:
+    """Names of the images beside the registered ones, in their own folder: COLMAP found no pose for them."""
+    known = {os.path.splitext(os.path.realpath(path))[0] for path in registered}
+    return [path.name for path in image_files(base) if os.path.splitext(os.path.realpath(path))[0] not in known]
+
+
+def _poses(path: Path, names: list[str], rows: _Rows) -> tuple[FloatArray, Damaged]:
+    """Camera to world (n, 7), NaN where there is none, and why."""
+    unknown = [float("nan")] * 4, [float("nan")] * 3, 0
+    quats = np.array([rows.get(name, unknown)[0] for name in names])
+    shifts = np.array([rows.get(name, unknown)[1] for name in names])
     faults = pose_faults(shifts, quats)
     known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
     known[list(faults)] = False
@@ -94,20 +125,19 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     poses[known] = np.eye(4)
     poses[known, :3, :3] = rotations.transpose(0, 2, 1)
     poses[known, :3, 3] = -np.einsum("nji,nj->ni", rotations, shifts[known])
-    why = {
-        i: f"{of_images}: {faults.get(i, 'its pose holds NaN or infinity')}" for i in np.flatnonzero(~known).tolist()
-    }
-    times, recording = even_times(folder, len(names)), np.zeros(len(names), dtype=np.int64)
-    draft = Draft(folder.name, images, times, recording, table_of(poses), why, remarks)
-    return draft.sequence(camera, require_poses=require_poses)
+    why: Damaged = {}
+    for i in np.flatnonzero(~known).tolist():
+        missing = "its pose holds NaN or infinity" if names[i] in rows else "does not name it"
+        why[i] = f"{path}: {faults.get(i, missing)}"
+    return table_of(poses), why
 
 
-def _images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
+def _images(path: Path) -> _Rows:
     """Quaternion, translation and camera by image name.
 
     A line of points follows every image, which may be empty, or none does.
     """
-    found: dict[str, tuple[list[float], list[float], int]] = {}
+    found: _Rows = {}
     followed: list[bool] = []
     for at, line in enumerate(read_lines(path), start=1):
         if line.startswith("#"):
@@ -155,19 +185,24 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     return found
 
 
-def _camera(path: Path, at: str, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera:
+def _camera(path: Path, at: str, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera | Fisheye:
     line = " ".join(fields)
     try:
         model, width, height = fields[1], whole_number(fields[2]), whole_number(fields[3])
         values = [number(v) for v in fields[4:]]
         places, lens = _MODELS[model]
-        if len(values) != 1 + max(*places, *(i for i in lens if i is not None)):
+        if len(values) != N_PARAMETERS[model]:
             raise ValueError(f"{len(values)} parameters")
-        pixels = tuple(values[i] for i in places)
-        distortion = tuple(0.0 if i is None else values[i] for i in lens)
     except KeyError:
         known = ", ".join(_MODELS)
         raise DatasetError(f"{path}, {at}: camera model {fields[1][:40]} is none of {known}: {UNDISTORT}") from None
     except (ValueError, IndexError) as exc:
         raise DatasetError(f"{path}, {at}: is no camera: {line[:80]!r}: {exc}") from exc
-    return camera_of(f"{path}, {at}", pixels, size, distortion, stated=(width, height), remarks=remarks)
+    pixels = tuple(values[i] for i in places)
+    distortion = tuple(0.0 if i is None else values[i] for i in lens)
+    source, stated = f"{path}, {at}", (width, height)
+    if model == _FISHEYE:
+        return fisheye_of(source, pixels, size, distortion, stated=stated, remarks=remarks)
+    if any(values[9:]):
+        raise DatasetError(f"{source}: camera model {model} has k4, k5 or k6, expected zeros: {UNDISTORT}")
+    return camera_of(source, pixels, size, distortion, stated=stated, remarks=remarks)

@@ -106,6 +106,7 @@ def _sensor(path: Path, size: Size, remarks: list[Remark]) -> tuple[PinholeCamer
     if faults or not np.isfinite(T_body_cam).all():
         raise DatasetError(f"{path}: T_BS {faults.get(0, 'holds NaN or infinity')}")
     whole = None if stated is None else (int(stated[0]), int(stated[1]))
+    lens = lens if any(lens) else ()
     camera = camera_of(f"{path}: intrinsics", pixels, size, lens, stated=whole, remarks=remarks)
     return camera, T_body_cam
 

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, ParamSpec
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -20,10 +20,8 @@ from conformodal.poses.text import number, text_lines
 from .decoding import natural_key
 from .errors import DatasetError
 
-if TYPE_CHECKING:
-    from .sequence import Sequence
-
 P = ParamSpec("P")
+Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
 _RATES_HZ = (1e-3, 1e6)
@@ -53,11 +51,11 @@ def shown(name: str) -> str:
     return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
-def reader(read: Callable[P, Sequence]) -> Callable[P, Sequence]:
+def reader(read: Callable[P, Read]) -> Callable[P, Read]:
     """Let a layout's reader raise this package's errors alone, whatever the file system says."""
 
     @functools.wraps(read)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Sequence:
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Read:
         folder = str(args[0] if args else kwargs["folder"])
         if not readable(folder):
             raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")
@@ -191,6 +189,23 @@ def read_numbers(path: Path) -> FloatArray:
         return np.array([number(x) for x in " ".join(read_lines(path)).split()])
     except ValueError as exc:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
+
+
+def frame_times(folder: Path, n_frames: int) -> FloatArray:
+    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones.
+
+    Raises
+    ------
+    DatasetError
+        If the file holds another number of times, or ``frame-rate.txt`` no positive number.
+    """
+    path = folder / "times.txt"
+    if not path.is_file():
+        return even_times(folder, n_frames)
+    times = read_numbers(path)
+    if times.size != n_frames:
+        raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
+    return times
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:

@@ -16,7 +16,7 @@ from .cameras import camera_beside
 from .decoding import common_size
 from .draft import Damaged, Draft, paired_by_time
 from .errors import DatasetError
-from .files import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, image_files, read_numbers, reader
+from .files import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, frame_times, image_files, reader
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
@@ -80,12 +80,8 @@ def _poses(
 
 def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np.float64]]:
     """Times of images, and the images in their order where their names are times."""
-    path = folder / "times.txt"
-    if path.is_file():
-        times = read_numbers(path)
-        if times.size != len(images):
-            raise DatasetError(f"{path}: holds {times.size} times for {len(images)} images")
-        return images, times
+    if (folder / "times.txt").is_file():
+        return images, frame_times(folder, len(images))
     try:
         named = np.array([number(image.stem) for image in images])
     except ValueError:

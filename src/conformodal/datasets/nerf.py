@@ -20,14 +20,16 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .draft import Draft
 from .errors import DatasetError
-from .files import Inside, Remark, even_times, read_lines, reader
+from .files import Inside, Remark, frame_times, read_lines, reader
+from .fisheye import Fisheye, fisheye_of, undistorted
 from .sequence import Sequence
 
 FILE = "transforms.json"
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")
 _LENS = ("k1", "k2", "p1", "p2", "k3")
-_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_model", "k4", *_LENS)
+_FISHEYE, _FISHEYE_LENS = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")
+_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_model", "is_fisheye", "k4", *_LENS)
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
@@ -38,10 +40,10 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     Parameters
     ----------
     folder
-        With ``transforms.json``. ``frame-rate.txt`` (Hz) gives the frames their times, else 30 a second. The scale is
-        the file's own.
+        With ``transforms.json``. Times are those of ``times.txt`` (seconds, one a line), or else even
+        (``frame-rate.txt`` in Hz, or 30). The scale is the file's own. Fisheye images are undistorted, once.
     require_poses
-        True leaves out frames without an image, or whose pose is no rigid motion. False keeps them.
+        True leaves out frames without an image, or whose pose is missing or no rigid motion. False keeps them.
     follow_outside
         Whether the file may name images outside the folder.
 
@@ -56,8 +58,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
         frames = sorted(content["frames"], key=lambda frame: natural_key(str(frame["file_path"])))
-        poses = np.array([_matrix(frame["transform_matrix"]) for frame in frames], dtype=np.float64)
-        own = [f for f in frames if any(f.get(k, content.get(k)) != content.get(k) for k in _OWN_CAMERA)]
+        poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
+        own = [f for f in frames if any(k in f and f[k] != content.get(k) for k in _OWN_CAMERA)]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as exc:
         raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if not frames:
@@ -74,18 +76,22 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
     remarks: list[Remark] = []
     camera = _camera(path, content, common_size(images), remarks)
+    if isinstance(camera, Fisheye):
+        images, camera = undistorted(images, camera), camera.pinhole
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
-    why = {i: f"{path}: transform_matrix {faults.get(i, 'holds NaN or infinity')}" for i in unknown}
+    why = {i: f"{path}: transform_matrix {faults.get(i, 'is missing, or holds NaN or infinity')}" for i in unknown}
     recording = np.zeros(len(frames), dtype=np.int64)
     poses[unknown] = np.nan
     table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    draft = Draft(folder.name, images, even_times(folder, len(frames)), recording, table, why, remarks)
+    draft = Draft(folder.name, images, frame_times(folder, len(frames)), recording, table, why, remarks)
     return draft.sequence(camera, require_poses=require_poses)
 
 
 def _matrix(rows: Any) -> list[list[float]]:
+    if rows is None:  # a frame whose pose nobody knows
+        return [[float("nan")] * 4] * 4
     found = [[_number(v) for v in row] for row in rows if isinstance(row, list)]
     if not isinstance(rows, list) or [len(row) for row in found] != [4] * 4:
         raise ValueError("transform_matrix must be a list of 4 lists of 4 numbers")
@@ -105,11 +111,8 @@ def _image(place: Inside, name: str) -> Path:
     return place(there.parent, there.name)
 
 
-def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera:
-    model = content.get("camera_model", "OPENCV")
-    if model not in _MODELS or content.get("is_fisheye") or content.get("k4"):
-        what = "k4 of a fisheye lens" if model in _MODELS else f"camera_model {str(model)[:40]}"
-        raise DatasetError(f"{path}: has {what}; expected one of {', '.join(_MODELS)}: {UNDISTORT}")
+def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera | Fisheye:
+    fisheye = _is_fisheye(path, content)
     try:
         stated = None
         if "w" in content or "h" in content:
@@ -121,10 +124,24 @@ def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remar
             fx = float(0.5 * width / np.tan(0.5 * _number(content["camera_angle_x"])))
         fy = _number(content.get("fl_y", fx))
         cx, cy = _number(content.get("cx", width / 2)), _number(content.get("cy", height / 2))
-        lens = tuple(_number(content.get(k, 0.0)) for k in _LENS)
+        lens = tuple(_number(content.get(k, 0.0)) for k in (_FISHEYE_LENS if fisheye else _LENS))
     except (KeyError, ValueError, OverflowError, ZeroDivisionError) as exc:
         raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {type(exc).__name__}: {exc}") from exc
+    source, pixels = f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy)
+    if fisheye:
+        return fisheye_of(source, pixels, size, lens, stated=stated, remarks=remarks)
     lens = lens if lens[4] else lens[:4]
-    return camera_of(
-        f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy), size, lens if any(lens) else (), stated=stated, remarks=remarks
-    )
+    return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, remarks=remarks)
+
+
+def _is_fisheye(path: Path, content: dict[str, Any]) -> bool:
+    """Whether the file says a fisheye lens; refuses what it does not say clearly."""
+    model = content.get("camera_model", _FISHEYE if content.get("is_fisheye") else "OPENCV")
+    if model == _FISHEYE:
+        if "fl_x" not in content or content.get("p1") or content.get("p2"):
+            raise DatasetError(f"{path}: has camera_model {_FISHEYE}; expected fl_x with it, and neither p1 nor p2")
+        return True
+    if model not in _MODELS or content.get("is_fisheye") or content.get("k4"):
+        what = f"k4 without camera_model {_FISHEYE}" if model in _MODELS else f"camera_model {str(model)[:40]}"
+        raise DatasetError(f"{path}: has {what}; expected one of {', '.join((*_MODELS, _FISHEYE))}: {UNDISTORT}")
+    return False

@@ -42,7 +42,8 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     folder
         ``.../imgs/scene_NN``, or the folder that holds ``imgs`` and ``pc``; every scene is a recording.
     require_poses
-        False also reads scenes without pose files; the sequence then has no truth.
+        True leaves out frames without a pose, and scenes without a pose file. False keeps them; the sequence has a
+        truth only if every frame has a pose.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
             raise DatasetError(f"{scene}: holds no FFFFF-color.png")
         order = sorted(frames)
         path = scene.parent.parent / "pc" / f"{scene.name.removeprefix('scene_')}.pose"
-        if path.is_file() or require_poses:
+        if path.is_file():
             poses.append(_poses(path, order, why, len(images)))
         else:
             missing += 1
@@ -76,6 +77,8 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         times += [start + i / FRAME_RATE_HZ for i in order]
         owner += [k] * len(order)
         start = times[-1] + _GAP_BETWEEN_SCENES_S
+    if missing == len(scenes) and require_poses:
+        raise DatasetError(why[0])
     name = folder.name if scenes == [folder] else f"{folder.name} ({len(scenes)} scenes)"
     known = np.concatenate(poses) if missing < len(scenes) else None
     draft = Draft(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, remarks)

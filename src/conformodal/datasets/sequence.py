@@ -88,6 +88,29 @@ class Sequence:
         image = read_image(path, (self.camera.width, self.camera.height))
         return image if self.noise is None else self.noise.apply(image, path.name)
 
+    @property
+    def poses(self) -> Trajectory | None:
+        """The poses that are known: of all frames, or of those that have one."""
+        return self.known_poses if self.truth is None else self.truth
+
+    @property
+    def posed(self) -> IntArray:
+        """Indices of the frames that :attr:`poses` are of.
+
+        Raises
+        ------
+        DatasetError
+            If a known pose has the time of no frame.
+        """
+        if self.truth is not None or self.known_poses is None:
+            return np.arange(0 if self.truth is None else len(self))
+        found = np.flatnonzero(np.isin(self.timestamps_s, self.known_poses.timestamps_s))
+        if len(found) != len(self.known_poses):
+            raise DatasetError(
+                f"{self.name}: {len(self.known_poses)} known poses have the times of {len(found)} frames"
+            )
+        return found
+
     def require_truth(self) -> Trajectory:
         """The true poses.
 

@@ -61,6 +61,8 @@ def _recordings(folder: Path, remarks: list[Remark] | None = None) -> list[Path]
 def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Sequence:
     """Read a recording, or a scene of several, without decoding images.
 
+    For an example see ``examples/stream.py``.
+
     Parameters
     ----------
     folder

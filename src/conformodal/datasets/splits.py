@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import BoolArray, IntArray
+from conformodal.core.words import counted, noun_for
 
 from .errors import SplitError
 
@@ -112,7 +113,8 @@ def make_split(
     chosen[0] += listed
     if not all(chosen):
         raise SplitError(
-            f"{n} frames in {len(free) + len(listed)} pieces are too few for a {kind} split into three parts"
+            f"{counted(n, 'frame')} in {counted(len(free) + len(listed), 'piece')} {noun_for(n, 'is', 'are')} too few "
+            f"for a {kind} split into three parts"
         )
     parts = [np.sort(np.concatenate(pieces)) for pieces in chosen]
     return Split(kind, seed, train=parts[2], calibration=parts[1], test=parts[0])

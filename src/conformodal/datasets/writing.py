@@ -2,42 +2,73 @@
 
 from __future__ import annotations
 
-import json
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, concatenate, tum_lines, write_kitti
+from conformodal.core import FloatArray
+from conformodal.core.words import counted
+from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 
 from .errors import DatasetError
+from .euroc import MAX_TIME_DIFFERENCE_S as EUROC_TIME_DIFFERENCE_S
 from .files import MAX_TIME_DIFFERENCE_S, staged
+from .layout_files import FINISH, WrittenFrames, finish_colmap_binary, nanoseconds
 from .layouts import Layout
-from .nerf import FILE, OPENGL_AXES
 from .streams import Frame, FrameStream, SequenceStream
 
-# Where images go, and how they are named: number, or time in seconds.
+# Where images go, and how they are named: by number, or time in seconds or nanoseconds.
 _PLACES: dict[Layout, tuple[str, str]] = {
     Layout.SEVENSCENES: ("", "frame-{number:06d}.color"),
     Layout.TUM: ("rgb", "{time_s:.6f}"),
     Layout.KITTI: ("image_2", "{number:06d}"),
     Layout.IMAGES: ("", "{number:06d}"),
     Layout.NERF: ("images", "{number:06d}"),
+    Layout.COLMAP: ("images", "{number:06d}"),
+    Layout.EUROC: ("mav0/cam0/data", "{time_ns}"),
 }
 WRITABLE = tuple(_PLACES)
-_UNEVEN = 0.2
+# Frames without a pose have no place in these layouts.
+_POSE_FOR_EVERY_FRAME = (Layout.KITTI, Layout.NERF)
+_SOME_POSE = (Layout.NERF, Layout.COLMAP)
+# Readers pair frames with poses by time in these: a frame without one would be lent a pose as near as this.
+_PAIRED_WITHIN_S = {
+    Layout.TUM: MAX_TIME_DIFFERENCE_S,
+    Layout.IMAGES: MAX_TIME_DIFFERENCE_S,
+    Layout.EUROC: EUROC_TIME_DIFFERENCE_S,
+}
+_ROUNDED_S = 2e-6
 _MOST_NAMES = 20
+_NO_IMAGE, _NO_TIME, _NO_POSE, _LENT = (
+    "without an image",
+    "whose time goes back",
+    "without a pose",
+    "without a pose, so near to others in time that they would be read back with theirs",
+)
+_NOWHERE = (float("nan"),) * 7
 
 
 @dataclass
 class Written:
-    """What was written, and what was not; the notes name the frames that were left out."""
+    """What was written, and what was not; the notes name the frames.
+
+    Attributes
+    ----------
+    n_frames, n_posed
+        Written, and how many of them with a pose.
+    n_unreadable, n_without_pose, n_without_time
+        Left out.
+    notes
+        For people.
+    """
 
     n_frames: int = 0
+    n_posed: int = 0
     n_unreadable: int = 0
     n_without_pose: int = 0
     n_without_time: int = 0
@@ -52,6 +83,8 @@ def write_layout(
     poses: Trajectory | None,
     progress: Callable[[int], None] | None = None,
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
+    *,
+    binary: bool = False,
 ) -> Written:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
 
@@ -64,39 +97,59 @@ def write_layout(
     layout
         One of :data:`WRITABLE`.
     stream
-        Of one recording.
+        Of one recording; ``7scenes`` holds several.
     camera
         Intrinsics.
     poses
-        Of the frames, paired by time; frames without one are left out. None writes no poses.
+        Of the frames, paired by time. Frames without one are kept without, and left out of ``kitti`` and ``nerf``. None
+        writes no poses.
     progress
         Called with frames done.
     max_difference_s
         Between a frame and its pose; 0 for poses with the frames' own times.
+    binary
+        Whether a COLMAP model is written in binary files instead of text.
 
     Raises
     ------
     DatasetError
-        If the folder holds something, the layout cannot be written or cannot say such a lens, there are several
-        recordings, a name would be used twice, or nothing is left to write.
+        If the folder holds something, the layout cannot be written or cannot say such a lens, several recordings or no
+        poses, a name would be used twice, or nothing is left to write.
     """
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
+    if binary and layout is not Layout.COLMAP:
+        raise DatasetError(f"{layout} has no binary files; only a COLMAP model has")
+    _check_lens(layout, camera)
+    if poses is None and layout in _SOME_POSE:
+        each = "a pose for every frame" if layout in _POSE_FOR_EVERY_FRAME else "poses"
+        raise DatasetError(f"{layout} needs {each}")
+    if isinstance(stream, SequenceStream):
+        _check(stream, layout, poses, max_difference_s)
+    with staged(folder) as part:
+        kept = _Kept(part, layout, stream, camera, poses, max_difference_s)
+        for number, frame in enumerate(stream, start=1):
+            kept.take(frame)
+            if progress is not None:
+                progress(number)
+        return kept.finish(binary=binary)
+
+
+def _check_lens(layout: Layout, camera: PinholeCamera) -> None:
     if camera.distortion and layout is Layout.KITTI:
         raise DatasetError("kitti has no place for the lens's distortion; write another layout")
-    if poses is None and layout is Layout.NERF:
-        raise DatasetError("nerf needs a pose for every frame")
-    if isinstance(stream, SequenceStream):
-        _check(stream, poses, max_difference_s)
-    with staged(folder) as part:
-        return _write(part, layout, stream, camera, poses, progress, max_difference_s)
+    if any(camera.distortion[4:]) and layout is Layout.EUROC:
+        raise DatasetError(f"euroc has no place for k3 = {camera.distortion[4]:g} of the lens; write another layout")
 
 
-def _check(stream: SequenceStream, poses: Trajectory | None, max_difference_s: float) -> None:
+def _check(stream: SequenceStream, layout: Layout, poses: Trajectory | None, max_difference_s: float) -> None:
     """Refuse what is known before the first frame is read."""
     times = stream.sequence.timestamps_s
-    if stream.sequence.recording.any():
-        raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
+    if _several(stream) and layout is not Layout.SEVENSCENES:
+        raise DatasetError(
+            f"{stream.name}: holds several recordings, and {layout} has a place for one; write 7scenes, or convert one "
+            "at a time"
+        )
     if poses is not None:
         asked = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0, 0, 0], (len(times), 1)))
         try:
@@ -105,131 +158,131 @@ def _check(stream: SequenceStream, poses: Trajectory | None, max_difference_s: f
             raise DatasetError(f"{stream.name}: no frame has a pose: {exc}") from exc
 
 
-def _write(
-    folder: Path,
-    layout: Layout,
-    stream: FrameStream,
-    camera: PinholeCamera,
-    poses: Trajectory | None,
-    progress: Callable[[int], None] | None,
-    max_difference_s: float,
-) -> Written:
-    place, pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
-    place.mkdir(parents=True, exist_ok=True)
-    done = Written()
-    names: list[str] = []
-    times: list[float] = []
-    kept: list[Trajectory] = []
-    left: dict[str, list[str]] = {"without a pose": [], "without an image": [], "whose time goes back": []}
-    for number, frame in enumerate(stream, start=1):
-        if frame.recording:
-            raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
-        pose = None if poses is None else _pose(poses, frame.timestamp_s, max_difference_s)
-        if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
-            left["without an image"].append(frame.name)
-        elif not np.isfinite(frame.timestamp_s) or (times and frame.timestamp_s <= times[-1]):
-            left["whose time goes back"].append(frame.name)
-        elif poses is not None and pose is None:
-            left["without a pose"].append(frame.name)
+def _several(stream: FrameStream) -> bool:
+    return isinstance(stream, SequenceStream) and len(np.unique(stream.sequence.recording)) > 1
+
+
+class _Kept:
+    """Frames as they are written; see :func:`write_layout` for the parameters."""
+
+    def __init__(
+        self,
+        folder: Path,
+        layout: Layout,
+        stream: FrameStream,
+        camera: PinholeCamera,
+        poses: Trajectory | None,
+        max_difference_s: float,
+    ) -> None:
+        self.folder, self.layout, self.stream, self.camera = folder, layout, stream, camera
+        self.truth, self.max_difference_s = poses, max_difference_s
+        self.place, self.pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
+        self.place.mkdir(parents=True, exist_ok=True)
+        self.several = _several(stream)
+        self.sources: list[str] = []  # names of the frames where they come from
+        self.names: list[str] = []
+        self.times: list[float] = []
+        self.recording: list[int] = []
+        self.counts: Counter[int] = Counter()  # frames by recording
+        self.poses: list[tuple[float, ...]] = []
+        self.left: dict[str, list[str]] = {why: [] for why in (_NO_POSE, _NO_IMAGE, _NO_TIME, _LENT)}
+
+    def take(self, frame: Frame) -> None:
+        """Write a frame's image, or take up why it is left out."""
+        if not self.several and self.recording and frame.recording != self.recording[-1]:
+            raise DatasetError(f"{self.stream.name}: holds several recordings; convert one at a time")
+        pose = None if self.truth is None else _pose(self.truth, frame.timestamp_s, self.max_difference_s)
+        if frame.image is None or frame.image.shape[:2] != (self.camera.height, self.camera.width):
+            self.left[_NO_IMAGE].append(frame.name)
+        elif not np.isfinite(frame.timestamp_s) or (self.times and frame.timestamp_s <= self.times[-1]):
+            self.left[_NO_TIME].append(frame.name)
+        elif self.truth is not None and pose is None and self.layout in _POSE_FOR_EVERY_FRAME:
+            self.left[_NO_POSE].append(frame.name)
         else:
-            name = _image(place, pattern.format(number=len(names), time_s=frame.timestamp_s), frame, stream)
-            names.append(name)
-            times.append(frame.timestamp_s)
-            if pose is not None:
-                kept.append(pose)
-        if progress is not None:
-            progress(number)
-    done.n_without_pose, done.n_unreadable, done.n_without_time = (len(frames) for frames in left.values())
-    if not names:
-        raise DatasetError(f"{stream.name}: nothing to write: {done.n_unreadable} unreadable, no pose for the rest")
-    for why, frames in left.items():
-        if frames:
-            more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
-            done.notes.append(f"left out {len(frames)} frames {why}: {', '.join(frames[:_MOST_NAMES])}{more}")
-    done.n_frames = len(names)
-    stamps = np.array(times)
-    found = None
-    if kept:
-        joined = concatenate(kept)
-        found = Trajectory(stamps, joined.positions_xyz, joined.orientations_quat_wxyz)
-    _finish(folder, layout, names, stamps, camera, found, done)
-    return done
+            self.names.append(self._image(frame))
+            self.sources.append(frame.name)
+            self.times.append(frame.timestamp_s)
+            self.recording.append(frame.recording)
+            self.counts[frame.recording] += 1
+            self.poses.append(_NOWHERE if pose is None else pose)
+
+    def _image(self, frame: Frame) -> str:
+        number, place = self.counts[frame.recording], self.place
+        if self.several:
+            place = place / f"seq-{frame.recording + 1:02d}"
+            place.mkdir(exist_ok=True)
+        stem = self.pattern.format(number=number, time_s=frame.timestamp_s, time_ns=nanoseconds(frame.timestamp_s))
+        stream = self.stream
+        source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else None
+        suffix = source.suffix if source is not None and source.suffix in (".png", ".jpg") else ".png"
+        target = place / f"{stem}{suffix}"
+        if target.exists():
+            raise DatasetError(f"{target}: two frames have this name")
+        if source is not None and source.suffix == suffix:
+            shutil.copyfile(source, target)
+        else:
+            Image.fromarray(np.asarray(frame.image)).save(target)
+        return str(target.relative_to(self.place))
+
+    def finish(self, *, binary: bool) -> Written:
+        """Write everything but the images."""
+        poses = np.array(self.poses).reshape(-1, 7)
+        posed = np.isfinite(poses).all(axis=1)
+        done = Written(
+            n_unreadable=len(self.left[_NO_IMAGE]),
+            n_without_time=len(self.left[_NO_TIME]),
+        )
+        if not self.names or (self.truth is not None and not posed.any()):
+            raise DatasetError(
+                f"{self.stream.name}: nothing to write: {done.n_unreadable} unreadable, no pose for the rest"
+            )
+        kept = np.flatnonzero(~self._lent(posed)) if self.truth is not None else np.arange(len(posed))
+        for i in np.setdiff1d(np.arange(len(posed)), kept).tolist():
+            (self.place / self.names[i]).unlink()
+            self.left[_LENT].append(self.sources[i])
+        frames = WrittenFrames(
+            [self.names[i] for i in kept],
+            np.array(self.times)[kept],
+            np.array(self.recording)[kept],
+            None if self.truth is None else poses[kept],
+        )
+        write = finish_colmap_binary if binary else FINISH[self.layout]
+        lost = write(self.folder, frames, self.camera)
+        done.n_frames, done.n_posed = len(kept), int(posed[kept].sum())
+        done.n_without_pose = len(self.left[_NO_POSE]) + len(self.left[_LENT])
+        done.notes = [f"left out {_listed(names, why)}" for why, names in self.left.items() if names]
+        without = [self.sources[i] for i in kept if not posed[i]]
+        if self.truth is not None and without:
+            done.notes.append(f"kept {_listed(without, _NO_POSE)}")
+        done.notes += lost
+        return done
+
+    def _lent(self, posed: np.ndarray) -> np.ndarray:
+        """Which frames without a pose would be read back with another frame's."""
+        lent = np.zeros(len(posed), dtype=np.bool_)
+        within = _PAIRED_WITHIN_S.get(self.layout)
+        if within is not None:
+            times: FloatArray = np.array(self.times)
+            near = times[posed]
+            after = np.clip(np.searchsorted(near, times), 0, len(near) - 1)
+            before = np.maximum(after - 1, 0)
+            away = np.minimum(np.abs(near[after] - times), np.abs(near[before] - times))
+            lent = ~posed & (away <= within + _ROUNDED_S)
+        return lent
 
 
-def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> Trajectory | None:
+def _listed(frames: list[str], why: str) -> str:
+    more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
+    return f"{counted(len(frames), 'frame')} {why}: {', '.join(frames[:_MOST_NAMES])}{more}"
+
+
+def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> tuple[float, ...] | None:
+    """The pose nearest in time, ``x y z qw qx qy qz``, or None."""
     if not np.isfinite(time_s):
         return None
     asked = Trajectory(np.array([time_s]), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
     try:
-        _, at = associate(asked, poses, max_difference_s)
+        _, (at,) = associate(asked, poses, max_difference_s)
     except PoseError:
         return None
-    return poses[at]
-
-
-def _image(place: Path, stem: str, frame: Frame, stream: FrameStream) -> str:
-    source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else None
-    suffix = source.suffix if source is not None and source.suffix in (".png", ".jpg") else ".png"
-    target = place / f"{stem}{suffix}"
-    if target.exists():
-        raise DatasetError(f"{target}: two frames have this name")
-    if source is not None and source.suffix == suffix:
-        shutil.copyfile(source, target)
-    else:
-        Image.fromarray(np.asarray(frame.image)).save(target)
-    return target.name
-
-
-def _finish(
-    folder: Path,
-    layout: Layout,
-    names: list[str],
-    times: npt.NDArray[np.float64],
-    camera: PinholeCamera,
-    truth: Trajectory | None,
-    done: Written,
-) -> None:
-    """Everything but the images."""
-    steps = np.diff(times)
-    rate = 1 / float(np.median(steps)) if steps.size else 30.0
-    if layout in (Layout.SEVENSCENES, Layout.NERF):
-        np.savetxt(folder / "frame-rate.txt", [rate])
-        if steps.size and np.abs(steps * rate - 1).max() > _UNEVEN:
-            done.notes.append(f"{layout} has no timestamps: they are read back as even, {rate:.3f} Hz")
-    if layout is Layout.NERF:
-        assert truth is not None
-        _nerf(folder, names, camera, truth)
-        return
-    if layout is Layout.KITTI:
-        row = f"{camera.fx!r} 0 {camera.cx!r} 0 0 {camera.fy!r} {camera.cy!r} 0 0 0 1 0"
-        (folder / "calib.txt").write_text("".join(f"P{k}: {row}\n" for k in range(4)), encoding="utf-8")
-        np.savetxt(folder / "times.txt", times, fmt="%.9f")
-        if truth is not None:
-            write_kitti(folder / "poses.txt", truth)
-        return
-    np.savetxt(folder / "camera-intrinsics.txt", camera.matrix)
-    if camera.distortion:
-        np.savetxt(folder / "camera-distortion.txt", camera.distortion)
-    if layout is Layout.SEVENSCENES and truth is not None:
-        for name, pose in zip(names, truth.poses_se3, strict=True):
-            np.savetxt(folder / f"{name.split('.')[0]}.pose.txt", pose, fmt="%.9e")
-    if layout is Layout.IMAGES:
-        np.savetxt(folder / "times.txt", times, fmt="%.9f")
-    if layout is Layout.TUM:
-        lines = [f"{time:.6f} rgb/{name}\n" for time, name in zip(times, names, strict=True)]
-        (folder / "rgb.txt").write_text("".join(["# timestamp filename\n", *lines]), encoding="utf-8")
-    if truth is not None and layout in (Layout.TUM, Layout.IMAGES):
-        path = folder / ("groundtruth.txt" if layout is Layout.TUM else "poses.tum")
-        path.write_text("\n".join(["# timestamp tx ty tz qx qy qz qw", *tum_lines(truth)]) + "\n", encoding="utf-8")
-
-
-def _nerf(folder: Path, names: list[str], camera: PinholeCamera, truth: Trajectory) -> None:
-    lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
-    poses = truth.poses_se3 @ OPENGL_AXES
-    frames = [
-        {"file_path": f"images/{name}", "transform_matrix": pose.tolist()}
-        for name, pose in zip(names, poses, strict=True)
-    ]
-    content: dict[str, object] = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, **lens}
-    content |= {"w": camera.width, "h": camera.height, "frames": frames}
-    (folder / FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return (*poses.positions_xyz[at].tolist(), *poses.orientations_quat_wxyz[at].tolist())

@@ -1,23 +1,20 @@
-"""Baselines and comparisons."""
+"""Baselines, comparisons and the tables of the paper."""
 
 from .ambiguity import AmbiguityCheck, check_ambiguity
 from .classical import (
-    ClassicalRegressor,
     baseline_training,
     train_classical,
 )
 from .compared_paths import comparison_paths
 from .engine import Engine, LocalEngine, RayEngine, run_tasks
 from .errors import ExperimentError
-from .plain import PlainRegressor, train_plain
+from .plain import train_plain
 
 __all__ = [
     "AmbiguityCheck",
-    "ClassicalRegressor",
     "Engine",
     "ExperimentError",
     "LocalEngine",
-    "PlainRegressor",
     "RayEngine",
     "baseline_training",
     "check_ambiguity",

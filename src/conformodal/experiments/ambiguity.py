@@ -34,22 +34,22 @@ class AmbiguityCheck:
 
     @property
     def n_places(self) -> int:
-        """Other places in all frames together."""
+        """Number of look-alike places, all frames together."""
         return sum(len(p) for p in self.places)
 
     @property
     def share_held(self) -> float:
-        """Share of them that the regions hold; NaN if there are none."""
+        """Share of the look-alike places whose whole pose the regions hold; NaN if there are none."""
         return float(np.concatenate(self.held).mean()) if self.n_places else float("nan")
 
     @property
     def share_held_position(self) -> float:
-        """Share whose position the regions hold."""
+        """Share of the look-alike places whose position the regions hold."""
         return float(np.concatenate(self.held_position).mean()) if self.n_places else float("nan")
 
     @property
     def n_frames(self) -> int:
-        """Frames that have any."""
+        """Number of frames with look-alike places."""
         return sum(len(p) > 0 for p in self.places)
 
 
@@ -60,7 +60,7 @@ def check_ambiguity(
     renderer: Renderer,
     progress: Callable[[int, int], None] | None = None,
 ) -> AmbiguityCheck:
-    """Ask the corridor for every frame's look-alike places, and the regions whether they hold them.
+    """Find every frame's look-alike places in the corridor, and check whether the regions hold them.
 
     Parameters
     ----------

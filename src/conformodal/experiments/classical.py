@@ -1,4 +1,4 @@
-"""The tuned baseline: a regressor that shares everything with the conformal network but its answer.
+"""The tuned baseline: a regressor that shares everything with the conformal network but its outputs.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
 no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are
@@ -10,23 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.networks import Head, predict_values
-from conformodal.odometry import OdometryRun, TrainingData, as_trajectory
+from conformodal.odometry import OdometryRun, TrainingData, as_trajectory, rows_by_recording
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth
 from conformodal.vision import TrainingConfig
 
 from .plain import PlainRegressor, fit_values, known_frames, scaling
-from .search import Search
+from .settings_search import SettingsSearch
 
-START_RATES = (1e-3, 3e-3)
+_START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
 _BATCH_SIZE = 32  # at 64, the conformal network's, errors rose on most splits that were tried
-COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
+_COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
 
 
 @dataclass(eq=False)
@@ -60,11 +61,9 @@ class ClassicalRegressor(PlainRegressor):
     def trajectories(
         self, features: npt.NDArray[np.float32], run: OdometryRun, recording: npt.NDArray[np.int64], prior: MotionPrior
     ) -> dict[str, Trajectory]:
-        """The same over the frames of a run, recording by recording."""
-        parts = []
-        for number in np.unique(recording):
-            at = np.flatnonzero(recording == number)
-            parts.append(self.answers(features[at], run.observations(at), prior))
+        """The trajectories of :meth:`answers` over the frames of a run, recording by recording."""
+        pieces = rows_by_recording(recording)
+        parts = [self.answers(features[at], run.observations(at), prior) for at in pieces]
         return {name: concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -78,8 +77,8 @@ def train_classical(
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
     The search starts with little dropout, and none of inputs, which squared errors bear badly. It walks down and up
-    from :data:`START_RATES` in factors of about three until the best rate has a worse one on either side, then again
-    without dropout; then more dropout and the other numbers of components are tried with the best settings.
+    from two rates in factors of about three until the best rate has a worse one on either side, then again without
+    dropout; then more dropout and the other numbers of components are tried with the best settings.
 
     Parameters
     ----------
@@ -94,10 +93,7 @@ def train_classical(
     """
     train, check = data.split.train, data.split.calibration
     mean, scale = scaling(data)
-    standard = (data.targets - mean) / scale
-
-    def fit(rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
-        return fit_values(data, rows, standard, settings, whole=whole)
+    fit = partial(fit_values, data, (data.targets - mean) / scale, whole=whole)
 
     def report(done: int, total: int) -> None:
         if progress is not None:
@@ -112,16 +108,8 @@ def train_classical(
         misses[settings] = miss(fit(train, settings))
         return root_mean_square(misses[settings][:, :3])
 
-    search = Search(error, report)
-    little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
-    search.walk(*(replace(little, learning_rate=rate) for rate in START_RATES))
-    search.walk(replace(search.best, dropout=0.0))
-    choices = () if config.components is None else COMPONENTS
-    search.try_out(
-        replace(search.best, dropout=config.dropout),
-        replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
-        *(replace(search.best, components=k) for k in choices),
-    )
+    search = SettingsSearch(error, report)
+    _try_settings(search, config)
     report(len(search.errors), len(search.errors))
     chosen, head = search.once_more(
         lambda settings: fit(known_frames(data), settings), lambda head: root_mean_square(miss(head)[:, :3])
@@ -136,6 +124,19 @@ def train_classical(
         training=chosen,
         spread_m=np.sqrt(np.mean(misses[chosen][:, :3] ** 2, axis=0)),
         spread_rad=float(np.sqrt(np.mean(angle**2))),
+    )
+
+
+def _try_settings(search: SettingsSearch, config: TrainingConfig) -> None:
+    """Rates with little dropout and without; then more dropout, and other numbers of components."""
+    little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
+    search.walk(*(replace(little, learning_rate=rate) for rate in _START_RATES))
+    search.walk(replace(search.best, dropout=0.0))
+    choices = () if config.components is None else _COMPONENTS
+    search.try_out(
+        replace(search.best, dropout=config.dropout),
+        replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
+        *(replace(search.best, components=k) for k in choices),
     )
 
 

@@ -37,7 +37,7 @@ def mixture_loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.
 
 
 def split_mixture(raw: torch.Tensor, d: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Logits (n, M), means (n, M, d) and log spreads (n, M, d), the last kept within reason."""
+    """Logits (n, M), means (n, M, d) and log spreads (n, M, d), the last clipped."""
     logits, means, log_sigma = torch.split(raw, [N_COMPONENTS, N_COMPONENTS * d, N_COMPONENTS * d], dim=1)
     return logits, means.reshape(-1, N_COMPONENTS, d), log_sigma.reshape(-1, N_COMPONENTS, d).clamp(-6, 3)
 

@@ -22,7 +22,7 @@ _LEAST_SCALE = 1e-6  # of a target that does not vary
 
 @dataclass(eq=False)
 class PlainRegressor:
-    """Seven numbers from one image.
+    """A regressor of the seven targets of an image.
 
     Attributes
     ----------
@@ -41,9 +41,13 @@ class PlainRegressor:
         return predict_values(self.head, features) * self.scale + self.mean
 
     def trajectory(self, features: npt.NDArray[np.float32], timestamps_s: FloatArray) -> Trajectory:
-        """Its poses at n times, from features (n, F)."""
-        values = self.predict(features)
-        return Trajectory(timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
+        """The predicted poses at n times, from features (n, F)."""
+        return trajectory_of(self.predict(features), timestamps_s)
+
+
+def trajectory_of(values: FloatArray, timestamps_s: FloatArray) -> Trajectory:
+    """Poses at n times from targets (n, 7): metres, and an unnormalised quaternion wxyz."""
+    return Trajectory(timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
 
 
 def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
@@ -57,7 +61,7 @@ def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
         What it was trained with.
     """
     known, (mean, scale) = known_frames(data), scaling(data)
-    return PlainRegressor(fit_values(data, known, (data.targets - mean) / scale, config), mean, scale)
+    return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known, config), mean, scale)
 
 
 def known_frames(data: TrainingData) -> IntArray:
@@ -72,7 +76,7 @@ def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_values(
-    data: TrainingData, rows: IntArray, standard: FloatArray, config: TrainingConfig, *, whole: bool = False
+    data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig, *, whole: bool = False
 ) -> Head:
     """Fit one output a target to squared errors.
 
@@ -80,10 +84,10 @@ def fit_values(
     ----------
     data
         Features of all frames.
-    rows
-        Frames to train on.
     standard
         (n, 7) standardised targets of all frames.
+    rows
+        Frames to train on.
     config
         Settings.
     whole

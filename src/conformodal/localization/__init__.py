@@ -5,13 +5,13 @@ from .error_model import ErrorModel
 from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import Mixture, fuse
-from .head import HeadSource
+from .head_source import HeadSource
 from .landmarks import LandmarkSource
 from .local_features import LocalFeatures, Matcher, extract_local_features
 from .localizer import Localizer
 from .measurement import PoseMeasurement
 from .neighbours import NeighbourSource
-from .novelty import PlaceNovelty
+from .place_novelty import PlaceNovelty
 from .source import PoseSource, SourceAnswer, SourceState, find_source, register_source
 from .source_data import SourceData
 from .targets import TARGET_NAMES, pose_targets, target_scale

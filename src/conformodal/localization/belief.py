@@ -27,7 +27,7 @@ _LEAST_ANGLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """Of n images.
+    """Beliefs about the poses of n images.
 
     Attributes
     ----------

@@ -5,7 +5,7 @@ Both are learnt from frames with known poses that were hidden from the source.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -52,13 +52,9 @@ class ErrorModel:
             inlier_probability=float(1 / (1 + np.exp(-odds))),
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """For a record."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> Self:
-        """From :meth:`as_json`."""
+        """The model from its fields, as JSON stores them."""
         return cls(**{**record, "slopes": tuple(record["slopes"])})
 
 

@@ -14,7 +14,7 @@ from .local_features import LocalFeatures
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """Of n images, all that pose sources may look at.
+    """All that pose sources may look at in n images.
 
     Attributes
     ----------

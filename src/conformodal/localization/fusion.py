@@ -1,4 +1,4 @@
-"""From what the sources say of one image to a mixture of pose hypotheses: a linear opinion pool (Stone 1961).
+"""Fusion of the estimates of one image into a mixture of pose hypotheses: a linear opinion pool (Stone 1961).
 
 Sources of one image are not independent, so probabilities are added and never multiplied: an estimate counts as much
 as it is probably an inlier, the softmax as much as all estimates are probably outliers. Where estimates of two sources
@@ -72,7 +72,7 @@ def inlier_odds(estimates: Sequence[PoseMeasurement]) -> tuple[float, FloatArray
 
 
 def _with(mixture: Mixture, estimates: Sequence[PoseMeasurement], anywhere: float) -> Mixture:
-    """The mixture when one more source has answered."""
+    """The mixture once the estimates of one more source are added."""
     none, log_right = inlier_odds(estimates)
     before = mixture.candidates
     parts, marks = [before.normalised(none)], [mixture.measured]

@@ -82,7 +82,7 @@ class Matcher:
         self._known: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
 
     def __call__(self, one: LocalFeatures, other: LocalFeatures) -> IntArray:
-        """As :func:`match` of their descriptors."""
+        """Matches (m, 2) of the descriptors of two images, see :func:`match`."""
         key = id(one), id(other)  # which stay theirs, since the images are kept too
         if key not in self._known:
             self._known[key] = one, other, match(one.descriptors, other.descriptors)
@@ -90,7 +90,7 @@ class Matcher:
 
 
 def product(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """``a @ b`` in one thread: those of linear algebra spin on, and slow a network beside them several times."""
+    """``a @ b`` in one thread: idle threads of linear algebra spin, which slows a network beside them several times."""
     with _threads().limit(limits=1, user_api="blas"):
         return a @ b
 
@@ -101,5 +101,5 @@ def _threads() -> ThreadpoolController:
 
 
 def _signs(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    """Bits as -1 and 1: one product says how many differ, faster than counting them."""
+    """Bits as -1 and 1: a matrix product of such rows counts differing bits faster than a loop."""
     return np.take(_SIGNS_OF_BYTE, descriptors, axis=0).reshape(len(descriptors), _N_BITS)

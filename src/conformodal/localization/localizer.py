@@ -69,11 +69,6 @@ class Localizer:
         return cls(sources, data.bins_of(frames), data.sign_reference)
 
     @property
-    def frames(self) -> IntArray:
-        """Frames of the training data that any source has seen, increasing."""
-        return np.unique(np.concatenate([source.frames for source in self.sources]))
-
-    @property
     def local(self) -> bool:
         """Whether a source looks at local features."""
         return any(source.local for source in self.sources)
@@ -88,7 +83,7 @@ class Localizer:
         return next((source for source in self.sources if isinstance(source, kind)), None)
 
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
-        """What n images say about their poses."""
+        """Beliefs about the poses of n images."""
         answers = [source.answer(evidence) for source in self.sources]
         proba = self._density(answers, len(evidence))
         measured = [answer.measurements for answer in answers if answer.measurements]
@@ -98,7 +93,7 @@ class Localizer:
         return Beliefs(proba, mixtures, [[one for its in local for one in its[i]] for i in range(len(evidence))])
 
     def update(self, modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mixture:
-        """Candidates of one image, from wherever, and absolute pose estimates of it, source by source."""
+        """The mixture of one image, from candidates of any origin and absolute pose estimates, source by source."""
         volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
         return fuse(modes, answers, volume)
 
@@ -107,7 +102,7 @@ class Localizer:
         return beliefs.marginals(self.bins, self.cells, self.sign_reference)
 
     def marginals_by_part(self, beliefs: Beliefs) -> Iterator[tuple[slice, list[FloatArray]]]:
-        """The marginals of some images after the other, and which images: those of all at once would be large."""
+        """The marginals part by part, with the rows of each part: those of all images at once would be large."""
         for start in range(0, max(len(beliefs), 1), _IMAGES_AT_A_TIME):
             rows = slice(start, start + _IMAGES_AT_A_TIME)
             yield rows, self.marginals(beliefs.part(rows))

@@ -1,4 +1,4 @@
-"""What a pose source says of one image: absolute pose estimates, each with its covariance and inlier probability."""
+"""Absolute pose estimates of an image, each with its standard deviations and inlier probability."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class BeliefSettings:
+class _BeliefSettings:
     """How sources become one belief.
 
     Attributes
@@ -38,7 +38,7 @@ class BeliefSettings:
 
 
 @dataclass(frozen=True)
-class ErrorModelSettings:
+class _ErrorModelSettings:
     """How errors of estimates are learnt.
 
     Attributes
@@ -63,7 +63,23 @@ class ErrorModelSettings:
 
 
 @dataclass(frozen=True)
-class NeighbourSettings:
+class _NoveltySettings:
+    """Of the test whether an image shows a known place.
+
+    Attributes
+    ----------
+    level_frames, level_stretches
+        Default levels, where single frames were left out and where stretches or recordings were: the probability that
+        an image of a known place is taken for unknown. Chosen with benchmarks/novelty.py. With K stretches no p-value
+        is below 1 / (K + 1), so a lower level would reject nothing.
+    """
+
+    level_frames: float = 0.015
+    level_stretches: float = 0.1
+
+
+@dataclass(frozen=True)
+class _NeighbourSettings:
     """Of local regression among similar frames.
 
     Attributes
@@ -97,7 +113,7 @@ class NeighbourSettings:
 
 
 @dataclass(frozen=True)
-class LocalFeatureSettings:
+class _LocalFeatureSettings:
     """Of ORB (Rublee et al. 2011).
 
     Attributes
@@ -120,7 +136,7 @@ class LocalFeatureSettings:
 
 
 @dataclass(frozen=True)
-class RetrievalSettings:
+class _RetrievalSettings:
     """Place recognition by global descriptors.
 
     Attributes
@@ -144,7 +160,7 @@ class RetrievalSettings:
 
 
 @dataclass(frozen=True)
-class PnpSettings:
+class _PnpSettings:
     """Absolute poses from matches between corners and landmarks.
 
     Attributes
@@ -179,7 +195,7 @@ class PnpSettings:
 
 
 @dataclass(frozen=True)
-class MappingSettings:
+class _MappingSettings:
     """Triangulation of landmarks.
 
     Attributes
@@ -225,8 +241,8 @@ class MappingSettings:
 
 
 @dataclass(frozen=True)
-class CameraFitSettings:
-    """The camera as the poses know it.
+class _CameraFitSettings:
+    """Of the camera's calibration from given poses.
 
     Attributes
     ----------
@@ -250,6 +266,7 @@ class CameraFitSettings:
     most_sigmas: float = 3.0
 
 
-BELIEF, ERROR_MODEL, NEIGHBOURS = BeliefSettings(), ErrorModelSettings(), NeighbourSettings()
-LOCAL_FEATURES, RETRIEVAL, PNP = LocalFeatureSettings(), RetrievalSettings(), PnpSettings()
-MAPPING, CAMERA_FIT = MappingSettings(), CameraFitSettings()
+BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
+NEIGHBOURS = _NeighbourSettings()
+LOCAL_FEATURES, RETRIEVAL, PNP = _LocalFeatureSettings(), _RetrievalSettings(), _PnpSettings()
+MAPPING, CAMERA_FIT = _MappingSettings(), _CameraFitSettings()

@@ -1,4 +1,4 @@
-"""The one interface of everything that can say where an image was taken.
+"""The one interface of all pose sources: of everything that estimates where an image was taken.
 
 A pose source learns from named frames, answers about images, and is stored as arrays and JSON. It names the frames it
 has seen: a region's promise rests on calibration frames that no source has seen. A new source is a class with the four
@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False)
 class SourceAnswer:
-    """What a source says of n images: probabilities of bins, absolute pose estimates, or both.
+    """A source's estimates of n images: probabilities of bins, absolute pose estimates, or both.
 
     Attributes
     ----------
@@ -75,11 +75,11 @@ class PoseSource(Protocol):
         ...
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
-        """What it says of n images."""
+        """Its estimates of n images."""
         ...
 
     def state(self) -> SourceState:
-        """What :meth:`from_state` makes it again from."""
+        """Arrays and settings to store; :meth:`from_state` restores the source from them."""
         ...
 
     @classmethod

@@ -1,4 +1,4 @@
-"""What pose sources learn from: frames with known poses, and what was worked out of them once for all sources."""
+"""What pose sources learn from: frames with known poses, and computations that all sources share."""
 
 from __future__ import annotations
 

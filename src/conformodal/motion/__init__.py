@@ -10,8 +10,8 @@ from .essential import EssentialFrontEnd
 from .frontend import FrontEnd, MotionFrontEnd
 from .relative_pose import estimate_relative_motion
 from .submaps import build_submaps
-from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
-from .two_view import TwoView, TwoViewSolver, solve_opencv, solve_poselib
+from .tracker import Corners, CornerTracker, grey_image
+from .two_view import TwoViewSolver, solve_opencv, solve_poselib
 from .undistortion import undistort
 
 __all__ = [
@@ -20,8 +20,6 @@ __all__ = [
     "EssentialFrontEnd",
     "FrontEnd",
     "MotionFrontEnd",
-    "TrackerConfig",
-    "TwoView",
     "TwoViewSolver",
     "build_submaps",
     "estimate_relative_motion",

@@ -2,62 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+from conformodal.core import FloatArray
+from conformodal.poses import MotionStatus, RelativeMotion
 
-from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
-
-from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
+from .frontend import FrontEnd
 from .two_view import solve_opencv
 from .undistortion import undistort
 
 _FIVE = 5  # corners that an essential matrix needs
 
 
-class EssentialFrontEnd:
+class EssentialFrontEnd(FrontEnd):
     """Rotation and direction from frame to frame, by OpenCV's essential matrix.
 
     :class:`~conformodal.motion.MotionFrontEnd` detects pure rotation, small steps, planes and repeated pictures. This
-    class does not: it gives a direction whenever it finds a matrix. Both have the same interface.
-
-    Parameters
-    ----------
-    camera
-        Intrinsics and distortion.
-    config
-        Of the corner tracker.
-
-    Attributes
-    ----------
-    tracks, corners
-        As in :class:`~conformodal.motion.MotionFrontEnd`.
+    class does not: it gives a direction whenever it finds a matrix.
     """
 
-    def __init__(self, camera: PinholeCamera, config: TrackerConfig | None = None) -> None:
-        self.camera = camera
-        self.tracker = CornerTracker(config)
-        self.tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
-        self.corners: Corners = self.tracker.corners()
-
-    def reset(self) -> None:
-        """Start a new recording."""
-        self.tracker.reset()
-
-    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
-        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
-        self.tracker.advance(grey_image(image))
-
-    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
-        """Motion from the frame measured last to this one; None for the first frame of a recording."""
-        first = not self.tracker.started
-        self.tracker.advance(grey_image(image))
-        self.tracks = None if first else self.tracker.pairs()
-        motion = None if self.tracks is None else self._motion(*self.tracks)
-        self.tracker.mark()
-        self.corners = self.tracker.corners()
-        return motion
-
-    def _motion(self, before: npt.NDArray[np.float64], now: npt.NDArray[np.float64]) -> RelativeMotion:
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
         n = len(before)
         if n < _FIVE:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)

@@ -2,39 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .relative_pose import estimate_relative_motion
 from .settings import RELATIVE_POSE
-from .tracker import Corners, CornerTracker, TrackerConfig, grey_image
+from .tracker import Corners, CornerTracker, grey_image
 from .two_view import TwoViewSolver, solve_poselib
 
 
-class FrontEnd(Protocol):
-    """What turns images of one camera into relative motions."""
-
-    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None
-    corners: Corners
-
-    def reset(self) -> None:
-        """Start a new recording."""
-        ...
-
-    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
-        """Show a frame that no motion is asked for."""
-        ...
-
-    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
-        """Motion from the frame measured last to this one."""
-        ...
-
-
-class MotionFrontEnd:
+class FrontEnd(ABC):
     """Relative motion between frames of one camera.
 
     :meth:`pass_by` shows it a frame that lies between; :meth:`measure` ends an interval and starts the next.
@@ -43,10 +25,6 @@ class MotionFrontEnd:
     ----------
     camera
         Intrinsics and distortion.
-    config
-        Of the corner tracker.
-    solver
-        Of two-view geometry: :func:`~conformodal.motion.solve_poselib`, or :func:`~conformodal.motion.solve_opencv`.
 
     Attributes
     ----------
@@ -56,19 +34,57 @@ class MotionFrontEnd:
         All corners of the frame measured last, for :func:`~conformodal.motion.build_submaps`.
     """
 
-    def __init__(
-        self, camera: PinholeCamera, config: TrackerConfig | None = None, solver: TwoViewSolver = solve_poselib
-    ) -> None:
+    def __init__(self, camera: PinholeCamera) -> None:
         self.camera = camera
-        self.solver = solver
-        self.tracker = CornerTracker(config)
-        self.tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+        self.tracker = CornerTracker()
+        self.tracks: tuple[FloatArray, FloatArray] | None = None
         self.corners: Corners = self.tracker.corners()
-        self._forget_bank()
 
     def reset(self) -> None:
         """Start a new recording."""
         self.tracker.reset()
+
+    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        self.tracker.advance(grey_image(image))
+
+    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one; None for the first frame of a recording."""
+        first = not self.tracker.started
+        self.tracker.advance(grey_image(image))
+        self.tracks = None if first else self.tracker.pairs()
+        motion = None if self.tracks is None else self._motion(*self.tracks)
+        self.tracker.mark()
+        self.corners = self.tracker.corners()
+        return motion
+
+    @abstractmethod
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        """Motion between the marked frame and the current one, from the pixels (n, 2) of the same corners."""
+
+
+class MotionFrontEnd(FrontEnd):
+    """Relative motions with checks for pure rotation, small steps, planes and repeated pictures.
+
+    Where corners had to be renewed on the way, rotations are chained and the direction, which would need the lengths of
+    the parts, is left out.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics and distortion.
+    solver
+        Of two-view geometry: :func:`~conformodal.motion.solve_poselib`, or :func:`~conformodal.motion.solve_opencv`.
+    """
+
+    def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
+        super().__init__(camera)
+        self.solver = solver
+        self._forget_bank()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        super().reset()
         self._forget_bank()
 
     def _forget_bank(self) -> None:
@@ -79,7 +95,7 @@ class MotionFrontEnd:
 
     def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
         """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
-        self._advance(image)
+        super().pass_by(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._bank()
 
@@ -87,32 +103,24 @@ class MotionFrontEnd:
         """Motion from the frame measured last to this one.
 
         None for the first frame of a recording; if that is blank, a motion that says so.
-
-        Where corners had to be renewed on the way, rotations are chained and the direction, which would need the
-        lengths of the parts, is left out.
         """
-        first = not self.tracker.started
-        self._advance(image)
-        self.tracks = None if first else self.tracker.pairs()
-        motion = None if first else self._since_mark()
-        if motion is not None and (self._n_banked or self._broken):
-            motion = self._chain(motion)
-        self._forget_bank()
-        self.tracker.mark()
-        self.corners = self.tracker.corners()
-        if first and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
+        motion = super().measure(image)
+        if motion is None and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
         return motion
 
-    def _advance(self, image: npt.NDArray[np.uint8]) -> None:
-        self.tracker.advance(grey_image(image))
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        motion = self._since_mark(before, now)
+        if self._n_banked or self._broken:
+            motion = self._chain(motion)
+        self._forget_bank()
+        return motion
 
-    def _since_mark(self) -> RelativeMotion:
-        before, now = self.tracker.pairs()
+    def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
         return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
 
     def _bank(self) -> None:
-        motion = self._since_mark()
+        motion = self._since_mark(*self.tracker.pairs())
         if motion.R_prev_next is None:
             self._broken = True
         else:

@@ -9,7 +9,42 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class RelativePoseSettings:
+class _TrackerSettings:
+    """How corners are found and followed.
+
+    Attributes
+    ----------
+    max_corners
+        Corners kept alive.
+    harris_k
+        Weight of the squared trace in the Harris response.
+    quality
+        Weakest Harris response, relative to the strongest.
+    spacing_share
+        Least distance between new corners, as a share of the image width.
+    renew_below
+        New corners are sought when fewer than this share of `max_corners` are left.
+    window_px, levels
+        Lucas-Kanade window and pyramid levels above the image.
+    back_levels
+        Levels on the way back, which starts from where the corner was.
+    max_back_error_px
+        Largest distance between a corner and itself tracked forth and back.
+    """
+
+    max_corners: int = 500
+    harris_k: float = 0.04
+    quality: float = 1e-4
+    spacing_share: float = 0.025
+    renew_below: float = 0.85
+    window_px: int = 11
+    levels: int = 4
+    back_levels: int = 1
+    max_back_error_px: float = 0.7
+
+
+@dataclass(frozen=True)
+class _RelativePoseSettings:
     """When a relative motion is measured, and how uncertain it is.
 
     Attributes
@@ -61,7 +96,7 @@ class RelativePoseSettings:
 
 
 @dataclass(frozen=True)
-class MotionErrorSettings:
+class _MotionErrorSettings:
     """Standard deviations of a relative motion, from the scatter between parts of the image.
 
     Attributes
@@ -82,7 +117,7 @@ class MotionErrorSettings:
 
 
 @dataclass(frozen=True)
-class SubmapSettings:
+class _SubmapSettings:
     """Where a submap ends, and how uncertain it is.
 
     Attributes
@@ -127,7 +162,7 @@ class SubmapSettings:
 
 
 @dataclass(frozen=True)
-class BundleSettings:
+class _BundleSettings:
     """Of bundle adjustment (Triggs et al. 2000).
 
     Attributes
@@ -149,5 +184,6 @@ class BundleSettings:
     nearest: float = 1e-3
 
 
-RELATIVE_POSE, MOTION_ERRORS = RelativePoseSettings(), MotionErrorSettings()
-SUBMAPS, BUNDLE = SubmapSettings(), BundleSettings()
+TRACKER = _TrackerSettings()
+RELATIVE_POSE, MOTION_ERRORS = _RelativePoseSettings(), _MotionErrorSettings()
+SUBMAPS, BUNDLE = _SubmapSettings(), _BundleSettings()

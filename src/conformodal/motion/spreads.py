@@ -1,4 +1,4 @@
-"""How far off a relative motion may be, from its own inliers: residuals, parallax and where in the image they lie.
+"""Standard deviations of a relative motion, from residuals and parallax of its inliers and their spread in the image.
 
 Errors of corners that lie close together are alike: they share texture, blur, shutter and depth. Counting each corner
 as a witness of its own makes spreads far too small. Here the image is cut into cells, and all corners of a cell
@@ -32,7 +32,7 @@ def motion_spreads(
     cells: npt.NDArray[np.int64],
     pixel_rad: float,
 ) -> tuple[float, float]:
-    """Spreads of the errors of a rotation (about each axis) and of a unit direction (in each of its two ways).
+    """Spreads of the errors of a rotation (about each axis) and of a unit direction (in each way orthogonal to it).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Submaps: what the corners of one frame, followed through the frames after it, say about the camera's path.
+"""Submaps: pieces of the camera's path, from the corners of one frame that are followed through later frames.
 
 Two frames give a direction; only a corner seen in three or more ties the lengths of steps to each other. A submap
 starts at an anchor, ends where most of its corners are lost, and is bundle adjusted on its own. The next one is

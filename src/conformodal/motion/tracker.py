@@ -2,50 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from .settings import TRACKER
+
 FloatArray = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
 
-HARRIS_K = 0.04
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
-
-
-@dataclass(frozen=True)
-class TrackerConfig:
-    """How corners are found and followed.
-
-    Attributes
-    ----------
-    max_corners
-        Corners kept alive.
-    quality
-        Weakest Harris response, relative to the strongest.
-    spacing_share
-        Least distance between new corners, as a share of the image width.
-    renew_below
-        New corners are sought when fewer than this share of `max_corners` are left.
-    window_px, levels
-        Lucas-Kanade window and pyramid levels above the image.
-    back_levels
-        Levels on the way back, which starts from where the corner was.
-    max_back_error_px
-        Largest distance between a corner and itself tracked forth and back.
-    """
-
-    max_corners: int = 500
-    quality: float = 1e-4
-    spacing_share: float = 0.025
-    renew_below: float = 0.85
-    window_px: int = 11
-    levels: int = 4
-    back_levels: int = 1
-    max_back_error_px: float = 0.7
 
 
 def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
@@ -76,8 +44,7 @@ class CornerTracker:
     marked and current positions of the corners that lived all the way.
     """
 
-    def __init__(self, config: TrackerConfig | None = None) -> None:
-        self.config = config or TrackerConfig()
+    def __init__(self) -> None:
         self._n_ever = 0
         self.reset()
 
@@ -99,17 +66,18 @@ class CornerTracker:
         previous, self._image = self._image, image
         if previous is None or len(self._now) == 0:
             return
-        cfg = self.config
-        options: dict[str, Any] = {"winSize": (cfg.window_px, cfg.window_px), "criteria": _UNTIL}
+        options: dict[str, Any] = {"winSize": (TRACKER.window_px, TRACKER.window_px), "criteria": _UNTIL}
         start = self._now[:, None]
-        there, found, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=cfg.levels, **options)
+        there, found, _ = cv2.calcOpticalFlowPyrLK(
+            previous, image, start, start.copy(), maxLevel=TRACKER.levels, **options
+        )
         # the way back may start at its end: a corner that is stable there is found again, a false one is not
-        options |= {"maxLevel": cfg.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+        options |= {"maxLevel": TRACKER.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
         back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
         there, back = there[:, 0], back[:, 0]
         height, width = image.shape
         alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
-        alive &= np.linalg.norm(back - self._now, axis=1) <= cfg.max_back_error_px
+        alive &= np.linalg.norm(back - self._now, axis=1) <= TRACKER.max_back_error_px
         alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
         self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
 
@@ -117,9 +85,9 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        most = self.config.max_corners
+        most = TRACKER.max_corners
         missing = most - len(self._now)
-        if len(self._now) < self.config.renew_below * most:
+        if len(self._now) < TRACKER.renew_below * most:
             new = self._new_corners(self._image, missing)
             self._now = np.concatenate((self._now, new))
             self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))
@@ -136,11 +104,11 @@ class CornerTracker:
         return Corners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: GreyImage, count: int) -> FloatArray:
-        spacing = max(3.0, self.config.spacing_share * image.shape[1])
+        spacing = max(3.0, TRACKER.spacing_share * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
         for x, y in self._now:
             cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, count, self.config.quality, spacing, mask=free, useHarrisDetector=True, k=HARRIS_K
+            image, count, TRACKER.quality, spacing, mask=free, useHarrisDetector=True, k=TRACKER.harris_k
         )
         return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)

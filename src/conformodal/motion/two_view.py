@@ -1,4 +1,4 @@
-"""Five-point solvers: PoseLib's, refined, by default; OpenCV's as the paper has it (its section 3)."""
+"""Five-point solvers: PoseLib's, refined, by default; OpenCV's, as in section 3 of the paper."""
 
 from __future__ import annotations
 

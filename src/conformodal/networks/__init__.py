@@ -6,17 +6,18 @@ with needing("train", "training"):
     import efficientnet_lite_pytorch  # noqa: F401
     import torch  # noqa: F401
 
-from .backbone import TorchBackbone, backbone_config, pick_device
 from .exporting import exported
 from .finetuning import fine_tune
-from .heads import Head, predict_values
+from .fitting import fit_head, mean_squared_error, soft_cross_entropy
+from .heads import Head, Loss, predict_values
 from .lite import NETWORKS, find_network
 from .quantising import quantised
-from .training import fit_head, mean_squared_error, soft_cross_entropy
+from .torch_backbone import TorchBackbone, backbone_config, pick_device
 
 __all__ = [
     "NETWORKS",
     "Head",
+    "Loss",
     "TorchBackbone",
     "backbone_config",
     "exported",

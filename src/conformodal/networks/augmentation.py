@@ -1,4 +1,4 @@
-"""What may happen to a picture without the camera moving: light, colour, noise, something in the way."""
+"""Augmentation that leaves the pose as it is: light, colour, noise, occlusion."""
 
 from __future__ import annotations
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import torch
 
 from conformodal.core import needing
-from conformodal.vision import FeatureCache, OnnxBackbone, VisionError
+from conformodal.vision import Backbone, FeatureCache, OnnxBackbone, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 from conformodal.vision.onnx_backbone import INPUT, OUTPUT
 
-from .backbone import TorchBackbone
+from .torch_backbone import TorchBackbone
 
-OPSET = 18
+_OPSET = 18
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 
@@ -31,16 +31,23 @@ def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
     MissingPackageError
         If a package for the export is not installed.
     """
-    kept = None if cache.folder is None else cache.folder.parent / "networks" / f"{backbone.fingerprint}.safetensors"
-    found = None if kept is None else kept_arrays(kept, backbone.fingerprint)
-    if found is not None:
-        return OnnxBackbone(backbone.config, found["onnx"].tobytes(), backbone.tuned)
-    content = _export(backbone)
-    made = OnnxBackbone(backbone.config, content, backbone.tuned)
-    _check_same(backbone, made)
-    if kept is not None:
-        keep_arrays(kept, backbone.fingerprint, {"onnx": np.frombuffer(content, dtype=np.uint8)})
-    return made
+
+    def make() -> bytes:
+        content = _export(backbone)
+        _check_same(backbone, OnnxBackbone(backbone.config, content, backbone.tuned))
+        return content
+
+    return kept_network(backbone, backbone.fingerprint, cache, make)
+
+
+def kept_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
+    """A backbone in the ONNX file that the cache holds under a key; it is made where the cache does not hold it."""
+    path = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
+    found = None if path is None else kept_arrays(path, key)
+    content = make() if found is None else found["onnx"].tobytes()
+    if path is not None and found is None:
+        keep_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
+    return OnnxBackbone(backbone.config, content, backbone.tuned)
 
 
 def _export(backbone: TorchBackbone) -> bytes:
@@ -53,7 +60,7 @@ def _export(backbone: TorchBackbone) -> bytes:
                 backbone,
                 (two,),
                 dynamo=True,
-                opset_version=OPSET,
+                opset_version=_OPSET,
                 input_names=[INPUT],
                 output_names=[OUTPUT],
                 dynamic_shapes={"images": {0: torch.export.Dim("n")}},

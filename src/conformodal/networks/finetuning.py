@@ -18,7 +18,7 @@ from conformodal.datasets import ImageError, read_image
 from conformodal.vision import BackboneConfig, FeatureCache, FineTuning, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 
-from .backbone import TorchBackbone
+from .torch_backbone import TorchBackbone
 
 
 class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -92,7 +95,7 @@ class Head(nn.Module):
         return self.answer(self.project(features))
 
     def trained(self) -> SoftmaxHead:
-        """What answers, without torch."""
+        """The same head in NumPy, which predicts without torch."""
         weights = {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
         return SoftmaxHead(weights, self.outputs)
 
@@ -101,7 +104,11 @@ class Head(nn.Module):
         return torch.split(raw, self.outputs, dim=1)
 
 
+# From a head, its raw outputs and the targets of a batch to one number.
+Loss: TypeAlias = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
+
+
 def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    """Raw outputs (n, d): the classical regressor's answers, on the standardised scale."""
+    """Raw outputs (n, d): the classical regressor's standardised predictions."""
     with torch.inference_mode():
         return np.asarray(head(torch.from_numpy(features)).double().numpy())

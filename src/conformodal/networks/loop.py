@@ -24,9 +24,8 @@ from conformodal.core import Progress
 from conformodal.core.files import FolderInUseError, locked
 from conformodal.vision import TrainingConfig
 
-from .heads import Head
+from .heads import Head, Loss
 from .states import KeepState, kept_state
-from .training import Loss
 
 _CHECKPOINT_EVERY_EPOCHS = 10
 
@@ -84,7 +83,7 @@ def run_loop(
     checkpoint_dir: Path | None,
     progress: Progress | None,
 ) -> None:
-    """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.training.fit_head`."""
+    """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.fitting.fit_head`."""
     loader: DataLoader[Any] = DataLoader(TensorDataset(torch.zeros(1)))  # epochs; the module holds the samples
     module = _Module(head, x, y, loss, config)
     folder = None if checkpoint_dir is None else checkpoint_dir / _digest(head, x, y, loss, config)

@@ -16,10 +16,11 @@ import numpy.typing as npt
 from conformodal.core import Progress, needing
 from conformodal.datasets import read_image
 from conformodal.vision import FeatureCache, OnnxBackbone
-from conformodal.vision.keeping import keep_arrays, kept_arrays
 from conformodal.vision.onnx_backbone import INPUT
 
-N_IMAGES = 64  # ranges of activations hardly widen with more
+from .exporting import kept_network
+
+_N_IMAGES = 64  # ranges of activations hardly widen with more
 
 
 def quantised(
@@ -48,21 +49,18 @@ def quantised(
     MissingPackageError
         If a package for the quantisation is not installed.
     """
-    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, N_IMAGES).round().astype(int))]
+    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
     key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
-    kept = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
-    found = None if kept is None else kept_arrays(kept, key)
-    if found is not None:
-        return OnnxBackbone(backbone.config, found["onnx"].tobytes(), backbone.tuned)
-    images = []
-    for path in chosen:
-        images.append(backbone.prepare(read_image(path)))
-        if progress is not None:
-            progress(len(images), len(chosen))
-    content = _quantise(backbone.content, images)
-    if kept is not None:
-        keep_arrays(kept, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
-    return OnnxBackbone(backbone.config, content, backbone.tuned)
+
+    def make() -> bytes:
+        images = []
+        for path in chosen:
+            images.append(backbone.prepare(read_image(path)))
+            if progress is not None:
+                progress(len(images), len(chosen))
+        return _quantise(backbone.content, images)
+
+    return kept_network(backbone, key, cache, make)
 
 
 def _quantise(content: bytes, images: Sequence[npt.NDArray[np.uint8]]) -> bytes:

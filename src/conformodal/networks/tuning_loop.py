@@ -14,9 +14,9 @@ from conformodal.core import Progress
 from conformodal.vision import FineTuning
 
 from .augmentation import augment
-from .backbone import TorchBackbone
 from .loop import fit_module
 from .shares import Order, SharedBatches
+from .torch_backbone import TorchBackbone
 
 _HEAD_RATE = 10.0
 _WEIGHT_DECAY = 1e-2
@@ -65,7 +65,7 @@ def run_tuning(
     progress: Progress | None,
     processes: int = 1,
 ) -> None:
-    """Train the last blocks of `backbone` in place; it ends frozen again."""
+    """Train the last blocks of `backbone` in place, and freeze it again."""
     size = len(images)  # type: ignore[arg-type]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)

@@ -34,8 +34,13 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
     graph = model.graph
     n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
     ours = {name: np.asarray(value) for name, value in head.weights.items()}
-    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]  # no thumbnail in the head
-    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, of which the thumbnail's are 0
+    ours["offset"], ours["components"] = (
+        ours["offset"][:n_map],
+        ours["components"][:n_map],
+    )  # the head does not see the global descriptor
+    if (
+        ours["components"].ndim == 1
+    ):  # then the hidden layer looks at all features, of which those of the global descriptor are 0
         ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
     for name in ("trunk.1.weight", "output.weight"):
         ours[name] = np.ascontiguousarray(ours[name].T)

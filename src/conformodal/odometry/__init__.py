@@ -5,12 +5,13 @@ from .config import Calibration, Method, ModelConfig, Runtime, config_of
 from .errors import BudgetWarning, ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .identity import Found, FrameIdentities, data_digest, identify
+from .identity import data_digest, identify
 from .learning import TrainingData, make_folds, measure_depths, prepare_training_data, train_model
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
-from .paper import PaperOdometry, odometry_of, paper_motions
-from .paths import METHODS, as_trajectory, whole_paths
+from .odometry import Odometry
+from .paper_odometry import PaperOdometry, odometry_of
+from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .region_rules import EvidenceKind, RegionRules
 from .results import (
@@ -31,7 +32,7 @@ from .results import (
 )
 from .results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from .selection import calibrate_selection, recording_errors, recording_sizes
-from .sizing import METRES_PER_RAD, Sizing, depth_or_default, joint_error, recording_size, roughness
+from .sizing import METRES_PER_RAD, Sizing, joint_error, recording_size, roughness
 from .store import load_model, model_digest, save_model
 from .streaming import StreamRunner
 
@@ -44,14 +45,13 @@ __all__ = [
     "Calibration",
     "Estimate",
     "EvidenceKind",
-    "Found",
     "FrameBudget",
-    "FrameIdentities",
     "Localization",
     "Method",
     "ModelConfig",
     "ModelFileError",
     "MotionRecord",
+    "Odometry",
     "OdometryError",
     "OdometryRun",
     "PaperOdometry",
@@ -72,7 +72,6 @@ __all__ = [
     "config_of",
     "coverage_table",
     "data_digest",
-    "depth_or_default",
     "error_table",
     "fit_pose_radius",
     "identify",
@@ -85,7 +84,6 @@ __all__ = [
     "measure_motions",
     "model_digest",
     "odometry_of",
-    "paper_motions",
     "pose_errors",
     "prepare_training_data",
     "provenance",
@@ -101,6 +99,7 @@ __all__ = [
     "recordings_needed",
     "records_contain",
     "roughness",
+    "rows_by_recording",
     "save_model",
     "train_model",
     "whole_paths",

@@ -18,8 +18,6 @@ from conformodal.vision import FineTuning, TrainingConfig
 
 from .errors import OdometryError
 
-SOURCES = ("head", "neighbours", "landmarks")
-
 
 class Calibration(StrEnum):
     """What the thresholds of a region are calibrated on.
@@ -54,7 +52,7 @@ class Runtime(StrEnum):
 
 
 class Method(StrEnum):
-    """Which system."""
+    """Which system a model belongs to."""
 
     CONFORMODAL = "conformodal"
     PAPER = "paper"  # the paper's, as it stands
@@ -120,7 +118,7 @@ class ModelConfig:
     used: float | None = None
     calibrate_on: Calibration = Calibration.AUTO
     novelty_level: float | None = None
-    sources: tuple[str, ...] = SOURCES
+    sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
     network: str = "efficientnet_lite0"
     fine_tuning: FineTuning | None = None
     device: str = "auto"
@@ -181,13 +179,13 @@ _PAPER: dict[str, Any] = {
 
 
 def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-    """Settings behind a model, for the record, with the name and the frames of its data set."""
+    """The settings of a model as its record stores them, with the name and size of its data set."""
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
     return {**asdict(config), **names, "data": data, "n_frames": n_frames}
 
 
 def config_of(record: Mapping[str, Any]) -> ModelConfig:
-    """The settings behind a model, from its record.
+    """The settings of a model, from its record.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What is found out about one frame of a stream, and about all frames of a sequence."""
+"""Estimates: of one frame of a stream, and of all frames of a sequence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .region_rules import EvidenceKind
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Answer to one frame of a stream.
+    """The estimate of one frame of a stream.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Estimate:
     matched
         Whether local features were matched.
     localization
-        What the model says of this frame alone, with its belief; None without an image.
+        Belief and region of this frame alone; None without an image.
     reliable
         False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
     """
@@ -84,7 +84,7 @@ class Estimate:
 
 @dataclass(eq=False)
 class OdometryRun:
-    """Everything found out about the frames of a sequence.
+    """Estimates of the frames of a sequence, and what they rest on.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class OdometryRun:
     timestamps_s
         (m,) seconds.
     localization
-        What the model says of each frame alone: beliefs, regions, novelty.
+        Belief, region and novelty of each frame alone.
     candidates, motions
         One a frame; ``motions[t]`` leads from the frame before.
     submaps
@@ -118,7 +118,7 @@ class OdometryRun:
 
     @property
     def regions(self) -> Regions:
-        """Calibrated, one a frame."""
+        """Calibrated regions, one a frame."""
         return self.localization.regions
 
     @property
@@ -133,17 +133,17 @@ class OdometryRun:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The answer."""
+        """The trajectory of the method :attr:`answer`."""
         return self.trajectories[self.answer]
 
     @property
     def reliable(self) -> npt.NDArray[np.bool_]:
-        """(m,) whether a known place is shown and motion since the frame before could be used, if there is one."""
+        """(m,) whether a frame shows a known place, and motion since the frame before, if any, could be used."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
         return np.asarray(moving & (self.kinds != EvidenceKind.UNKNOWN))
 
     def observations(self, at: IntArray) -> Observations:
-        """What reasoning is given about the frames of one recording, by their places (m,) in `frames`."""
+        """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""
         places = {place: k for k, place in enumerate(at.tolist())}
         submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
         motions = [self.motions[t] for t in at]

@@ -13,7 +13,6 @@ from conformodal.localization import FrameEvidence, LocalFeatures, extract_local
 from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import LAG, Candidates, OnlineReasoner, blend, bridge, online, predict_candidates
-from conformodal.vision import FeatureCache
 
 from .budget import FrameBudget, as_budget
 from .config import Method
@@ -22,14 +21,16 @@ from .estimates import Estimate, OdometryRun
 from .frame import as_image, as_time
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
-from .paths import METHODS, as_trajectory, whole_paths
-from .reading import chosen_frames, read_frames
+from .odometry import Odometry
+from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
 from .region_rules import EvidenceKind
 from .store import load_model
 
 
-class VisualOdometry:
+class VisualOdometry(Odometry):
     """Poses of one camera, frame by frame (:meth:`step`) or for a whole sequence (:meth:`run`).
+
+    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ class VisualOdometry:
 
     @classmethod
     def load(cls, folder: Path | str) -> VisualOdometry:
-        """From a saved model.
+        """Load a saved model.
 
         Raises
         ------
@@ -144,7 +145,7 @@ class VisualOdometry:
         )
 
     def _candidates(self, found: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Candidates:
-        """Candidates of a frame; those of the frame before, moved on, are added where it shows nothing known."""
+        """Candidates of a frame; where it shows no known place, those predicted from the frame before are added."""
         here, estimates = found.candidates[0], list(found.beliefs.estimates[0])
         known, chain = bool(found.known[0]), found.candidates[0]
         if not known and self._before is not None and self._last_s is not None:
@@ -164,63 +165,30 @@ class VisualOdometry:
             return None
         return extract_local_features(image, self.model.camera)
 
-    def pass_by(self, image: npt.ArrayLike) -> None:
-        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
-        found = as_image(image, self.model.camera)
-        if not isinstance(found, str):
-            self._front_end.pass_by(found)
+    def measure_motions(
+        self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
+    ) -> MotionRecord:
+        """Relative motions, submaps and local features of `frames`."""
+        return measure_motions(sequence, frames, progress)
 
-    def run(self, sequence: Sequence) -> Trajectory:
-        """The smoothed trajectory of a whole sequence; :meth:`process` gives all the rest."""
-        return self.process(sequence).trajectory
-
-    def process(
-        self,
-        sequence: Sequence,
-        frames: IntArray | None = None,
-        *,
-        cache: FeatureCache | None = None,
-        motions: MotionRecord | None = None,
-        progress: StageProgress | None = None,
+    def _answered(
+        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
     ) -> OdometryRun:
-        """Work out regions and trajectories of a sequence.
-
-        Parameters
-        ----------
-        sequence
-            Frames in order of time, of the model's camera.
-        frames
-            Frames to answer, increasing; all by default. The network sees these only. The tracker also follows
-            corners through the frames between them, as a camera would deliver them.
-        cache
-            Of features.
-        motions
-            From :func:`measure_motions` on the same frames, if they are known already.
-        progress
-            Called with stage, frames done and frames in all.
-
-        Raises
-        ------
-        OdometryError
-            If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
-        """
-        if motions is None:
-            motions = measure_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
-        usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
-        local = [motions.local_features.get(i) for i in usable.tolist()]
+        local = [motions.local_features.get(i) for i in frames.tolist()]
         found = self.model.localize(FrameEvidence(features, local))
-        moved = [motions.motions[i] for i in usable.tolist()]
+        moved = [motions.motions[i] for i in frames.tolist()]
+        times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
         run = OdometryRun(
-            frames=usable,
-            timestamps_s=sequence.timestamps_s[usable],
+            frames=frames,
+            timestamps_s=times,
             localization=found,
-            candidates=self._bridged(found, moved, sequence.timestamps_s[usable], sequence.recording[usable]),
+            candidates=self._bridged(found, moved, times, recording),
             motions=moved,
-            submaps=motions.submaps_of(usable),
+            submaps=motions.submaps_of(frames),
             trajectories={},
             unreadable=motions.unreadable,
         )
-        run.trajectories = self._trajectories(run, sequence.recording[usable])
+        run.trajectories = self._trajectories(run, recording)
         return run
 
     def _bridged(
@@ -230,10 +198,9 @@ class VisualOdometry:
         timestamps_s: npt.NDArray[np.float64],
         recording: IntArray,
     ) -> list[Candidates]:
-        """Candidates of all frames; those that show nothing known have their neighbours', and recognised places."""
+        """Candidates of all frames; where one shows no known place, those predicted from its neighbour are added."""
         candidates, estimates = found.candidates, found.beliefs.estimates
-        for number in np.unique(recording):
-            at = np.flatnonzero(recording == number)
+        for at in rows_by_recording(recording):
             known = found.known[at]
             if not known.any():  # then the path starts from frames in which a place was recognised
                 known = found.beliefs.recognised[at]
@@ -250,8 +217,7 @@ class VisualOdometry:
     def _trajectories(self, run: OdometryRun, recording: IntArray) -> dict[str, Trajectory]:
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         prior = self.model.prior
-        for number in np.unique(recording):  # motion is never linked across recordings
-            at = np.flatnonzero(recording == number)
+        for at in rows_by_recording(recording):
             seen = run.observations(at)
             found = {**whole_paths(seen, prior), "online": as_trajectory(online(seen, prior, self.lag))}
             for name, path in found.items():

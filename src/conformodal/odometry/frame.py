@@ -1,4 +1,4 @@
-"""Images, times and indices of frames as they come in: in one form, or a word says what is wrong with them."""
+"""Checks of images, timestamps and indices of frames, which bring them into one form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .errors import OdometryError
 
 
 def as_image(image: Any, camera: PinholeCamera) -> npt.NDArray[np.uint8] | str:
-    """An image as the camera gives it, contiguous, or what keeps it from being one.
+    """An image in the camera's size, contiguous; or, as text, why it is none.
 
     Parameters
     ----------

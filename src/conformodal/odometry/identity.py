@@ -1,10 +1,9 @@
-"""Which frames a model knows: by the pixels of their images and by their poses, whatever their files are called."""
+"""Recognising the frames that a model was trained on: by pixels and poses, whatever their files are called."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +42,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class FrameIdentities:
-    """What frames are recognised by.
+    """Digests and poses by which frames are recognised.
 
     Attributes
     ----------
@@ -92,10 +91,8 @@ class FrameIdentities:
         return Found(at, moved)
 
 
-def identify(
-    sequence: Sequence, known: FrameIdentities | None = None, progress: Callable[[int, int], None] | None = None
-) -> FrameIdentities:
-    """Identities of a sequence's frames, in their order. They are of the files: the sequence's noise is left out.
+def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameIdentities:
+    """Identities of a sequence's frames, in their order; of the files as they are, without the sequence's noise.
 
     Parameters
     ----------
@@ -104,8 +101,6 @@ def identify(
     known
         Frames whose files need no decoding where they have not changed; another decoder's last digits do not matter
         then either.
-    progress
-        Called with frames done and frames in all.
     """
     decoded = (
         {} if known is None else {f.tobytes(): p.tobytes() for f, p in zip(known.files, known.pixels, strict=True)}
@@ -117,8 +112,6 @@ def identify(
         digests = pool.map(lambda path: _digests(path, decoded), sequence.image_paths)
         for i, (of_file, of_pixels) in enumerate(digests):
             found[0, i], found[1, i] = np.frombuffer(of_file, np.uint8), np.frombuffer(of_pixels, np.uint8)
-            if progress is not None:
-                progress(i + 1, n)
     poses = np.full((n, 7), np.nan)
     if sequence.truth is not None:
         poses = np.column_stack((sequence.truth.positions_xyz, sequence.truth.orientations_quat_wxyz))
@@ -126,7 +119,7 @@ def identify(
 
 
 def data_digest(sequence: Sequence) -> str:
-    """Digest of all that results on a data set rest on: two data sets with the same one give the same results."""
+    """Digest of all that decides results on a data set: equal digests mean equal results."""
     own = identify(sequence)
     digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
     for array in (own.pixels, own.poses, sequence.timestamps_s, sequence.recording):

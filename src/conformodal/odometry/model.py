@@ -33,7 +33,7 @@ from .region_rules import EvidenceKind, RegionRules
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """What the model says of n images, each by itself.
+    """Beliefs and regions of n images, each by itself.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class PoseModel:
 
     @property
     def method(self) -> Method:
-        """Which system it belongs to."""
+        """The system that the model belongs to."""
         return Method(self.configuration.get("method", Method.CONFORMODAL))
 
     @property
@@ -130,7 +130,7 @@ class PoseModel:
 
     @property
     def looks_at_local_features(self) -> bool:
-        """Whether local features of an image change its answer."""
+        """Whether local features of an image change its estimate."""
         return self.localizer.local and self.rules.matched is not None
 
     @property
@@ -154,11 +154,11 @@ class PoseModel:
         return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])
 
     def with_recognised(self, candidates: Candidates, estimates: list[PoseMeasurement]) -> Candidates:
-        """Candidates of an image, from wherever, with the places that were recognised in it."""
+        """Candidates of an image, of any origin, updated with the recognised places among its estimates."""
         return self.localizer.update(candidates, [recognised_only(estimates)]).candidates
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
-        """What is calibrated on all frames, on beliefs with local features or without."""
+        """The rule that is calibrated on all frames: on beliefs with local features, or without."""
         return self.rules.matched if local and self.rules.matched is not None else self.rules.overall
 
     def recalibrate(self, alpha: Alpha) -> None:
@@ -172,7 +172,7 @@ class PoseModel:
         self.rules = self.rules.at(alpha)
 
     def set_novelty_level(self, level: float) -> None:
-        """Take images for unknown at another p-value: at most `level`; 0 takes none.
+        """Take images for unknown whose p-value is at most `level`; at 0 no image is.
 
         Raises
         ------
@@ -207,5 +207,5 @@ class PoseModel:
 
 
 def _lens(camera: PinholeCamera) -> tuple[float, ...]:
-    """All five numbers, whether a file says those that are zero or not."""
+    """All five distortion coefficients; a file may leave out those that are zero."""
     return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))

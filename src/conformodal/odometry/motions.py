@@ -1,4 +1,4 @@
-"""What the frames of a sequence say without a network: relative motions, submaps, local features."""
+"""What is measured in frames without a network: relative motions, submaps, local features."""
 
 from __future__ import annotations
 

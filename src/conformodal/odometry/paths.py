@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from conformodal.core import IntArray
 from conformodal.poses import Trajectory
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth, viterbi
 
-# The answer first.
+# The first is the answer of a run.
 METHODS = ("smoothed", "viterbi", "online")
 PAPERS_METHOD = "greedy"
 
@@ -14,6 +17,11 @@ def whole_paths(seen: Observations, prior: MotionPrior) -> dict[str, Trajectory]
     """The paths that need all frames of a recording: the most probable one, and that one smoothed."""
     best = viterbi(seen, prior)
     return {"smoothed": as_trajectory(smooth(best, seen, prior)), "viterbi": as_trajectory(best)}
+
+
+def rows_by_recording(recording: IntArray) -> list[IntArray]:
+    """Rows of each recording, from the numbers (n,) of the recordings: motion is never linked across recordings."""
+    return [np.flatnonzero(recording == number) for number in np.unique(recording)]
 
 
 def as_trajectory(path: PosePath) -> Trajectory:

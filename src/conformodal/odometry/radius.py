@@ -62,11 +62,11 @@ class PoseRadius:
 
     @property
     def radius_m(self) -> float:
-        """Of the position in a recording of size 1, in metres."""
+        """Radius of the position in a recording of size 1, in metres."""
         return self.radius_rad * self.metres_per_rad
 
     def degrees(self, size: float = 1.0) -> float:
-        """Of the orientation in a recording of a size, at most 180 unless infinite: no angle is larger."""
+        """Radius of the orientation in degrees, in a recording of a size; at most 180, or infinite."""
         degrees = float(np.degrees(self.radius_rad)) * size
         return min(degrees, 180.0) if np.isfinite(degrees) else degrees
 
@@ -80,7 +80,7 @@ class PoseRadius:
         )
 
     def size_of(self, trajectory: Trajectory) -> float:
-        """By how much both radii are multiplied in one recording, from all answers to it and without its truth."""
+        """The factor of both radii in one recording, from its whole estimated trajectory and without its truth."""
         return recording_size(trajectory, self.sizing, self.alpha, self.metres_per_rad)
 
     def sizes_of(self, trajectory: Trajectory, recording: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
@@ -106,7 +106,7 @@ class PoseRadius:
 
 
 def recordings_needed(alpha: Alpha) -> int:
-    """Recordings without which a radius is infinite: 9 for one tenth."""
+    """Least number of recordings for a finite radius: 9 at alpha = 0.1."""
     return ceil(1 / as_alpha(alpha)) - 1
 
 

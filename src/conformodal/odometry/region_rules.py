@@ -56,7 +56,7 @@ class RegionRules:
 
     @cached_property
     def of(self) -> dict[EvidenceKind, SplitConformal]:
-        """The calibrated rule of each kind but the last."""
+        """The calibrated rule of each kind of evidence but ``UNKNOWN``."""
         known = self.known_p > self.level
         rules = {EvidenceKind.GLOBAL: _part(self.overall, known)}
         if self.matched is not None:

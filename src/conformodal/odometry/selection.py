@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha
 from conformodal.core import StageProgress
+from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache
@@ -68,7 +69,7 @@ def calibrate_selection(
     if known.any():
         raise OdometryError(
             f"{sequence.image_paths[int(known.argmax())]}: has the pixels of a frame of the data set the model was "
-            f"trained on, and so have {known.sum()} of {len(known)} frames; calibrate on other recordings"
+            f"trained on, and so have {known.sum()} of {counted(len(known), 'frame')}; calibrate on other recordings"
         )
     # the depth was learnt in training, so it knows nothing of these recordings
     given = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad

@@ -1,4 +1,4 @@
-"""How hard a recording looks without its truth: what a radius is resized by.
+"""How hard a recording is, told without its truth: the radius of the chosen pose is resized by it.
 
 A system whose answers to neighbouring frames contradict each other is further off than one whose answers do not. This
 is what the resized sets of Duchi, Gupta, Jiang and Sur ("Predictive inference in multi-environment scenarios",
@@ -19,17 +19,9 @@ from conformodal.core import FloatArray
 from conformodal.poses import Trajectory
 
 from .errors import OdometryError
+from .settings import SIZING
 
-# A pose d metres off moves the view of things at a depth of z metres as much as one turned by d / z radians. Rooms
-# are some two metres deep; a model that knows the depth of its own scene uses that.
-METRES_PER_RAD = 2.0
-# A recording of this roughness has size 1. A unit only: thresholds take it back.
-REFERENCE_RAD = 0.01
-# Less than proportional, because only a part of an error shows in neighbouring frames: what a map has wrong moves all
-# of them alike. Chosen in benchmarks/radius.py, on one reference truth, and tested on the other.
-POWER = 0.25
-# No recording counts as smoother than this, so that a size is never zero.
-LEAST_RAD = 1e-6
+METRES_PER_RAD = SIZING.metres_per_rad
 
 
 class Sizing(StrEnum):
@@ -40,12 +32,12 @@ class Sizing(StrEnum):
 
 
 def depth_or_default(depth_m: float) -> float:
-    """How many metres weigh as much as one radian, where `depth_m` is that of a scene or NaN."""
+    """How many metres weigh as much as one radian: the depth of the scene, or the default where that is NaN."""
     return depth_m if np.isfinite(depth_m) else METRES_PER_RAD
 
 
 def check_metres_per_rad(metres_per_rad: float) -> float:
-    """The same number.
+    """The same number, checked.
 
     Raises
     ------
@@ -116,4 +108,4 @@ def recording_size(
     if sizing is Sizing.NONE or len(trajectory) < 3:
         return 1.0
     rough = np.quantile(roughness(trajectory, metres_per_rad), 1 - float(as_alpha(alpha)))
-    return float((max(float(rough), LEAST_RAD) / REFERENCE_RAD) ** POWER)
+    return float((max(float(rough), SIZING.least_rad) / SIZING.reference_rad) ** SIZING.power)

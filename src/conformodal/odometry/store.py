@@ -36,7 +36,7 @@ from .radius import PoseRadius, Promise
 from .region_rules import RegionRules
 from .sizing import Sizing
 
-FORMAT = "conformodal-model-12"
+_FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -84,7 +84,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays["sign_reference"] = localizer.sign_reference
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
-        "format": FORMAT,
+        "format": _FORMAT,
         "backbone": asdict(model.backbone.config),
         "backbone_fingerprint": model.backbone.fingerprint,
         "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
@@ -131,11 +131,11 @@ def load_model(folder: Path | str) -> PoseModel:
     except (ModelFileError, MissingPackageError):
         raise
     except _DAMAGE as exc:
-        raise ModelFileError(f"{folder}: is no complete {FORMAT}: {type(exc).__name__}: {exc}") from exc
+        raise ModelFileError(f"{folder}: is no complete {_FORMAT}: {type(exc).__name__}: {exc}") from exc
 
 
 def model_digest(folder: Path) -> str | None:
-    """What identifies the trained model in a folder, whatever radius it was given later; None where there is none."""
+    """Digest of the trained model in a folder, which a radius given later does not change; None without a model."""
     try:
         digest = _read_record(folder / _JSON)["weights_sha256"]
     except (ModelFileError, KeyError):
@@ -163,7 +163,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
 
 
 def _named(paths: Sequence[Path], sha256: str) -> bytes:
-    """The content of the file that has a digest."""
+    """The content of the one of these files whose digest is `sha256`."""
     problem = ""
     for path in paths:
         try:
@@ -285,9 +285,9 @@ def _read_record(path: Path) -> dict[str, Any]:
         raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
     except (ValueError, RecursionError) as exc:
         raise ModelFileError(f"{path}: is no JSON: {exc}") from exc
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
+    if not isinstance(record, dict) or record.get("format") != _FORMAT:
         found = record.get("format") if isinstance(record, dict) else type(record).__name__
-        raise ModelFileError(f"{path}: holds format {found!r}, expected {FORMAT!r}")
+        raise ModelFileError(f"{path}: holds format {found!r}, expected {_FORMAT!r}")
     stated = record.pop("sha256", None)
     if stated != _digest(record):
         raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from conformodal.core import IntArray
 from conformodal.datasets.streams import Frame, SourceError
 from conformodal.motion import Corners, build_submaps
 from conformodal.poses import RelativeMotion, Trajectory
@@ -16,7 +17,7 @@ from conformodal.reasoning import Candidates, Observations
 
 from .estimates import Estimate
 from .estimator import VisualOdometry
-from .paper import PaperOdometry
+from .paper_odometry import PaperOdometry
 from .paths import whole_paths
 from .region_rules import EvidenceKind
 from .results import RegionStatistics, ResultsWriter
@@ -51,6 +52,8 @@ class StreamRunner:
         Where results go.
     truth
         Of the whole data set, to measure coverage with; or None.
+    posed
+        Increasing indices of the frames that `truth` is of; None for all.
     window, overlap
         Frames of a window, and how many of them wait for the next one; less than half of it.
 
@@ -60,7 +63,9 @@ class StreamRunner:
         Frames so far; the last three: those whose local features were matched, those with an absolute pose estimate
         from landmarks, and those that show no known place.
     answered
-        Their places in the data set, if the truth is known.
+        Places in the data set of those whose true pose is known.
+    known
+        Which of the answers these are, counted from 0.
     by_recording
         How many of them in each recording, by its number and in the order of the stream.
     motion
@@ -77,6 +82,7 @@ class StreamRunner:
         writer: ResultsWriter,
         *,
         truth: Trajectory | None = None,
+        posed: IntArray | None = None,
         window: int = WINDOW,
         overlap: int = OVERLAP,
     ) -> None:
@@ -85,11 +91,14 @@ class StreamRunner:
         self.n_answered = self.n_unreliable = self.n_matched = self.n_localized = 0
         self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
+        self.known: list[int] = []
         self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
         self._truth = truth
+        frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
+        self._row = {frame: row for row, frame in enumerate(frames)}
         self._statistics: list[RegionStatistics] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
@@ -110,6 +119,18 @@ class StreamRunner:
         """Whether local features of all answered frames were matched, if the model looks at them."""
         asked = self.odometry.match_every == 1 and self.odometry.budget is None
         return asked or self.n_matched == self.n_answered
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """True poses of the answered frames that have one; None if none has."""
+        if self._truth is None or not self.answered:
+            return None
+        return self._truth[np.array([self._row[frame] for frame in self.answered])]
+
+    def true_pose(self, frame: Frame) -> Trajectory | None:
+        """The true pose of a frame, a trajectory of one; None where it is not known."""
+        row = self._row.get(frame.index)
+        return None if self._truth is None or row is None else self._truth[row : row + 1]
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
@@ -175,11 +196,12 @@ class StreamRunner:
         self.n_unknown += estimate.evidence is EvidenceKind.UNKNOWN
         said = estimate.known_p, estimate.evidence
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
-        if self._truth is not None:
-            here = self._truth[frame.index : frame.index + 1]
+        here = self.true_pose(frame)
+        if here is not None:
             kind = np.array([estimate.evidence])
             self._statistics.append(RegionStatistics.of(region, here, model.sign_reference, kind))
             self.answered.append(frame.index)
+            self.known.append(self.n_answered - 1)
         if not self.odometry.whole_paths:  # each answer is the last word
             self.writer.poses(self.odometry.answer, revised)
             return

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray
 
 from .errors import PoseError
 
@@ -46,15 +47,15 @@ class PinholeCamera:
             raise PoseError(f"distortion must be k1, k2, p1, p2 and perhaps k3, all finite; got {self.distortion}")
 
     @property
-    def matrix(self) -> npt.NDArray[np.float64]:
+    def matrix(self) -> FloatArray:
         """(3, 3) intrinsic matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    def on_plane(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def on_plane(self, pixels: FloatArray) -> FloatArray:
         """Where rays through undistorted pixels (..., 2) meet the plane at depth 1, (..., 2)."""
         return np.asarray((pixels - (self.cx, self.cy)) / (self.fx, self.fy))
 
-    def bearings(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def bearings(self, pixels: FloatArray) -> FloatArray:
         """Unit rays (n, 3) in the camera frame (x right, y down, z forward) through undistorted pixels (n, 2)."""
         rays = np.column_stack((self.on_plane(pixels), np.ones(len(pixels))))
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

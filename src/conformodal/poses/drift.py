@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray
+from conformodal.core import FloatArray, IntArray
 
 from .errors import PoseError
 from .metrics import check_same_length
 from .trajectory import Trajectory
 
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
-KITTI_EVERY = 10  # frames between the starts of stretches
+_KITTI_EVERY = 10  # frames between the starts of stretches
 
 
 def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> tuple[FloatArray, FloatArray]:
@@ -75,7 +74,7 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
     by_length: dict[float, tuple[float, float]] = {}
     percents, rates = [], []
     for length in KITTI_LENGTHS_M:
-        starts = np.arange(0, len(truth), KITTI_EVERY)
+        starts = np.arange(0, len(truth), _KITTI_EVERY)
         ends = np.searchsorted(along, along[starts] + length, side="right")  # the first frame beyond
         inside = ends < len(truth)
         if not inside.any():
@@ -91,7 +90,7 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
 
 
 def _motion_errors(
-    estimate: Trajectory, truth: Trajectory, starts: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]
+    estimate: Trajectory, truth: Trajectory, starts: IntArray, ends: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Sizes of ``(truth_i^-1 truth_j)^-1 (estimate_i^-1 estimate_j)``, in metres and degrees."""
     motions = []

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray, IntArray
 
 from .errors import PoseError
 from .rotations import angle_between_quats
@@ -15,13 +14,13 @@ from .trajectory import Trajectory
 MAX_TIME_DIFFERENCE_S = 0.01
 
 
-def position_errors_m(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
+def position_errors_m(estimate: Trajectory, truth: Trajectory) -> FloatArray:
     """Distance in metres between estimated and true camera centres, (n,)."""
     check_same_length(estimate, truth)
     return np.asarray(np.linalg.norm(estimate.positions_xyz - truth.positions_xyz, axis=1))
 
 
-def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.float64]:
+def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> FloatArray:
     """Angle in degrees between estimated and true orientations, (n,)."""
     check_same_length(estimate, truth)
     angles = angle_between_quats(estimate.orientations_quat_wxyz, truth.orientations_quat_wxyz)
@@ -46,12 +45,10 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, floa
 
 
 # Metres and degrees, as re-localisation papers give them.
-RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
+_RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
 
 
-def recall(
-    estimate: Trajectory, truth: Trajectory, thresholds: Sequence[tuple[float, float]] = RECALL_THRESHOLDS
-) -> dict[str, float]:
+def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Share of poses within metres and degrees of the truth, both at once; by ``"0.05 m, 5 deg"``.
 
     Raises
@@ -60,12 +57,12 @@ def recall(
         If the two differ in length or hold no pose.
     """
     metres, degrees = _pose_errors(estimate, truth)
-    return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in thresholds}
+    return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in _RECALL_THRESHOLDS}
 
 
 def associate(
     estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[IntArray, IntArray]:
     """Pair every estimated pose with the nearest true one in time: indices into both, equally long.
 
     Raises
@@ -92,7 +89,7 @@ def associate(
     return np.flatnonzero(matched), order[nearest[matched]]
 
 
-def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, FloatArray]:
     if len(truth) == 0:
         raise PoseError("a trajectory without poses has no error")
     return position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import FloatArray
 
 # A direction is trusted if its error is claimed to be no larger.
-TRUSTED_DIRECTION_RAD = np.radians(10.0)
+_TRUSTED_DIRECTION_RAD = np.radians(10.0)
 
 
 class MotionStatus(StrEnum):
@@ -48,8 +49,8 @@ class RelativeMotion:
     """
 
     status: MotionStatus
-    R_prev_next: npt.NDArray[np.float64] | None = None
-    direction_prev: npt.NDArray[np.float64] | None = None
+    R_prev_next: FloatArray | None = None
+    direction_prev: FloatArray | None = None
     n_tracks: int = 0
     n_inliers: int = 0
     parallax_rad: float = 0.0
@@ -64,4 +65,4 @@ class RelativeMotion:
     @property
     def direction_trusted(self) -> bool:
         """Whether there is a direction with a claimed spread of at most 10 degrees; others still weigh, by theirs."""
-        return self.direction_prev is not None and self.direction_sigma_rad <= TRUSTED_DIRECTION_RAD
+        return self.direction_prev is not None and self.direction_sigma_rad <= _TRUSTED_DIRECTION_RAD

@@ -15,7 +15,7 @@ from conformodal.core import FloatArray
 from .errors import PoseError
 
 # Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
-ORTHONORMAL_TOLERANCE = 1e-3
+_ORTHONORMAL_TOLERANCE = 1e-3
 
 
 def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:
@@ -42,7 +42,7 @@ def rotation_faults(matrices: FloatArray) -> dict[int, str]:
     faults = {int(i): "holds NaN or infinity" for i in np.flatnonzero(~np.isfinite(matrices).all(axis=(1, 2)))}
     with np.errstate(over="ignore", invalid="ignore"):
         gap = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        far = ~(gap <= ORTHONORMAL_TOLERANCE)
+        far = ~(gap <= _ORTHONORMAL_TOLERANCE)
     for i in np.flatnonzero(far).tolist():
         faults.setdefault(i, f"no rotation: R R^T differs from the identity by {gap[i]:.3g}")
     near = np.flatnonzero(~far)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core import FloatArray
+from conformodal.core import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Submap:
         Spread of the errors of `R_anchor_frame`, about each axis.
     """
 
-    frames: npt.NDArray[np.int64]
+    frames: IntArray
     R_anchor_frame: FloatArray
     positions: FloatArray
     depth: float

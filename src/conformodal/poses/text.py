@@ -17,7 +17,7 @@ from .rotations import rotation_faults
 from .trajectory import Trajectory
 
 # Farther away than any place, in metres: squares of larger numbers overflow.
-MOST_M = 1e9
+_MOST_M = 1e9
 _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
@@ -97,6 +97,22 @@ def read_rows(
         lines = text_lines(path)
     except (OSError, ValueError) as exc:
         raise TrajectoryFileError(f"{path}: cannot be read as a trajectory: {exc}") from exc
+    rows, bad, n_unread = _parse_lines(path, lines, parse, width, by_line=by_line)
+    if not rows:
+        raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
+    refused = damaged is None or len(bad) == len(rows) or 2 * n_unread > len(rows)
+    for row_number, (at, line) in bad.items():
+        fault = f"{path}, line {at}: expected {expected}, got {line!r}"
+        if damaged is None or refused:
+            raise TrajectoryFileError(fault)
+        damaged[row_number] = fault
+    return np.array(rows)
+
+
+def _parse_lines(
+    path: Path, lines: list[str], parse: Callable[[str], list[float]], width: int, *, by_line: bool
+) -> tuple[list[list[float]], dict[int, tuple[int, str]], int]:
+    """Rows, those of bad lines full of NaN; number and text of the bad lines, by row; how many are not `width` long."""
     rows: list[list[float]] = []
     bad: dict[int, tuple[int, str]] = {}
     n_unread = blank = 0
@@ -117,29 +133,21 @@ def read_rows(
             bad[len(rows)] = at, line[:80]
             row = [np.nan] * width
         rows.append(row)
-    if not rows:
-        raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
-    refused = damaged is None or len(bad) == len(rows) or 2 * n_unread > len(rows)
-    for row_number, (at, line) in bad.items():
-        fault = f"{path}, line {at}: expected {expected}, got {line!r}"
-        if damaged is None or refused:
-            raise TrajectoryFileError(fault)
-        damaged[row_number] = fault
-    return np.array(rows)
+    return rows, bad, n_unread
 
 
 def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
     """What is wrong with rows of positions (n, 3) and quaternions (n, 4), by row; rows of NaN are left out."""
     faults = {}
     with np.errstate(over="ignore", invalid="ignore"):
-        far = np.abs(positions).max(axis=1, initial=0.0) > MOST_M
+        far = np.abs(positions).max(axis=1, initial=0.0) > _MOST_M
         length = np.linalg.norm(quats, axis=1)
         short = (length <= 1e-12) | np.isinf(length)
     for i in np.flatnonzero(far | short).tolist():
         faults[i] = (
             f"its quaternion {quats[i].tolist()} has no direction"
             if short[i]
-            else f"its position {positions[i].tolist()} is more than {MOST_M:g} m away"
+            else f"its position {positions[i].tolist()} is more than {_MOST_M:g} m away"
         )
     return faults
 

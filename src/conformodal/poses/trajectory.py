@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
+from conformodal.core import BoolArray, FloatArray
 
 from .errors import PoseError
 from .rotations import check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix
@@ -31,6 +31,15 @@ class Trajectory:
     ------
     PoseError
         If shapes differ or a value is not finite.
+
+    Examples
+    --------
+    >>> from conformodal import Trajectory
+    >>> path = Trajectory([0.0, 0.1], [[0, 0, 0], [1, 0, 0]], [[1, 0, 0, 0], [2, 0, 0, 0]])
+    >>> path.orientations_quat_wxyz[1]  # of unit length, w first
+    array([1., 0., 0., 0.])
+    >>> len(path[1:])
+    1
     """
 
     timestamps_s: FloatArray
@@ -55,7 +64,7 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.timestamps_s)
 
-    def __getitem__(self, index: slice | npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Trajectory:
+    def __getitem__(self, index: slice | npt.NDArray[np.integer] | BoolArray) -> Trajectory:
         return Trajectory(self.timestamps_s[index], self.positions_xyz[index], self.orientations_quat_wxyz[index])
 
     @classmethod

@@ -5,34 +5,32 @@ A reasoner is a function from :class:`Observations` and a :class:`MotionPrior` t
 """
 
 from .bridging import blend, bridge, predict_candidates
-from .candidates import Candidates, interval_candidates, mode_candidates, softmax_mean
+from .candidates import BinRuns, Candidates, interval_candidates, interval_runs, mode_candidates, softmax_mean
 from .errors import ReasoningError
-from .greedy import Greedy, IntervalMeans, greedy, interval_means
-from .observations import Observations, PosePath, Reasoner
+from .greedy import Greedy, greedy
+from .observations import Observations, PosePath
 from .online import LAG, OnlineReasoner, online
 from .orientations import smooth_orientations
 from .prior import MotionPrior, fit_motion_prior
 from .smoother import smooth, smooth_positions
-from .viterbi import Decoder, orientation_cost, position_cost, transition_cost, viterbi
+from .viterbi import orientation_cost, position_cost, transition_cost, viterbi
 
 __all__ = [
     "LAG",
+    "BinRuns",
     "Candidates",
-    "Decoder",
     "Greedy",
-    "IntervalMeans",
     "MotionPrior",
     "Observations",
     "OnlineReasoner",
     "PosePath",
-    "Reasoner",
     "ReasoningError",
     "blend",
     "bridge",
     "fit_motion_prior",
     "greedy",
     "interval_candidates",
-    "interval_means",
+    "interval_runs",
     "mode_candidates",
     "online",
     "orientation_cost",

@@ -1,4 +1,4 @@
-"""Frames that show nothing known: their candidates are those of a neighbour in time, moved by what the camera did."""
+"""Bridging frames that show no known place: candidates are predicted from a neighbour in time by relative motion."""
 
 from __future__ import annotations
 

@@ -26,8 +26,6 @@ from conformodal.poses import normalise_quat
 
 from .settings import CANDIDATES
 
-POSITION = (0, 1, 2)
-ORIENTATION = (3, 4, 5, 6)
 Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
 
 
@@ -65,13 +63,7 @@ class Candidates:
         return replace(self, log_mass=self.log_mass - logsumexp(self.log_mass) + log_share)
 
 
-def mode_candidates(
-    proba: Probabilities,
-    bins: QuantileBins,
-    *,
-    min_mass: float = CANDIDATES.least_mass,
-    max_candidates: int = CANDIDATES.most,
-) -> list[Candidates]:
+def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:
     """Candidates of every frame: the modes of the softmax.
 
     Parameters
@@ -80,44 +72,45 @@ def mode_candidates(
         Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
     bins
         Bins of the seven targets.
-    min_mass
-        Combinations less probable than this are dropped (never the most probable one).
-    max_candidates
-        Kept per frame.
     """
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
-        pieces = [_pieces(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        found.append(_combine(pieces, np.log(min_mass), max_candidates))
+        targets = [_described(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
+        found.append(_combine(targets, np.log(CANDIDATES.least_mass)))
     return found
 
 
-def interval_candidates(
-    proba: Probabilities, regions: Regions, *, max_candidates: int = CANDIDATES.most
-) -> list[Candidates]:
+def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidates]:
     """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
     Where a target's set is empty, its most probable bin stands in. :func:`~conformodal.reasoning.greedy` chooses among
     all cuboids, as the paper does.
     """
-    pieces = interval_pieces(proba, regions)
-    return [_combine(here, -np.inf, max_candidates) for here in pieces]
+    return [_combine(targets, -np.inf) for targets in interval_runs(proba, regions)]
 
 
-def interval_pieces(proba: Probabilities, regions: Regions) -> list[list[Pieces]]:
-    """The intervals of every frame's region, seven :class:`Pieces` a frame; an empty set has its most probable bin."""
+def interval_runs(proba: Probabilities, regions: Regions) -> list[list[BinRuns]]:
+    """The intervals of every frame's region, target by target. Where a set is empty, its most probable bin stands in.
+
+    Parameters
+    ----------
+    proba
+        Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
+    regions
+        Of the same n frames.
+    """
     # a score that cuts bins into cells gives regions over cells: each holds its share of the bin's probability
     cells = [k // p.shape[1] for k, p in zip(regions.bins.sizes, proba, strict=True)]
     proba = [np.repeat(p / c, c, axis=1) if c > 1 else p for c, p in zip(cells, proba, strict=True)]
     found = []
     for i in range(len(regions)):
-        pieces = []
+        targets = []
         for p, e, runs in zip(proba, regions.bins.edges_, regions.runs(i), strict=True):
             best = int(np.argmax(p[i]))
             intervals = [(int(a), int(b)) for a, b in runs] or [(best, best + 1)]
-            pieces.append(_pieces(p[i].astype(np.float64), intervals, e))
-        found.append(pieces)
+            targets.append(_described(p[i].astype(np.float64), intervals, e))
+        found.append(targets)
     return found
 
 
@@ -127,8 +120,16 @@ def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
-    """Runs of bins of one target: means, spreads and log masses (m,), or (m, d) for combinations of d targets."""
+class BinRuns:
+    """Runs of neighbouring bins of one target, or combinations of such runs of d targets.
+
+    Attributes
+    ----------
+    mean, spread
+        (m,) or (m, d) means and standard deviations within the run, in the target's unit.
+    log_mass
+        (m,) logarithm of the probability.
+    """
 
     mean: FloatArray
     spread: FloatArray
@@ -149,7 +150,8 @@ def _mean(weights: FloatArray, edges: FloatArray, first: int = 0) -> tuple[Float
     return np.interp(mean, grid, edges), np.maximum((high - low) / 2, 1e-9)
 
 
-def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> Pieces:
+def _described(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> BinRuns:
+    """Means, spreads and masses of runs of bins ``first, ..., last - 1`` with probabilities `p`."""
     means, spreads, masses = [], [], []
     for a, b in runs:
         weights = p[a:b] + 1e-12
@@ -157,7 +159,7 @@ def _pieces(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> Pi
         means.append(float(mean))
         spreads.append(float(spread))
         masses.append(float(weights.sum()))
-    return Pieces(np.array(means), np.array(spreads), np.log(masses))
+    return BinRuns(np.array(means), np.array(spreads), np.log(masses))
 
 
 def _basins(p: FloatArray) -> list[tuple[int, int]]:
@@ -176,21 +178,22 @@ def _basins(p: FloatArray) -> list[tuple[int, int]]:
     return list(zip(cuts, [*cuts[1:], len(p)], strict=True))
 
 
-def _product(targets: list[Pieces], limit: int) -> Pieces:
-    """Combinations of one piece a target, the `limit` most probable, most probable first."""
+def _product(targets: list[BinRuns]) -> BinRuns:
+    """The most probable combinations of one run a target, most probable first."""
     mean, spread, log_mass = np.empty((1, 0)), np.empty((1, 0)), np.zeros(1)
-    for pieces in targets:
-        total = (log_mass[:, None] + pieces.log_mass[None, :]).ravel()
-        best = np.argsort(-total, kind="stable")[:limit]
-        left, right = np.divmod(best, len(pieces.log_mass))
-        mean = np.column_stack((mean[left], pieces.mean[right]))
-        spread = np.column_stack((spread[left], pieces.spread[right]))
+    for runs in targets:
+        total = (log_mass[:, None] + runs.log_mass[None, :]).ravel()
+        best = np.argsort(-total, kind="stable")[: CANDIDATES.most]
+        left, right = np.divmod(best, len(runs.log_mass))
+        mean = np.column_stack((mean[left], runs.mean[right]))
+        spread = np.column_stack((spread[left], runs.spread[right]))
         log_mass = total[best]
-    return Pieces(mean, spread, log_mass)
+    return BinRuns(mean, spread, log_mass)
 
 
-def _combine(pieces: list[Pieces], min_log_mass: float, limit: int) -> Candidates:
-    quats = _product([pieces[j] for j in ORIENTATION], limit)
+def _combine(targets: list[BinRuns], least_log_mass: float) -> Candidates:
+    """The most probable combinations of one run a target; those below a log mass are dropped, but for the first."""
+    quats = _product(targets[3:])
     norm = np.linalg.norm(quats.mean, axis=1)
     sound = norm > 1e-6
     if sound.any():
@@ -200,9 +203,9 @@ def _combine(pieces: list[Pieces], min_log_mass: float, limit: int) -> Candidate
         turn_mass = (quats.log_mass - 0.5 * ((norm - 1) / CANDIDATES.norm_sigma) ** 2)[sound]
     else:  # components that cancel say nothing
         unit, turn, turn_mass = np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([np.pi]), np.zeros(1)
-    places = _product([pieces[j] for j in POSITION], limit)
+    places = _product(targets[:3])
     mass = places.log_mass[:, None] + turn_mass
-    best = np.argsort(-mass, axis=None, kind="stable")[:limit]
-    best = best[mass.flat[best] >= min(min_log_mass, mass.flat[best[0]])]
+    best = np.argsort(-mass, axis=None, kind="stable")[: CANDIDATES.most]
+    best = best[mass.flat[best] >= min(least_log_mass, mass.flat[best[0]])]
     at, facing = np.unravel_index(best, mass.shape)
     return Candidates(places.mean[at], places.spread[at], unit[facing], turn[facing], mass[at, facing])

@@ -5,54 +5,19 @@ that is nearest to what the relative motion predicts from the pose chosen before
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import Regions
 from conformodal.core import FloatArray
 from conformodal.poses import RelativeMotion
 
-from .candidates import interval_pieces
+from .candidates import BinRuns
 from .errors import ReasoningError
 from .observations import PosePath
 
 _LEAST_NORM = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class IntervalMeans:
-    """The intervals of one frame's region, each at its mean. Combinations of one a target are the paper's candidates.
-
-    Attributes
-    ----------
-    means, spreads, log_mass
-        Seven arrays (m_j,) each, of x, y, z and the quaternion wxyz: means, standard deviations within the interval,
-        and the logarithm of its softmax mass.
-    """
-
-    means: list[FloatArray]
-    spreads: list[FloatArray]
-    log_mass: list[FloatArray]
-
-
-def interval_means(proba: Sequence[npt.NDArray[np.floating[Any]]], regions: Regions) -> list[IntervalMeans]:
-    """Intervals of every frame's region. Where a target's set is empty, its most probable bin stands in.
-
-    Parameters
-    ----------
-    proba
-        Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
-    regions
-        Of the same n frames.
-    """
-    found = []
-    for pieces in interval_pieces(proba, regions):
-        found.append(IntervalMeans([p.mean for p in pieces], [p.spread for p in pieces], [p.log_mass for p in pieces]))
-    return found
 
 
 class Greedy:
@@ -66,33 +31,31 @@ class Greedy:
     """
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Start a new recording."""
         self._place: FloatArray | None = None
         self._quat: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
 
-    def push(self, here: IntervalMeans, motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
+    def push(self, here: Sequence[BinRuns], motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
         """The pose (a path of one) of the next frame.
 
         Parameters
         ----------
         here
-            Its intervals.
+            The intervals of its region, target by target, from :func:`~conformodal.reasoning.interval_runs`.
         motion
             From the frame before to it; None where nothing is known of it.
         timestamp_s
             Seconds.
         """
-        best = [int(np.argmax(mass)) for mass in here.log_mass]
+        best = [int(np.argmax(runs.log_mass)) for runs in here]
+        means = [runs.mean for runs in here]
         if self._place is not None and motion is not None and motion.R_prev_next is not None:
             rotation_prev = Rotation.from_quat(self._quat, scalar_first=True)
             q_next = (rotation_prev * Rotation.from_matrix(motion.R_prev_next)).as_quat(scalar_first=True)
-            best[3:] = _nearest_quat(here.means[3:], q_next)
+            best[3:] = _nearest_quat(means[3:], q_next)
             if motion.direction_prev is not None:
-                best[:3] = _along(here.means[:3], self._place, rotation_prev.apply(motion.direction_prev))
-        chosen, spreads = (np.array([v[k] for v, k in zip(of, best, strict=True)]) for of in (here.means, here.spreads))
+                best[:3] = _along(means[:3], self._place, rotation_prev.apply(motion.direction_prev))
+        chosen = np.array([mean[k] for mean, k in zip(means, best, strict=True)])
+        spreads = np.array([runs.spread[k] for runs, k in zip(here, best, strict=True)])
         self._place = chosen[:3]
         norm = float(np.linalg.norm(chosen[3:]))
         if norm > _LEAST_NORM:  # components that cancel say nothing
@@ -104,14 +67,14 @@ class Greedy:
 
 
 def greedy(
-    intervals: Sequence[IntervalMeans], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
+    intervals: Sequence[Sequence[BinRuns]], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
 ) -> PosePath:
     """:class:`Greedy` on n frames of one recording.
 
     Parameters
     ----------
     intervals
-        Of each frame.
+        Of each frame, from :func:`~conformodal.reasoning.interval_runs`.
     motions
         ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
     timestamps_s

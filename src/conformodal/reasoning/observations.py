@@ -1,10 +1,10 @@
-"""What reasoning is given, what it answers, and the one interface between: every reasoner is such a function."""
+"""What a reasoner is given, and what it gives: every reasoner is a function from the one to the other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Self, TypeAlias
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,6 @@ from conformodal.poses import RelativeMotion, Submap
 
 from .candidates import Candidates
 from .errors import ReasoningError
-from .prior import MotionPrior
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +101,3 @@ class PosePath:
     def __getitem__(self, which: slice | IntArray) -> PosePath:
         """The frames of a slice or an index array."""
         return PosePath(*(getattr(self, f.name)[which] for f in fields(self)))
-
-
-Reasoner: TypeAlias = Callable[[Observations, MotionPrior], PosePath]

@@ -1,4 +1,4 @@
-"""Fixed-lag reasoning for a stream: an answer now, and better ones for the frames just past.
+"""Fixed-lag reasoning for a stream: an estimate at once, and better ones for the frames just past.
 
 Scores of all candidates are carried on frame by frame, as in :func:`~conformodal.reasoning.viterbi`; the way back is
 kept for the last frames only. What a stream costs a frame, in time and memory, does not grow with its length.
@@ -92,7 +92,7 @@ class OnlineReasoner:
 
 
 def online(seen: Observations, prior: MotionPrior, lag: int = LAG) -> PosePath:
-    """What :class:`OnlineReasoner` has made of every frame once `lag` more have followed it, or the recording ended."""
+    """The path of :class:`OnlineReasoner`: each pose as it is once `lag` frames have followed, or at the end."""
     reasoner = OnlineReasoner(prior, lag)
     parts: list[PosePath] = []
     for candidates, motion, timestamp_s in zip(seen.candidates, seen.motions, seen.timestamps_s, strict=True):

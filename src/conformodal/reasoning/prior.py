@@ -12,9 +12,7 @@ from conformodal.core import FloatArray
 from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
 
 from .errors import ReasoningError
-from .settings import SEARCH
-
-_DECIMATIONS = (1, 2, 4, 8, 16)
+from .settings import MOTION_PRIOR, SEARCH
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> Mot
             continue
         quats = part.orientations_quat_wxyz
         turns.append(angle_between_quats(quats[1:], quats[:-1]) / np.diff(part.timestamps_s))
-        for every in _DECIMATIONS:
+        for every in MOTION_PRIOR.decimations:
             thin = part[::every]
             if len(thin) >= 3:
                 levels.setdefault(every, []).append(_changes(thin))
@@ -83,9 +81,9 @@ def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> Mot
     for every in sorted(levels):
         step, speed, density = np.concatenate(levels[every], axis=1)
         if not table or np.median(step) > table[-1][0]:
-            # the mean of all but the top 2 % : a handful of jumps in the ground truth must not loosen everything
-            usual = density[density <= np.quantile(density, 0.98)].mean()
-            table.append((float(np.median(step)), 1.1 * float(np.quantile(speed, 0.995)), float(usual)))
+            usual = density[density <= np.quantile(density, MOTION_PRIOR.usual_quantile)].mean()
+            top = MOTION_PRIOR.top_factor * float(np.quantile(speed, MOTION_PRIOR.top_quantile))
+            table.append((float(np.median(step)), top, float(usual)))
     intervals, speeds, densities = zip(*table, strict=True)
     return MotionPrior(
         turn_rate_rad_s=float(np.sqrt(np.mean(np.concatenate(turns) ** 2))) + 1e-9,

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class CandidateSettings:
+class _CandidateSettings:
     """How a softmax becomes candidate poses.
 
     Attributes
@@ -32,7 +32,7 @@ class CandidateSettings:
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class _SearchSettings:
     """Prices of the search over the whole path, in nats.
 
     Chosen on seeds 20 and 21 of the world of turned rooms (benchmarks/turned_rooms.py reports seeds 10 to 14).
@@ -67,7 +67,28 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class SmootherSettings:
+class _MotionPriorSettings:
+    """How speeds, turning and changes of velocity are learnt from training frames.
+
+    Attributes
+    ----------
+    decimations
+        Statistics are taken of every frame, every second, and so on: they differ by time step.
+    top_quantile, top_factor
+        Top speed: this quantile of the speeds, times this factor.
+    usual_quantile
+        Changes of velocity above this quantile do not count: a handful of jumps in the given poses must not loosen
+        everything.
+    """
+
+    decimations: tuple[int, ...] = (1, 2, 4, 8, 16)
+    top_quantile: float = 0.995
+    top_factor: float = 1.1
+    usual_quantile: float = 0.98
+
+
+@dataclass(frozen=True)
+class _SmootherSettings:
     """Of the least squares problems that smooth a path.
 
     Attributes
@@ -89,4 +110,5 @@ class SmootherSettings:
     submap_scale_reset: float = 5.0
 
 
-CANDIDATES, SEARCH, SMOOTHER = CandidateSettings(), SearchSettings(), SmootherSettings()
+CANDIDATES, SEARCH, SMOOTHER = _CandidateSettings(), _SearchSettings(), _SmootherSettings()
+MOTION_PRIOR = _MotionPriorSettings()

@@ -17,7 +17,7 @@ from conformodal.poses import Submap, matrix_from_quat_wxyz
 from .prior import MotionPrior
 from .settings import SMOOTHER
 
-UNKNOWNS = 7  # start (3), scale, rotation (3)
+_UNKNOWNS = 7  # start (3), scale, rotation (3)
 
 
 class SubmapAlignment:
@@ -51,7 +51,7 @@ class SubmapAlignment:
             start = np.broadcast_to(-np.eye(3), (len(path), 3, 3))
             # a rotation by w about the anchor moves a point v by w x v = -[v]x w
             cross = np.cross(np.eye(3), unit * path[:, None])
-            blocks.append(np.concatenate((start, -path[:, :, None], cross), axis=2).reshape(-1, UNKNOWNS))
+            blocks.append(np.concatenate((start, -path[:, :, None], cross), axis=2).reshape(-1, _UNKNOWNS))
             variances.append(np.full(path.size, (submap.sigma * unit) ** 2))
         frames = np.concatenate([s.frames for s in submaps])
         columns = (3 * frames[:, None] + np.arange(3)).ravel()
@@ -69,7 +69,7 @@ class SubmapAlignment:
         around = np.where(lost, expected, scale)
         weight = 1 / (self._spread * around) ** 2
         value = around * (1 - np.log(around / expected))
-        weights, pulls = np.zeros((2, len(scale), UNKNOWNS))
+        weights, pulls = np.zeros((2, len(scale), _UNKNOWNS))
         weights[:, :3] = 1e-9  # keeps the system regular
         weights[:, 3], pulls[:, 3] = weight, weight * value
         weights[:, 4:] = self._rotation_weight[:, None]
@@ -77,4 +77,4 @@ class SubmapAlignment:
 
     def take(self, unknowns: FloatArray) -> None:
         """Linearise the next time about these unknowns (7 submaps,)."""
-        self._scale = unknowns.reshape(-1, UNKNOWNS)[:, 3]
+        self._scale = unknowns.reshape(-1, _UNKNOWNS)[:, 3]

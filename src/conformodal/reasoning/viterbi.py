@@ -21,51 +21,13 @@ from conformodal.core import FloatArray, IntArray
 from conformodal.poses import RelativeMotion, angle_between_quats
 
 from .candidates import Candidates
-from .errors import ReasoningError
 from .observations import Observations, PosePath
 from .prior import MotionPrior, rotation_sigma
 from .settings import SEARCH
 
 
-class Decoder:
-    """Viterbi's forward pass, one frame at a time, with the way back kept.
-
-    ``best`` is the best last candidate given all frames so far; :meth:`path` the best whole sequence.
-    """
-
-    def __init__(self) -> None:
-        self._score: FloatArray = np.empty(0)
-        self._back: list[IntArray] = []
-
-    def push(self, log_unary: FloatArray, log_transition: FloatArray | None = None) -> int:
-        """Add a frame of m candidates; `log_transition` is (m_before, m), None for the first frame. Returns best."""
-        if log_transition is None:
-            if self._back:
-                raise ReasoningError("only the first frame comes without transitions")
-            self._back.append(np.zeros(len(log_unary), dtype=np.int64))
-            self._score = log_unary.astype(np.float64)
-        else:
-            self._score, origin = best_step(self._score, log_transition, log_unary)
-            self._back.append(origin)
-        return self.best
-
-    @property
-    def best(self) -> int:
-        """Index of the best last candidate."""
-        return int(np.argmax(self._score))
-
-    @property
-    def origin(self) -> IntArray:
-        """The best predecessor of each last candidate."""
-        return self._back[-1]
-
-    def path(self) -> IntArray:
-        """Indices of the best sequence, one a frame."""
-        return way_back(self._back, self.best)
-
-
 def best_step(score: FloatArray, log_transition: FloatArray, log_unary: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Scores (m,) of a frame's candidates by their best predecessors, and who these are, (m,).
+    """Scores (m,) of a frame's candidates by their best predecessors, and the indices (m,) of these.
 
     `score` (m_before,) and `log_transition` (m_before, m) are the frame before's; the best score is set to 0, so that
     long sequences do not run out of digits.
@@ -88,26 +50,27 @@ def way_back(backs: Sequence[IntArray], last: int) -> IntArray:
 
 def viterbi(seen: Observations, prior: MotionPrior) -> PosePath:
     """Choose one candidate a frame over a whole recording; `prior` says what speeds and turning rates to expect."""
-    candidates, decoder = seen.candidates, Decoder()
-    start = candidates[0]
-    decoder.push(start.log_mass)
+    candidates = seen.candidates
+    start, score = candidates[0], candidates[0].log_mass.astype(np.float64)
+    backs: list[IntArray] = [np.zeros(len(score), dtype=np.int64)]
     for t, step_s in enumerate(np.diff(seen.timestamps_s), start=1):
         cost = transition_cost(start, candidates[t], seen.motions[t], step_s, prior)
-        decoder.push(candidates[t].log_mass, -cost)
-        start = survivors(start, candidates[t], decoder.origin, cost, seen.motions[t], step_s, prior)
-    return PosePath.choose(candidates, seen.timestamps_s, decoder.path())
+        score, origin = best_step(score, -cost, candidates[t].log_mass)
+        start = survivors(start, candidates[t], origin, cost, seen.motions[t], step_s, prior)
+        backs.append(origin)
+    return PosePath.choose(candidates, seen.timestamps_s, way_back(backs, int(np.argmax(score))))
 
 
 def transition_cost(
     before: Candidates, after: Candidates, motion: RelativeMotion | None, step_s: float, prior: MotionPrior
 ) -> FloatArray:
-    """Cost in nats of every pair of poses, (m_before, m_after), bounded by :func:`jump_cost`."""
+    """Cost in nats of every pair of poses, (m_before, m_after), bounded by the cost of a jump."""
     turn = orientation_cost(before, after, motion, step_s, prior)
-    return np.asarray(np.minimum(turn + position_cost(before, after, step_s, prior), jump_cost(motion)))
+    return np.asarray(np.minimum(turn + position_cost(before, after, step_s, prior), _jump_cost(motion)))
 
 
-def jump_cost(motion: RelativeMotion | None) -> float:
-    """Cost in nats of a jump, see :class:`~conformodal.reasoning.settings.SearchSettings`."""
+def _jump_cost(motion: RelativeMotion | None) -> float:
+    """Cost in nats of a jump, see the settings of the search."""
     return SEARCH.jump if motion is None or not motion.reliable else SEARCH.followed_jump
 
 
@@ -157,7 +120,7 @@ def survivors(
     step_s: float,
     prior: MotionPrior,
 ) -> Candidates:
-    """The candidates of a frame, each where its best path can have come to: what the next frame's are reached from.
+    """The candidates of a frame, vague ones narrowed to where their best path can lead: starts of the next step.
 
     A candidate that is vaguer than where the path was and how far the camera can have moved or turned since has its
     position or orientation from these; all others, and those that a path jumped to, have their own.
@@ -175,7 +138,7 @@ def survivors(
     motion, step_s, prior
         As there.
     """
-    linked = cost[origin, np.arange(len(origin))] < jump_cost(motion)
+    linked = cost[origin, np.arange(len(origin))] < _jump_cost(motion)
     reach_m = prior.reach_m(step_s)
     came, spread = start.positions_xyz[origin], np.hypot(start.position_spreads[origin], reach_m)
     step = after.positions_xyz - came

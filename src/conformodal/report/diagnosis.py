@@ -11,12 +11,15 @@ from matplotlib.figure import Figure
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
 from conformodal.core.files import replacing
+from conformodal.core.words import counted
 
 _BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 
 
 def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
     """Draw a diagnosis: one row a promise, coverages on the left and p-values on the right.
+
+    For an example see ``docs/tutorial.md``.
 
     Parameters
     ----------
@@ -43,7 +46,8 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
     )
     figure.suptitle(
         f"Conformal sets, alpha = {diagnosis.alpha}, score {diagnosis.score}, joint {diagnosis.joint}; "
-        f"{diagnosis.n_calibration} calibration, {diagnosis.n_test} test samples, taken to be exchangeable\n{sizes}",
+        f"{diagnosis.n_calibration} calibration, {counted(diagnosis.n_test, 'test sample')}, taken to be "
+        f"exchangeable\n{sizes}",
         fontsize="medium",
         wrap=True,
     )

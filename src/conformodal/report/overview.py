@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from conformodal.core import FloatArray
+from conformodal.core.words import counted
 
 from .figures import COLOURS
 
@@ -101,7 +102,7 @@ def binning_figure(times_s: FloatArray, values: FloatArray, edges: FloatArray, t
         path.axhline(edge, color=COLOURS["wall"], lw=0.6)
     path.plot(times_s, values, ".", ms=3, color=COLOURS["smoothed"])
     path.set(xlabel="time (s)", ylabel=f"{target} (m)", ylim=(edges[0], edges[-1]))
-    path.set_title(f"training trajectory, {len(edges) - 1} bins of equal mass", fontsize=11)
+    path.set_title(f"training trajectory, {counted(len(edges) - 1, 'bin')} of equal mass", fontsize=11)
     code = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     hot = np.zeros((len(edges) - 1, len(values)))
     hot[code, np.arange(len(values))] = 1
@@ -117,7 +118,7 @@ def softmax_figure(softmax: SoftmaxOfTarget) -> Figure:
     axis = figure.subplots()
     _bars(axis, softmax)
     n = len(softmax.intervals)
-    axis.set_title(f"{n} {'interval' if n == 1 else 'intervals'}", fontsize=11)
+    axis.set_title(f"{counted(n, 'interval')}", fontsize=11)
     axis.set_ylabel("softmax")
     entries = [Rectangle((0, 0), 1, 1, color=c) for c in (COLOURS["region"], _OUTSIDE)]
     lines = [("-.", COLOURS["classical"]), ("--", COLOURS["truth"])]

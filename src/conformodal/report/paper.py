@@ -16,6 +16,7 @@ from scipy.stats import spearmanr
 
 from conformodal.conformal import coverage_band
 from conformodal.core.files import replacing, write_whole
+from conformodal.core.words import counted
 
 from .figures import COLOURS, as_label, as_svg
 from .stored import StoredRun
@@ -87,7 +88,7 @@ def cuboid_figure(runs: Sequence[tuple[str, StoredRun]], frame: int) -> Figure:
         axis.set(xlim=ranges[0], ylim=ranges[1], zlim=ranges[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axis.locator_params(nbins=5)
         axis.set_box_aspect(None, zoom=0.88)  # else labels are cut off
-        axis.set_title(f"{as_label(title)}: {len(cuboids)} {'cuboid' if len(cuboids) == 1 else 'cuboids'}", fontsize=11)
+        axis.set_title(f"{as_label(title)}: {counted(len(cuboids), 'cuboid')}", fontsize=11)
     return figure
 
 
@@ -103,7 +104,7 @@ def flow_figure(
     (x, y), (u, v) = pixels_prev.T, step.T
     axis.quiver(x, y, u, v, color=COLOURS["classical"], angles="xy", scale_units="xy", scale=1, width=0.003)
     median = float(np.median(np.linalg.norm(step, axis=1)))
-    axis.set_title(f"{len(step)} corners, median step {median:.1f} pixels", fontsize=11)
+    axis.set_title(f"{counted(len(step), 'corner')}, median step {median:.1f} pixels", fontsize=11)
     axis.set_axis_off()
     return figure
 

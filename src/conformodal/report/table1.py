@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from conformodal.core.words import counted
 from conformodal.experiments.table1 import (
     METHODS,
     Record,
@@ -101,8 +102,8 @@ def table1_notes(
     seeds, epochs, networks, workers, fine_tune
         As they were asked for.
     """
-    over = f"{seeds} {'seed' if seeds == 1 else 'seeds'}"
-    passes = f"{epochs} {'epoch' if epochs == 1 else 'epochs'}"
+    over = f"{counted(seeds, 'seed')}"
+    passes = f"{counted(epochs, 'epoch')}"
     features = "Frozen" if fine_tune == "none" else f"Fine-tuned (--fine-tune {fine_tune}, on the training part)"
     ours = Method.CONFORMODAL in methods
     notes = [

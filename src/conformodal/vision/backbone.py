@@ -1,4 +1,4 @@
-"""Frozen features that still know where in the image things are."""
+"""Feature extractors: maps of a frozen network, which keep where in the image things are, and a thumbnail."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def feature_views(n_features: int) -> FeatureViews:
     Raises
     ------
     VisionError
-        If there are too few to end in a thumbnail.
+        If there are too few to end in a global descriptor.
     """
     cut = n_features - _PICTURE
     if cut < 1:
@@ -88,7 +88,7 @@ class BackboneConfig:
 
 
 class Backbone(ABC):
-    """A feature extractor; what runs it is a subclass's.
+    """A feature extractor; a subclass runs the network.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Backbone(ABC):
     def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
         """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
 
-        The network's map, then the thumbnail: see :func:`feature_views`.
+        The network's map, then a thumbnail of the image as its global descriptor: see :func:`feature_views`.
         """
         pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
         return np.concatenate((self.maps(images), pictures), axis=1).astype(np.float16)

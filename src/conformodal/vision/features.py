@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,13 +17,6 @@ from .backbone import Backbone
 from .keeping import keep_arrays, kept_arrays
 
 _BATCH = 16
-
-
-def default_cache_dir() -> Path:
-    """``$CONFORMODAL_CACHE``, or ``conformodal`` under the user's cache directory."""
-    if "CONFORMODAL_CACHE" in os.environ:
-        return Path(os.environ["CONFORMODAL_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "conformodal"
 
 
 class FeatureCache:

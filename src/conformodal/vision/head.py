@@ -1,4 +1,4 @@
-"""A trained head, worked out with NumPy: its answers need no torch."""
+"""A trained head in NumPy: its predictions need no torch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SoftmaxHead:
 
     @property
     def projection(self) -> Projection:
-        """From features to what was learnt from."""
+        """The projection of features that the head was trained behind."""
         return Projection(self.weights["offset"], self.weights["components"])
 
     def predict_proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:

@@ -1,4 +1,4 @@
-"""Arrays in cache files that tell whether they are whole and in the right place."""
+"""Arrays in cache files, with digests that show whether a file is whole and belongs to its key."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class OnnxBackbone(Backbone):
 
     @property
     def fingerprint(self) -> str:
-        """Digest of the file and the thumbnail."""
+        """Digest of the ONNX file and of the form of the global descriptor."""
         return hashlib.sha256(self.content + repr(THUMBNAIL).encode()).hexdigest()
 
     def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""From thousands of features to the few hundred directions that they vary along."""
+"""Principal components: from thousands of features to a few hundred."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Projection:
 
     @property
     def size(self) -> int:
-        """Numbers that come out, k."""
+        """How many components there are, k."""
         return int(self.components.shape[-1])
 
     def apply(self, features: FloatArray) -> FloatArray:

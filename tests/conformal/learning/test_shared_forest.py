@@ -1,7 +1,7 @@
 import numpy as np
 
-from conformodal.conformal.learning.forest import group_values
-from conformodal.conformal.learning.shared_forest import SharedForest, rank_cosines
+from conformodal.conformal.learning.forest import group_values, rank_cosines
+from conformodal.conformal.learning.shared_forest import SharedForest
 
 
 def grown(weight):

@@ -1,6 +1,7 @@
 """Which frames the landmarks look at: those that they are fitted on, each once, and no other."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence, LandmarkSource, SourceData, SourceState
-from conformodal.localization.settings import MappingSettings
+from conformodal.localization.settings import MAPPING
 from conformodal.poses import Trajectory
 
 N = 60
@@ -30,7 +31,7 @@ def looked_at(world, monkeypatch):
         "conformodal.localization.source_data.extract_local_features", lambda i, camera: asked.append(i) or features[i]
     )
     # errors learnt from fewer frames: a third of the time
-    monkeypatch.setattr("conformodal.localization.landmarks.source.MAPPING", MappingSettings(left_out=15))
+    monkeypatch.setattr("conformodal.localization.landmarks.source.MAPPING", replace(MAPPING, left_out=15))
     return asked
 
 

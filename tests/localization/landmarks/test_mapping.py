@@ -90,7 +90,7 @@ def test_corrections_take_off_what_neighbours_are_off_by(world_of, stated_camera
     image = world.see(world.poses_se3[30], seed=3)
     (before,) = plain.localize(image)
     off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
-    (after,) = plain.corrected(np.tile(off, (60, 1))).localize(image)
+    (after,) = replace(plain, corrections=np.tile(off, (60, 1))).localize(image)
     np.testing.assert_allclose(before.position_xyz - after.position_xyz, off[:3], atol=1e-12)
     turned = Rotation.from_quat([before.orientation_quat_wxyz, after.orientation_quat_wxyz], scalar_first=True)
     np.testing.assert_allclose((turned[0] * turned[1].inv()).as_rotvec(), off[3:], atol=1e-12)
@@ -103,7 +103,7 @@ def test_claims_grow_as_neighbours_are_off_in_other_ways(world_of, stated_camera
     image = world.see(world.poses_se3[30], seed=3)
     (before,) = plain.localize(image)
     signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
-    (after,) = plain.corrected(signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
+    (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
     mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
     assert abs(mean) < 0.04
     assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)

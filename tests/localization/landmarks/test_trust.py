@@ -1,12 +1,14 @@
 """What speaks for an estimate: different corners, and experience with frames whose surroundings were hidden."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.localization import LandmarkSource
 from conformodal.localization.landmarks import build_map
 from conformodal.localization.landmarks.overlap import view_overlap
-from conformodal.localization.settings import MappingSettings
+from conformodal.localization.settings import MAPPING
 from conformodal.poses import Trajectory
 
 
@@ -28,7 +30,8 @@ def test_a_corner_counts_once_although_several_keyframes_match_it(world_of, stat
 
 def test_an_estimate_says_how_far_the_nearest_keyframe_is(world_of, stated_camera, depth_m):
     world = world_of()
-    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).corrected(np.zeros((60, 6)))
+    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
+    landmarks = replace(plain, corrections=np.zeros((60, 6)))
     image = world.see(world.poses_se3[30], seed=3)
     (at,) = landmarks.localize(image)
     (off,) = landmarks.localize(image, np.abs(np.arange(60) - 30) < 8)
@@ -50,7 +53,7 @@ def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
     world_of, stated_camera, depth_m, monkeypatch
 ):
     monkeypatch.setattr(
-        "conformodal.localization.landmarks.source.MAPPING", MappingSettings(left_out=40)
+        "conformodal.localization.landmarks.source.MAPPING", replace(MAPPING, left_out=40)
     )  # of 80: half the time
     world = world_of(n=80)
     times = np.arange(80) / 10

@@ -1,4 +1,4 @@
-"""Turning scores into thresholds that keep a promise: split, by group, under covariate shift, over folds."""
+"""Conformal calibration, from scores to thresholds: split, Mondrian (by group), weighted (covariate shift), cross."""
 
 from .cross import CrossConformal
 from .grouped import grouped_maximum_quantile, grouped_quantile

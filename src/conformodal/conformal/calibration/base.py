@@ -9,22 +9,23 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import BoolArray, FloatArray, RealArray
+
 from ..bins import QuantileBins
 from ..blocks import blocks, for_blocks
 from ..checks import Alpha, Probabilities, as_alpha, as_scores, as_table, as_targets, check_block, check_rows
 from ..errors import ConformalError
-from ..regions import BoolArray, Regions
+from ..regions import Regions
 from ..scalars import as_choice
 from ..scores import BUILT_IN, Score, cells_of, resolve_score
 from .joint import Joint, JointRule
 
 Empty = Literal["allow", "mode"]
-FloatArray = npt.NDArray[np.floating[Any]]
 _ROWS_OF_A_CUT = 64
 
 
 class Calibrator:
-    """Bins, a score, a rate and what it is about. See the subclasses for how thresholds are found.
+    """Bins, a score, a miscoverage rate, and whether it is meant jointly. Subclasses find the thresholds.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ class Calibrator:
 
     @property
     def joint(self) -> Joint:
-        """What the promise is about."""
+        """Whether coverage is guaranteed for each target alone, or for all at once."""
         return self.rule.joint
 
     @property
@@ -84,7 +85,7 @@ class Calibrator:
         self.rule.fit_scale(self.score_samples(proba, y), self.alpha)
         return self
 
-    def score_samples(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
+    def score_samples(self, proba: Probabilities, y: npt.ArrayLike) -> RealArray:
         """Scores of the true values, (n, d): what calibration ranks, ``+inf`` outside the edges.
 
         Raises
@@ -109,7 +110,7 @@ class Calibrator:
                 scores[known[rows], j] = all_bins[np.arange(all_bins.shape[0]), at[rows]]
         return scores
 
-    def regions_at(self, proba: Probabilities, thresholds: FloatArray) -> Regions:
+    def regions_at(self, proba: Probabilities, thresholds: RealArray) -> Regions:
         """Regions of all bins whose score is at most a threshold: (d,) for all samples, or (n, d).
 
         ``+inf`` gives the whole space, ``-inf`` the empty set.
@@ -130,7 +131,7 @@ class Calibrator:
             self._fill_empty(parts, list(np.moveaxis(masks, 1, 0)) if isinstance(masks, np.ndarray) else masks)
         return Regions(self.cells, masks, unbounded)
 
-    def scores_of(self, part: FloatArray, widths: npt.NDArray[np.float64]) -> FloatArray:
+    def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all cells for rows of one target's probabilities.
 
         Raises
@@ -154,7 +155,7 @@ class Calibrator:
         """Whether to find the least probability in a set first: it costs as much as the scores of some sixty rows."""
         return self._elementwise and n > _ROWS_OF_A_CUT
 
-    def _masks_at_once(self, proba: FloatArray, limits: FloatArray) -> BoolArray:
+    def _masks_at_once(self, proba: RealArray, limits: RealArray) -> BoolArray:
         """Check and compare all targets in one pass over contiguous (n, d, K): memory is read once."""
         n, d, k = proba.shape
         cuts = [
@@ -170,7 +171,7 @@ class Calibrator:
         for_blocks(n, fill)
         return masks
 
-    def _mask(self, part: FloatArray, j: int, limit: FloatArray) -> BoolArray:
+    def _mask(self, part: RealArray, j: int, limit: RealArray) -> BoolArray:
         widths = self.bins.widths[j]
         mask = np.empty((part.shape[0], self.cells.sizes[j]), dtype=bool)
         cut = None
@@ -187,16 +188,14 @@ class Calibrator:
         for_blocks(part.shape[0], fill)
         return mask
 
-    def _fill_empty(self, parts: Sequence[FloatArray], masks: Sequence[BoolArray]) -> None:
+    def _fill_empty(self, parts: Sequence[RealArray], masks: Sequence[BoolArray]) -> None:
         for part, widths, mask in zip(parts, self.bins.widths, masks, strict=True):
             rows = np.flatnonzero(~mask.any(axis=1))
             if rows.size:
                 mask[rows, self.scores_of(part[rows], widths).argmin(axis=1)] = True
 
 
-def lowest_probability(
-    score: Score, widths: npt.NDArray[np.float64], threshold: npt.ArrayLike, dtype: np.dtype[Any]
-) -> FloatArray:
+def lowest_probability(score: Score, widths: FloatArray, threshold: npt.ArrayLike, dtype: np.dtype[Any]) -> RealArray:
     """Smallest probability of each bin whose score is at most `threshold`, ``+inf`` if there is none.
 
     For an elementwise score this turns a set into one comparison a bin. It is found by bisection over the floating

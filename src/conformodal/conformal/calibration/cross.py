@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Probabilities, as_probabilities
+from conformodal.core import RealArray
+
+from ..checks import Probabilities, as_table
 from ..errors import ConformalError, NotCalibratedError
 from ..grouping import as_groups, as_label, factorise
 from ..rank import conformal_rank
@@ -35,9 +37,21 @@ class CrossConformal(Calibrator):
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     joint
         ``"none"`` or ``"bonferroni"``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import CrossConformal, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> y, folds = np.tile([0.5, 2.5], 20), np.repeat([0, 1], 20)
+    >>> proba = np.tile([0.45, 0.1, 0.45], (40, 1))  # of each row by the model that has not seen its fold
+    >>> cross = CrossConformal(bins, alpha=0.1).calibrate(proba, y, folds)
+    >>> cross.predict({0: proba[:1], 1: proba[:1]}).intervals(0)  # a new sample, by both models
+    [array([[0., 1.],
+           [2., 3.]])]
     """
 
-    scores_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    scores_: dict[Hashable, RealArray]
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
         """Score all samples out of fold.
@@ -97,7 +111,7 @@ class CrossConformal(Calibrator):
             raise ConformalError(f"names of folds must {exc}") from None
         if set(given) != set(calibrated):
             raise ConformalError(f"proba must name the folds {names}, got {sorted(map(str, given))}")
-        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in given.items()}
+        parts = {fold: as_table(p, self.bins.sizes, f"proba[{fold!r}]")[0] for fold, p in given.items()}
         n = next(iter(parts.values()))[0].shape[0]
         masks = []
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.cells.sizes, strict=True)):
@@ -116,7 +130,7 @@ class CrossConformal(Calibrator):
         unbounded = np.broadcast_to(finite < self.rank, (n, self.bins.n_targets)).copy()
         return Regions(self.cells, masks, unbounded)
 
-    def _calibrated(self) -> dict[Hashable, npt.NDArray[np.floating[Any]]]:
+    def _calibrated(self) -> dict[Hashable, RealArray]:
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("CrossConformal is not calibrated yet: call calibrate(proba, y, folds) first")
         return self.scores_

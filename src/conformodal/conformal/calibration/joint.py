@@ -1,13 +1,14 @@
-"""What the promise is about when there are several targets: each alone, or all at once."""
+"""Whether coverage is guaranteed for each of several targets alone, or for all at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core import BoolArray, FloatArray, IntArray, RealArray
 
 from ..checks import Alpha, as_alpha
 from ..errors import ConformalError, NotCalibratedError
@@ -15,7 +16,6 @@ from ..rank import conformal_quantile
 from ..scalars import as_choice
 
 Joint = Literal["none", "bonferroni", "max"]
-FloatArray = npt.NDArray[np.floating[Any]]
 
 
 def as_joint(joint: str) -> Joint:
@@ -37,8 +37,8 @@ class JointRule:
     each was shifted and scaled by what :meth:`fit_scale` saw.
     """
 
-    loc_: npt.NDArray[np.float64]
-    scale_: npt.NDArray[np.float64]
+    loc_: FloatArray
+    scale_: FloatArray
 
     def __init__(self, joint: Joint, n_targets: int) -> None:
         self.joint = as_joint(joint)
@@ -49,7 +49,7 @@ class JointRule:
         rate = as_alpha(alpha)
         return rate / self.n_targets if self.joint == "bonferroni" else rate
 
-    def fit_scale(self, scores: FloatArray, alpha: Alpha) -> None:
+    def fit_scale(self, scores: RealArray, alpha: Alpha) -> None:
         """Take shift and scale of every target's scores (n, d) from data that is not the calibration data.
 
         The shift is the median; the scale the way from there to the rank of alpha / d: with equal upper tails, every
@@ -66,10 +66,10 @@ class JointRule:
             self.scale_[j] = reach if reach > 0 else float(finite.std()) or 1.0
 
     def keep_scale(self) -> None:
-        """Compare the targets' scores as they are."""
+        """Leave the targets' scores unscaled: they are comparable as they are."""
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
 
-    def columns(self, scores: FloatArray) -> FloatArray:
+    def columns(self, scores: RealArray) -> RealArray:
         """The calibrated columns of scores (n, d): (n, d), or (n, 1) for ``max``."""
         if self.joint != "max":
             return scores
@@ -77,7 +77,7 @@ class JointRule:
         with np.errstate(over="ignore"):
             return np.asarray(((scores - self.loc_) / self.scale_).max(axis=1, keepdims=True))
 
-    def per_target(self, thresholds: FloatArray) -> FloatArray:
+    def per_target(self, thresholds: RealArray) -> RealArray:
         """Thresholds of the targets' own scores, (..., d), from those of the columns.
 
         For ``max`` each is the largest number whose shifted and scaled value is at most the threshold, so that
@@ -95,9 +95,7 @@ class JointRule:
             raise NotCalibratedError('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
 
 
-def highest_float(
-    holds: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]], shape: tuple[int, ...]
-) -> npt.NDArray[np.float64]:
+def highest_float(holds: Callable[[FloatArray], BoolArray], shape: tuple[int, ...]) -> FloatArray:
     """Largest finite number for which `holds`, entry by entry, or ``-inf``; `holds` must not turn true as it grows.
 
     Found by bisection over the floating numbers themselves, which whole numbers count in their order.
@@ -106,7 +104,7 @@ def highest_float(
     # places -top - 1 (nothing holds) to top; 0 stands for both zeros
     low, high = np.full(shape, -top - 1, dtype=np.int64), np.full(shape, top, dtype=np.int64)
 
-    def number(place: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    def number(place: IntArray) -> FloatArray:
         return np.copysign(np.abs(place).view(np.float64), place)
 
     while (low < high).any():

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import RealArray
 
 from ..bins import QuantileBins
 from ..checks import Alpha, Probabilities, as_table
@@ -44,11 +46,23 @@ class MondrianConformal(Calibrator):
     thresholds_ : dict of group to (d,) thresholds
     sizes_ : dict of group to its number of calibration samples
     pooled_ : (d,) thresholds of all samples together
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import MondrianConformal, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> y, groups = np.tile([0.5, 2.5], 22), np.array(["many"] * 40 + ["few"] * 4)
+    >>> proba = np.tile([0.45, 0.1, 0.45], (44, 1))
+    >>> by_group = MondrianConformal(bins, alpha=0.1).calibrate(proba, y, groups)
+    >>> regions = by_group.predict(proba[:2], ["many", "few"])
+    >>> regions.length[:, 0], by_group.fallback_groups  # four samples are too few for alpha = 0.1
+    (array([ 2., inf]), ['few'])
     """
 
-    thresholds_: dict[Hashable, npt.NDArray[np.floating[Any]]]
+    thresholds_: dict[Hashable, RealArray]
     sizes_: dict[Hashable, int]
-    pooled_: npt.NDArray[np.floating[Any]]
+    pooled_: RealArray
 
     def __init__(
         self,

@@ -10,12 +10,14 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray, RealArray
+
 from ..checks import Alpha, Probabilities, as_alpha, as_array, as_scores
 from ..errors import ConformalError, NotCalibratedError
 from ..grouping import as_groups, factorise
 from ..rank import conformal_quantile, conformal_rank
 from ..regions import Regions
-from .base import Calibrator, FloatArray
+from .base import Calibrator
 from .grouped import grouped_quantile
 
 
@@ -54,10 +56,10 @@ class SplitConformal(Calibrator):
            [2., 3.]])]
     """
 
-    scores_: npt.NDArray[np.floating[Any]]
+    scores_: RealArray
     groups_: npt.NDArray[Any] | None
-    group_sizes_: npt.NDArray[np.int64] | None
-    thresholds_: npt.NDArray[np.floating[Any]]
+    group_sizes_: IntArray | None
+    thresholds_: RealArray
 
     @property
     def rank(self) -> int:
@@ -94,9 +96,9 @@ class SplitConformal(Calibrator):
 
     def calibrate_scores(
         self,
-        scores: FloatArray,
+        scores: RealArray,
         groups: npt.ArrayLike | None = None,
-        group_sizes: npt.NDArray[np.int64] | None = None,
+        group_sizes: IntArray | None = None,
     ) -> Self:
         """Set the thresholds from calibration scores that are there already, (n, d).
 
@@ -155,7 +157,7 @@ class SplitConformal(Calibrator):
         other.alpha = alpha
         return other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_)
 
-    def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
         """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.
 
         ``(1 + number of calibration scores at least as large) / (n + 1)``; with groups, ``(1 + sum over groups of the
@@ -178,13 +180,13 @@ class SplitConformal(Calibrator):
             found[:, j] = (total - reached) / total
         return found
 
-    def _calibrated(self) -> npt.NDArray[np.floating[Any]]:
+    def _calibrated(self) -> RealArray:
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("SplitConformal is not calibrated yet: call calibrate(proba, y) first")
         return self.scores_
 
 
-def _as_sizes(group_sizes: Any, codes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _as_sizes(group_sizes: Any, codes: IntArray) -> IntArray:
     sizes = as_array(group_sizes, "group_sizes")
     if sizes.shape != codes.shape or sizes.dtype.kind not in "iu":
         raise ConformalError(f"group_sizes must be whole numbers, shape {codes.shape}, got {sizes.dtype} {sizes.shape}")

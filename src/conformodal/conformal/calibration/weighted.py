@@ -6,10 +6,12 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import FloatArray, RealArray
 
 from ..checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
 from ..errors import ConformalError, NotCalibratedError
@@ -19,7 +21,7 @@ from .base import Calibrator
 
 def weighted_quantile(
     scores: npt.ArrayLike, weights: npt.ArrayLike, new_weights: npt.ArrayLike, alpha: Alpha
-) -> npt.NDArray[np.floating[Any]]:
+) -> RealArray:
     """Threshold for each new sample: the smallest score that carries ``1 - alpha`` of the weight.
 
     The total weight is that of the calibration samples and the new sample's own, which stands at ``+inf``. Weights
@@ -44,9 +46,15 @@ def weighted_quantile(
     ------
     ConformalError
         If weights are negative, not finite, or of another shape; if scores hold NaN.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import weighted_quantile
+    >>> weighted_quantile([0.1, 0.2, 0.3], [1, 1, 2], new_weights=[1, 9], alpha=0.5)  # the second stands far off
+    array([0.3, inf])
     """
-    scores, own = as_scores(scores), as_weights(weights, "weights")
-    new = as_weights(new_weights, "new_weights")
+    scores, own = as_scores(scores), _as_weights(weights, "weights")
+    new = _as_weights(new_weights, "new_weights")
     if scores.shape != own.shape:
         raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
     order = np.argsort(scores, kind="stable")
@@ -75,7 +83,7 @@ class WeightedRanks:
         return [bisect_left(self.reached, -(-total * up // down)) + 1 if total else n + 1 for total in self.totals]
 
 
-def as_weights(weights: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
     """Return weights as a float64 vector.
 
     Raises
@@ -103,10 +111,21 @@ class WeightedConformal(Calibrator):
     ----------
     bins, alpha, score, joint, empty
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, WeightedConformal
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> y, proba = np.tile([0.5, 2.5], 20), np.tile([0.45, 0.1, 0.45], (40, 1))
+    >>> shifted = WeightedConformal(bins, alpha=0.1).calibrate(proba, y, weights=np.linspace(0.5, 1.5, 40))
+    >>> shifted.predict(proba[:1], weights=[1.5]).intervals(0)
+    [array([[0., 1.],
+           [2., 3.]])]
     """
 
-    scores_: npt.NDArray[np.floating[Any]]
-    weights_: npt.NDArray[np.float64]
+    scores_: RealArray
+    weights_: FloatArray
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
         """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale.
@@ -117,13 +136,13 @@ class WeightedConformal(Calibrator):
             On probabilities that are no probabilities, negative weights, or shapes that do not fit.
         """
         scores = self.rule.columns(self.score_samples(proba, y))
-        checked = as_weights(weights, "weights")
+        checked = _as_weights(weights, "weights")
         if checked.shape != (scores.shape[0],):
             raise ConformalError(f"weights must have shape ({scores.shape[0]},), got {checked.shape}")
         self.scores_, self.weights_ = scores, checked
         return self
 
-    def thresholds(self, weights: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    def thresholds(self, weights: npt.ArrayLike) -> RealArray:
         """Thresholds of new samples with the given likelihood ratios, (m, d)."""
         if not hasattr(self, "scores_"):
             raise NotCalibratedError("WeightedConformal is not calibrated: call calibrate(proba, y, weights) first")

@@ -1,4 +1,4 @@
-"""Checking a promise: coverage overall and where it may fail, sizes, p-values; each beside its law."""
+"""Diagnostics of a calibration: coverage, set sizes and p-values, compared with their exact distributions."""
 
 from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnosis import Diagnosis, diagnose

@@ -1,4 +1,4 @@
-"""Checking a promise: coverage beside the band that chance alone explains."""
+"""Coverage on test samples, compared with the central band of its exact distribution."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ class CoverageCheck:
     With n calibration samples, rank k and m test samples, all exchangeable and without ties, the number of
     covered test samples follows BetaBinomial(m, k, n + 1 - k).
 
+    For an example see :func:`check_coverage`.
+
     Attributes
     ----------
     n_covered, n_test, n_calibration, rank
@@ -28,7 +30,7 @@ class CoverageCheck:
     low, high
         Ends of the central band, as shares of the test samples.
     level
-        Probability that the observed share falls in [low, high] if the promise's assumptions hold.
+        Probability that the observed share falls in [low, high] if the samples are exchangeable.
     """
 
     n_covered: int
@@ -46,7 +48,7 @@ class CoverageCheck:
 
     @property
     def inside(self) -> bool:
-        """Whether the observed coverage is one that chance explains."""
+        """Whether the observed coverage lies in the band."""
         return self.low <= self.coverage <= self.high
 
 
@@ -57,8 +59,16 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     ------
     ConformalError
         If `n_test` is below 1 or `level` outside (0, 1).
+
+    Examples
+    --------
+    >>> from conformodal.conformal import coverage_band
+    >>> coverage_band(n_calibration=1000, n_test=1000, alpha=0.1)
+    (0.863, 0.932)
+    >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: the whole space, always right
+    (1.0, 1.0)
     """
-    n_test, level = as_count(n_test, "n_test", 1), as_level(level)
+    n_test, level = as_count(n_test, "n_test", 1), _as_level(level)
     k = conformal_rank(n_calibration, alpha)
     if k > n_calibration:
         return 1.0, 1.0
@@ -86,6 +96,12 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     ------
     ConformalError
         If there are no test samples or `level` is outside (0, 1).
+
+    Examples
+    --------
+    >>> from conformodal.conformal import grouped_coverage_band
+    >>> grouped_coverage_band([(1000, 500), (300, 500)], alpha=0.1)
+    (0.862, 0.933)
     """
     try:
         groups = [(as_count(n, "calibration samples"), as_count(m, "test samples")) for n, m in groups]
@@ -94,7 +110,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     n_test = sum(m for _, m in groups)
     if n_test < 1:
         raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
-    level = as_level(level)
+    level = _as_level(level)
     from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
 
     law, always = np.ones(1), 0
@@ -110,7 +126,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     return (always + low) / n_test, (always + min(high, len(law) - 1)) / n_test
 
 
-def as_level(level: float) -> float:
+def _as_level(level: float) -> float:
     """Return the probability of a band, strictly between 0 and 1."""
     return as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
 
@@ -133,6 +149,13 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     ------
     ConformalError
         If `inside` is no vector of booleans, or is empty.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import check_coverage
+    >>> check = check_coverage([True] * 93 + [False] * 7, n_calibration=200, alpha=0.1)
+    >>> check.coverage, check.inside
+    (0.93, True)
     """
     arr = as_flags(inside, "inside", 1)
     if arr.size == 0:

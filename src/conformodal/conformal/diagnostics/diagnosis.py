@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import BoolArray, FloatArray, RealArray
+from conformodal.core.words import counted
+
 from ..calibration import SplitConformal
 from ..calibration.joint import Joint
 from ..checks import Alpha, Probabilities, as_targets
 from ..errors import ConformalError
+from ..regions import Regions
 from .coverage import CoverageCheck, check_coverage
 from .sizes import SizeSummary, summarise_sizes
 from .slab import SlabCheck, worst_slab
 from .strata import coverage_by_group, coverage_by_size
 from .uniformity import UniformityCheck, check_uniformity
 
-ASSUMPTION = (
+_ASSUMPTION = (
     "Bands and p-values hold if the calibration and test samples are exchangeable (split at random, say), neither was "
     "learnt from, and scores have no ties. Outside a band, one of these fails. For samples in a sequence, such as "
     "frames of a video, coverage is an observation and no promise."
@@ -29,7 +33,7 @@ ASSUMPTION = (
 
 @dataclass(frozen=True)
 class ColumnDiagnosis:
-    """Checks of one promise: of one target, or with ``joint="max"`` of all together.
+    """Checks of one coverage guarantee: of one target, or with ``joint="max"`` of all together.
 
     Attributes
     ----------
@@ -53,7 +57,7 @@ class ColumnDiagnosis:
     uniformity: UniformityCheck
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
-        """All coverages of this promise, each with its label."""
+        """All coverages of this guarantee, each with its label."""
         found = [("all samples", self.coverage)]
         found += [(f"size {name}", check) for name, check in self.by_size.items()]
         found += [(f"group {name}", check) for name, check in self.by_group.items()]
@@ -66,16 +70,29 @@ class ColumnDiagnosis:
 class Diagnosis:
     """What :func:`diagnose` found. ``print`` it for the report, or see its attributes.
 
+    For an example see :func:`diagnose`.
+
     Attributes
     ----------
     columns
-        One entry for each promise that was calibrated.
+        One entry for each coverage guarantee.
     names, sizes
         The targets' names and the sizes of their sets.
     joint_coverage
         Share of test samples all of whose targets are held at once.
     alpha, joint, score, n_calibration, n_test
         Of the calibration and the test.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
+    >>> rng = np.random.default_rng(0)
+    >>> bins = QuantileBins.from_edges([np.linspace(0, 1, 11)])
+    >>> proba, y = rng.dirichlet(np.ones(10), 400), rng.random(400)
+    >>> cal = SplitConformal(bins, alpha=0.1).calibrate(proba[:200], y[:200])
+    >>> bool(diagnose(cal, proba[200:], y[200:]).columns[0].coverage.inside)
+    True
     """
 
     columns: tuple[ColumnDiagnosis, ...]
@@ -91,7 +108,7 @@ class Diagnosis:
     def __str__(self) -> str:
         lines = [
             f"Conformal sets at alpha = {self.alpha}: score {self.score}, joint {self.joint}; "
-            f"{self.n_calibration} calibration and {self.n_test} test samples.",
+            f"{self.n_calibration} calibration and {counted(self.n_test, 'test sample')}.",
             "",
         ]
         width = max([12, *map(len, self.names)])
@@ -106,7 +123,7 @@ class Diagnosis:
         if len(self.names) > 1:
             promise = "" if self.joint == "none" else f" (promised: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
-        return "\n".join([*lines, "", *textwrap.wrap(ASSUMPTION, 110)])
+        return "\n".join([*lines, "", *textwrap.wrap(_ASSUMPTION, 110)])
 
 
 def _table(column: ColumnDiagnosis) -> list[str]:
@@ -159,17 +176,6 @@ def diagnose(
         If shapes do not fit.
     NotCalibratedError
         Before calibration.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
-    >>> rng = np.random.default_rng(0)
-    >>> bins = QuantileBins.from_edges([np.linspace(0, 1, 11)])
-    >>> proba, y = rng.dirichlet(np.ones(10), 400), rng.random(400)
-    >>> cal = SplitConformal(bins, alpha=0.1).calibrate(proba[:200], y[:200])
-    >>> bool(diagnose(cal, proba[200:], y[200:]).columns[0].coverage.inside)
-    True
     """
     if not isinstance(calibrator, SplitConformal):
         raise ConformalError(f"calibrator must be a SplitConformal, got {type(calibrator).__name__}")
@@ -178,45 +184,69 @@ def diagnose(
     if values.shape[0] == 0:
         raise ConformalError("y must hold at least one test sample")
     inside = regions.contains(values)
-    n_targets = inside.shape[1]
-    n_cal = calibrator.scores_.shape[0]
-    rate = calibrator.alpha_per_target
-    named = (
-        names if isinstance(names, Iterable) else [] if names is not None else map("target {}".format, range(n_targets))
+    targets = _named(names, inside.shape[1])
+    scores = calibrator.scores_, calibrator.score_samples(proba, values)
+    calibration, test = map(calibrator.rule.columns, scores)
+    law = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
+    columns = tuple(
+        _column(*guarantee, X, groups, (calibration[:, j], test[:, j]), law, random_state)
+        for j, guarantee in enumerate(_guarantees(calibrator.joint, targets, inside, regions))
     )
-    targets = tuple(map(str, named))
+    sizes, held = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
+    about = calibrator.alpha, calibrator.joint, calibrator.score.name
+    return Diagnosis(columns, targets, sizes, held, *about, len(scores[0]), len(values))
+
+
+def _named(names: Sequence[str] | None, n_targets: int) -> tuple[str, ...]:
+    """Names of the targets: those given, or their numbers."""
+    given: Any = map("target {}".format, range(n_targets)) if names is None else names
+    targets = tuple(map(str, given if isinstance(given, Iterable) else []))
     if len(targets) != n_targets:
         raise ConformalError(f"names must hold one name a target ({n_targets}), got {len(targets)}")
-    calibration = calibrator.rule.columns(calibrator.scores_)
-    test = calibrator.rule.columns(calibrator.score_samples(proba, values))
-    if calibrator.joint == "max":
-        promises = [("all targets", np.asarray(inside.all(axis=1)), regions.volume)]
-    else:
-        length = regions.length
-        promises = [(name, inside[:, j], length[:, j]) for j, name in enumerate(targets)]
-    columns = []
-    for j, (name, held, size) in enumerate(promises):
-        slab = None
-        if X is not None and len(held) > 1:
-            slab = worst_slab(held, X, n_cal, rate, level=level, random_state=random_state)
-        columns.append(
-            ColumnDiagnosis(
-                name,
-                check_coverage(held, n_cal, rate, level),
-                coverage_by_size(held, size, n_cal, rate, level=level),
-                {} if groups is None else coverage_by_group(held, groups, n_cal, rate, level),
-                slab,
-                check_uniformity(calibration[:, j], test[:, j], random_state=random_state),
-            )
-        )
-    return Diagnosis(
-        tuple(columns),
-        targets,
-        tuple(summarise_sizes(regions)),
-        float(inside.all(axis=1).mean()),
-        calibrator.alpha,
-        calibrator.joint,
-        calibrator.score.name,
-        n_cal,
-        len(values),
+    return targets
+
+
+def _guarantees(
+    joint: Joint, targets: Sequence[str], inside: BoolArray, regions: Regions
+) -> list[tuple[str, BoolArray, FloatArray]]:
+    """Of each coverage guarantee its name, whether it held for each sample (n,), and the sizes of the sets (n,)."""
+    if joint == "max":
+        return [("all targets", np.asarray(inside.all(axis=1)), regions.volume)]
+    length = regions.length
+    return [(name, inside[:, j], length[:, j]) for j, name in enumerate(targets)]
+
+
+def _column(
+    name: str,
+    held: BoolArray,
+    size: FloatArray,
+    X: npt.ArrayLike | None,
+    groups: npt.ArrayLike | None,
+    scores: tuple[RealArray, RealArray],
+    law: Mapping[str, Any],
+    random_state: Any,
+) -> ColumnDiagnosis:
+    """All checks of one coverage guarantee.
+
+    Parameters
+    ----------
+    name, held, size
+        See :func:`_guarantees`.
+    X, groups, random_state
+        As for :func:`diagnose`.
+    scores
+        Of the calibration samples and of the test samples.
+    law
+        What the band of a coverage depends on: ``n_calibration``, ``alpha`` and ``level``.
+    """
+    slab = None
+    if X is not None and len(held) > 1:
+        slab = worst_slab(held, X, **law, random_state=random_state)
+    return ColumnDiagnosis(
+        name,
+        check_coverage(held, **law),
+        coverage_by_size(held, size, **law),
+        {} if groups is None else coverage_by_group(held, groups, **law),
+        slab,
+        check_uniformity(*scores, random_state=random_state),
     )

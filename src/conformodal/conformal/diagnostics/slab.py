@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import BoolArray, FloatArray
+
 from ..checks import Alpha, as_doubles, as_flags
 from ..errors import ConformalError
 from ..scalars import as_count, as_number, as_random
 from .coverage import CoverageCheck, check_coverage
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,22 @@ def worst_slab(
         raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.size}")
     mass = as_number(mass, "mass", "a share in (0, 1]", lambda share: 0 < share <= 1)
     directions, random = as_count(directions, "directions"), as_random(random_state)
+    scaled = _scaled(inputs)
+    order = random.permutation(len(inputs))
+    first, second = order[: len(order) // 2], order[len(order) // 2 :]
+    tried = random.standard_normal((directions, inputs.shape[1]))
+    tried = np.concatenate((np.eye(inputs.shape[1]), tried / np.linalg.norm(tried, axis=1, keepdims=True)))
+    least = max(1, int(np.ceil(mass * first.size)))
+    slabs = (_lowest_slab(inside[first], scaled[first] @ direction, least) for direction in tried)
+    found, (_, low, high) = min(enumerate(slabs), key=lambda one: one[1][0])
+    at = scaled[second] @ tried[found]
+    own = inside[second][(low <= at) & (at <= high)]
+    check = check_coverage(own, n_calibration, alpha, level) if own.size else None
+    return SlabCheck(tried[found], low, high, check)
+
+
+def _scaled(inputs: FloatArray) -> FloatArray:
+    """Inputs (n, p) over their standard deviations; 0 where one never changes."""
     with np.errstate(over="ignore", invalid="ignore"):
         spread = inputs.std(axis=0)
     if not np.isfinite(spread).all():
@@ -88,25 +104,14 @@ def worst_slab(
     moving = np.flatnonzero(spread > 0)
     scaled = np.zeros_like(inputs)
     scaled[:, moving] = inputs[:, moving] / spread[moving]
-    order = random.permutation(len(inputs))
-    first, second = order[: len(order) // 2], order[len(order) // 2 :]
-    tried = random.standard_normal((directions, inputs.shape[1]))
-    tried = np.concatenate((np.eye(inputs.shape[1]), tried / np.linalg.norm(tried, axis=1, keepdims=True)))
-    least = max(1, int(np.ceil(mass * first.size)))
-    best: tuple[float, FloatArray, float, float] | None = None
-    for direction in tried:
-        at = scaled[first] @ direction
-        ranked = np.argsort(at, kind="stable")
-        start, stop = lowest_run(inside[first][ranked], least)
-        coverage = float(inside[first][ranked][start:stop].mean())
-        if best is None or coverage < best[0]:
-            best = coverage, direction, float(at[ranked[start]]), float(at[ranked[stop - 1]])
-    assert best is not None
-    _, direction, low, high = best
-    at = scaled[second] @ direction
-    own = inside[second][(low <= at) & (at <= high)]
-    check = check_coverage(own, n_calibration, alpha, level) if own.size else None
-    return SlabCheck(direction, low, high, check)
+    return scaled
+
+
+def _lowest_slab(inside: BoolArray, at: FloatArray, least: int) -> tuple[float, float, float]:
+    """Coverage and ends of the slab with the lowest coverage along one direction, on which samples lie at `at`."""
+    ranked = np.argsort(at, kind="stable")
+    start, stop = lowest_run(inside[ranked], least)
+    return float(inside[ranked][start:stop].mean()), float(at[ranked[start]]), float(at[ranked[stop - 1]])
 
 
 def lowest_run(values: npt.NDArray[Any], least: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Coverage by group, and by the size of the set: where an average may hide a failure."""
+"""Coverage by group and by set size, where the average coverage may hide a failure."""
 
 from __future__ import annotations
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import BoolArray, FloatArray, IntArray
+
 from ..checks import as_doubles
 from ..errors import ConformalError
 from ..scalars import as_count, as_random
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ def check_uniformity(
     return UniformityCheck(observed, extreme / (repeats + 1), np.sort((1 + larger) / (n + 1)))
 
 
-def _larger(is_new: npt.NDArray[np.bool_], n: int) -> npt.NDArray[np.int64]:
+def _larger(is_new: BoolArray, n: int) -> IntArray:
     """For every new sample, in the order of the scores, how many calibration scores are larger."""
     return np.asarray(n - np.cumsum(~is_new)[is_new])
 
 
-def _distance(larger: npt.NDArray[np.int64], n: int) -> float:
+def _distance(larger: IntArray, n: int) -> float:
     """Largest distance between the share of p-values at most t and t, over the values ``t = j / (n + 1)``."""
     share = np.cumsum(np.bincount(larger, minlength=n + 1)) / larger.size
     return float(np.abs(share - np.arange(1, n + 2) / (n + 1)).max())

@@ -9,12 +9,11 @@ from __future__ import annotations
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.stats import rankdata
 from sklearn.ensemble import RandomForestRegressor
 
-FloatArray = npt.NDArray[np.float64]
+from conformodal.core import FloatArray, IntArray
 
 # Values are gathered into at most this many groups of neighbours, which is all the detail a weight can have.
 _GROUPS = 256
@@ -48,10 +47,8 @@ class LeafForest:
     def fit(self, X: FloatArray, values: FloatArray) -> Self:
         """Grow the forest on features (n, p) and values (n,)."""
         n = values.size
-        ranks = rankdata(values) / (n + 1)
-        cosines = np.cos(np.pi * ranks[:, None] * np.arange(1, _COSINES + 1))
         groups, self.values_ = group_values(values)
-        self.forest.fit(X, cosines)
+        self.forest.fit(X, rank_cosines(values, _COSINES))
         leaves = self.forest.apply(X)
         member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, self.values_.size))
         self.tables_: list[Any] = []
@@ -77,10 +74,16 @@ class LeafForest:
         return total / len(self.tables_)
 
 
-def group_values(values: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
+def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
     """Group (n,) of every value among at most 256 groups of equal size, and the groups' means (G,)."""
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _GROUPS + 1)[1:-1]))
     raw = np.searchsorted(cuts, values, side="right")
     _, groups = np.unique(raw, return_inverse=True)
     counts = np.bincount(groups)
     return groups.astype(np.int64), np.bincount(groups, weights=values) / counts
+
+
+def rank_cosines(values: FloatArray, n_cosines: int) -> FloatArray:
+    """The first cosines (n, c) of the values' ranks: splits on them see spread and modes too, not the mean alone."""
+    ranks = rankdata(values) / (values.size + 1)
+    return np.cos(np.pi * ranks[:, None] * np.arange(1, n_cosines + 1))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
+
+from conformodal.core import FloatArray, IntArray
 
 from ..checks import as_doubles
 
-FloatArray = npt.NDArray[np.float64]
-
 # what a density is at least, relative to 1 / range, when its logarithm is taken
 _FLOOR = 1e-6
+_ITERATIONS = 200
 
 
 def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatArray:
@@ -52,14 +52,14 @@ def shifted_masses(
     return np.maximum(np.diff(reached, axis=1), 0)  # rounding may take a step down
 
 
-def log_density(proba: FloatArray, codes: npt.NDArray[np.int64], widths: FloatArray) -> FloatArray:
+def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:
     """Log density (n,) that rows of bin probabilities give to the bins `codes`, floored."""
     proba, widths = as_doubles(proba, "proba"), as_doubles(widths, "widths")
     density = proba[np.arange(codes.size), codes] / widths[codes]
     return np.asarray(np.log(np.maximum(density, _FLOOR / widths.sum())))
 
 
-def mixture_weights(log_densities: FloatArray, iterations: int = 200, weight: FloatArray | None = None) -> FloatArray:
+def mixture_weights(log_densities: FloatArray, weight: FloatArray | None = None) -> FloatArray:
     """Weights (m,) of a mixture that make the samples' densities (n, m) likeliest, by expectation-maximisation.
 
     `weight` (n,) says how much each sample counts; None: all the same.
@@ -69,7 +69,7 @@ def mixture_weights(log_densities: FloatArray, iterations: int = 200, weight: Fl
     log_densities = as_doubles(log_densities, "log_densities")
     relative = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
     weights = np.full(relative.shape[1], 1 / relative.shape[1])
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         shares = relative * weights
         weights = np.average(shares / shares.sum(axis=1, keepdims=True), axis=0, weights=weight)
     return weights

@@ -8,23 +8,23 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from conformodal.core import FloatArray, IntArray
+
 from ..checks import as_doubles
 from ..errors import ConformalError
 from ..scalars import shortened
 
-FloatArray = npt.NDArray[np.float64]
-
-COPIES = 4
+_COPIES = 4
 
 
-def spread_codes(y: FloatArray, edges: FloatArray, sigma_bins: float) -> npt.NDArray[np.int64]:
+def _spread_codes(y: FloatArray, edges: FloatArray, sigma_bins: float) -> IntArray:
     """Bin numbers (n, c) of copies of each value, at the mid-quantiles of a Gaussian over bin numbers around it.
 
     With ``sigma_bins=0`` there is one copy, in the value's own bin. Values beyond the edges count as on them.
     """
     k = edges.size - 1
     at = np.interp(y, edges, np.arange(k + 1))
-    offsets = sigma_bins * ndtri((np.arange(COPIES) + 0.5) / COPIES) if sigma_bins > 0 else np.zeros(1)
+    offsets = sigma_bins * ndtri((np.arange(_COPIES) + 0.5) / _COPIES) if sigma_bins > 0 else np.zeros(1)
     return np.clip(np.floor(at[:, None] + offsets), 0, k - 1).astype(np.int64)
 
 
@@ -37,7 +37,7 @@ def fit_classifier(
     weight: FloatArray | None = None,
 ) -> Any:
     """Fit a classifier on order-aware labels; a target of a single bin needs none, and gives the bin's number."""
-    codes = spread_codes(y, edges, sigma_bins)
+    codes = _spread_codes(y, edges, sigma_bins)
     if edges.size == 2 or np.unique(codes).size == 1:
         return int(codes[0, 0])
     with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows

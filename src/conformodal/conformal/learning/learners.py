@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import clone
 
+from conformodal.core import FloatArray, IntArray
 from conformodal.core.progress import Progress
+from conformodal.core.words import counted
 
 from ..errors import ConformalError, SlowFitWarning
 from ..scalars import brief, shortened
@@ -21,8 +23,6 @@ from .labels import fit_classifier
 from .quick import QuickDensity
 from .stacked import StackedDensity
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 LearnerName = Literal["quick", "stack"]
 
 # a fit of more seconds is announced
@@ -105,7 +105,9 @@ def announce(base: Any, n_rows: int, n_features: int, n_targets: int) -> bool:
     spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
     hint = '; estimator="quick" takes seconds' if isinstance(base, StackedDensity) else ""
     warnings.warn(
-        f"fitting {n_rows} rows and {n_targets} target(s) will take about {spent}{hint}", SlowFitWarning, stacklevel=3
+        f"fitting {counted(n_rows, 'row')} and {counted(n_targets, 'target')} will take about {spent}{hint}",
+        SlowFitWarning,
+        stacklevel=3,
     )
     return True
 

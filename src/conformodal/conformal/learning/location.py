@@ -6,10 +6,8 @@ import warnings
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import nnls
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, HistGradientBoostingRegressor
+from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
@@ -18,9 +16,9 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from conformodal.core.progress import Progress
+from conformodal.core import FloatArray, Progress
 
-FloatArray = npt.NDArray[np.float64]
+from .quick_location import Location, boosting
 
 _FOLDS = 5
 _NETWORKS = 3
@@ -30,19 +28,8 @@ _ROWS_SEEN = 600_000
 GAUSSIAN_PROCESS_ROWS = 1500
 
 
-class StackedLocation:
-    """Boosted trees, random trees, networks and, on small tables, a Gaussian process; non-negative least squares.
-
-    Source: Breiman (1996), stacked regressions.
-
-    Attributes
-    ----------
-    out_of_fold_ : (n, m) predictions of every training value by models that did not see it
-    weights_ : (m,) of the stack, sum to one
-    """
-
-    out_of_fold_: FloatArray
-    weights_: FloatArray
+class StackedLocation(Location):
+    """Boosted trees, random trees, networks and, on small tables, a Gaussian process."""
 
     def __init__(self, random_state: int, n_jobs: int | None) -> None:
         self.random_state = random_state
@@ -65,13 +52,12 @@ class StackedLocation:
                 progress(done, total)
             return member
 
-        self.out_of_fold_ = np.empty((y.size, len(members)))
+        out_of_fold = np.empty((y.size, len(members)))
         folds = KFold(n_folds, shuffle=True, random_state=self.random_state)
         for seen, left_out in folds.split(X):
             for j, member in enumerate(members):
-                self.out_of_fold_[left_out, j] = fitted(clone(member), seen).predict(X[left_out])
-        weights, _ = nnls(self.out_of_fold_, y)
-        self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(len(members), 1 / len(members))
+                out_of_fold[left_out, j] = fitted(clone(member), seen).predict(X[left_out])
+        self._weigh(out_of_fold, y, np.ones(y.size))
         self.members_ = [fitted(member, slice(None)) for member in members]
         return self
 
@@ -79,24 +65,8 @@ class StackedLocation:
         """Predictions of all members, (n, m)."""
         return np.column_stack([member.predict(X) for member in self.members_])
 
-    def summary(self, predictions: FloatArray) -> FloatArray:
-        """The stack's mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
-        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
-
     def _members(self, n: int) -> list[Any]:
         seed = self.random_state
-
-        def boosted(leaves: int, rounds: int, least: int) -> Any:
-            return HistGradientBoostingRegressor(
-                learning_rate=0.05,
-                max_iter=rounds,
-                max_leaf_nodes=leaves,
-                min_samples_leaf=least,
-                l2_regularization=1.0,
-                max_features=0.5,
-                early_stopping=False,
-                random_state=seed,
-            )
 
         def networks(decay: float, rate: float) -> Any:
             one = MLPRegressor(
@@ -111,7 +81,8 @@ class StackedLocation:
             return make_pipeline(StandardScaler(), bag)
 
         trees = ExtraTreesRegressor(200, n_jobs=self.n_jobs, random_state=seed)
-        members = [boosted(31, 500, 10), boosted(8, 1000, 5), trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
+        boosters = [boosting(0.05, 500, 31, 10, seed)(), boosting(0.05, 1000, 8, 5, seed)()]
+        members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
         if n <= GAUSSIAN_PROCESS_ROWS:
             members.append(make_pipeline(StandardScaler(), _AnisotropicProcess()))
         return members

@@ -5,24 +5,24 @@ from __future__ import annotations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-FloatArray = npt.NDArray[np.float64]
-Folds: TypeAlias = list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]
+from conformodal.core import FloatArray, IntArray
+
+Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 
 # Rows and evaluations of the likelihood: a rough search on few rows, then a finer one from where it ended.
 _STAGES = ((250, 40), (600, 20))
-# up to so many rows all are points of the process; beyond, so many; and beyond many rows, fewer
+# Up to _EXACT_ROWS rows the process is exact. Beyond, _INDUCING of them are its points; beyond _MANY_ROWS fewer.
 _EXACT_ROWS = 1200
 _INDUCING, _MANY_ROWS, _FEWER_INDUCING = 900, 5000, 600
 # beyond so many features they share one length scale
 _MOST_LENGTHS = 40
 # standard deviations at which a feature is cut off
 _REACH = 6.0
-# of the kernel's variance, on its diagonal
+# share of the kernel's variance that is added to its diagonal
 _JITTER = 1e-8
 
 

@@ -6,37 +6,27 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import BaseEstimator
-from sklearn.exceptions import NotFittedError
 from threadpoolctl import threadpool_limits
 
+from conformodal.core import FloatArray, IntArray
+
 from ..scalars import as_count, as_random
-from .forest import group_values
-from .kernels import kernel_masses, log_density, mixture_weights, shifted_masses
+from .forest import group_values, rank_cosines
+from .mixture import RESIDUAL, Groups, MixtureDensity, least_spread
 from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
-from .shared_forest import SharedForest, rank_cosines
-from .standard import Standardised, as_features, standardised
+from .shared_forest import SharedForest
+from .standard import Standardised, standardised
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
-_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-_GRID_CELLS = 300
-_ROWS_AT_ONCE = 2048
-# of a fit, as measured
+# seconds of a fit, as measured
 _LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
-# up to so many rows: so many trees a forest
+# (rows, trees): trees of a forest for at most so many rows
 _TREES = ((3000, 60), (5000, 40))
 _FEWEST_TREES = 30
 # held-out rows that choose bandwidths and weights
 _JUDGES = 1000
-# every member keeps a little weight, so that no density is exactly zero and far values can be told apart
-_LEAST_WEIGHT = 1e-3
-# of the members, in the mixture's order: whether they are distributions of residuals
-_RESIDUAL = (False, True, True, False, False)
 
 
-class QuickDensity(BaseEstimator):  # type: ignore[misc]
+class QuickDensity(MixtureDensity):
     """Conditional density of a value over bins in about the time of a few boostings; order-aware.
 
     A smaller :class:`~conformodal.conformal.StackedDensity`. Boosted trees, a Gaussian process (up to 10 000 rows)
@@ -64,10 +54,20 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
     ----------
     edges_ : (K + 1,) edges of the bins
     weights_ : (5,) of the mixture, in the order above
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuickDensity
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.random((60, 1))
+    >>> y = X[:, 0] + rng.choice([-1, 1], 60)
+    >>> density = QuickDensity(random_state=0).fit_bins(X, y, edges=[-1, 0, 1, 2])
+    >>> density.predict_proba([[0.5]]).shape
+    (1, 3)
     """
 
-    edges_: FloatArray
-    weights_: FloatArray
+    _rows_at_once = 2048
 
     def __init__(self, max_rows: int = 30_000, random_state: Any = None, n_jobs: int | None = None) -> None:
         self.max_rows = max_rows
@@ -94,24 +94,16 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
         if table.z.size > most:
             kept = random.permutation(table.z.size)[:most]
             table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
-        self.edges_, self._z_edges = table.edges, table.z_edges
         judges = random.permutation(table.z.size)[:_JUDGES]
         with threadpool_limits(1):  # threads that wait for each other spin: a core that is busy elsewhere costs minutes
-            loc, spread, groups, weights = self._learn(table, judges, seed)
-        scaled = (table.z - loc) / spread
-        reach = (scaled.max() - scaled.min()) or 1.0
-        ends = np.quantile(scaled, np.linspace(0, 1, _GRID_CELLS + 1))
-        self._grid = np.unique(np.concatenate(([ends[0] - reach / 2], ends, [ends[-1] + reach / 2])))
-        pooled = [np.bincount(of, table.weight)[None] / table.weight.sum() for of, _ in groups]
-        self._pooled = pooled[0], pooled[1]
-        held_out = [*pooled, weights[0], weights[1], weights[2]]
-        z_at, scaled_at = groups[0][1], groups[1][1]
-        at = [z_at, scaled_at, scaled_at, z_at, z_at]
-        self._smooth(held_out, at, table, scaled, judges, (loc[judges], spread[judges]))
+            place, groups, by_forest = self._learn(table, judges, seed)
+        self._mix(table, place, groups, by_forest, judges)
         return self
 
-    def _learn(self, table: Standardised, judges: IntArray, seed: int) -> tuple[Any, ...]:
-        """Location, spread, groups of values and of scaled residuals, and the judges' weights out of bag."""
+    def _learn(
+        self, table: Standardised, judges: IntArray, seed: int
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[Groups, Groups], list[FloatArray]]:
+        """Location and spread, groups of values and of scaled residuals, and the judges' weights out of bag."""
         X, z, weight = table.X, table.z, table.weight
         n_trees = next((trees for most, trees in _TREES if z.size <= most), _FEWEST_TREES)
         values, z_at = group_values(z)
@@ -121,10 +113,8 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
         summary = self.location_.summary(self.location_.out_of_fold_)
         loc, extended = summary[:, 0], np.column_stack((X, summary))
         residual = np.abs(z - loc)
-        # a tenth of the median keeps one lucky guess from standing for a spread of zero
-        least = float(0.1 * np.median(residual)) or 1e-6
         make = boosting(0.1, 40, 8, 20, seed)
-        of_spread = np.log(residual + least)
+        of_spread = np.log(residual + least_spread(residual))
         log_spread, self.spread_ = fit_out_of_fold(make, extended, of_spread, weight, folds_of(z.size, seed, 3))
         spread = np.exp(log_spread)
         scaled = (z - loc) / spread
@@ -134,49 +124,11 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
         guided.fit(extended, both, z, weight, [(residuals, scaled_at.size), (values, z_at.size)], judges)
         self.forests_ = direct, guided
         groups = (values, z_at), (residuals, scaled_at)
-        return loc, spread, groups, [*guided.out_of_bag_, *direct.out_of_bag_]
-
-    def _smooth(
-        self,
-        held_out: list[FloatArray],
-        at: list[FloatArray],
-        table: Standardised,
-        scaled: FloatArray,
-        judges: IntArray,
-        place: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Choose every member's bandwidth, then the weights, by the likelihood of held-out values."""
-        codes, widths, weight = table.codes[judges], np.diff(table.z_edges), table.weight[judges]
-        self._kernels: list[FloatArray] = []
-        likelihoods = []
-        for residual, weights, centers in zip(_RESIDUAL, held_out, at, strict=True):
-            sample, edges = (scaled, self._grid) if residual else (table.z, table.z_edges)
-            found = []
-            for factor in _FACTORS:
-                kernel = kernel_masses(centers, sample, edges, factor)
-                masses = np.broadcast_to(weights @ kernel, (judges.size, edges.size - 1))
-                each = log_density(self._shifted(masses, *place) if residual else masses, codes, widths)
-                found.append((float(np.average(each, weights=weight)), kernel, each))
-            _, kernel, each = max(found, key=lambda one: one[0])
-            self._kernels.append(kernel)
-            likelihoods.append(each)
-        mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight=weight), _LEAST_WEIGHT)
-        self.weights_ = mixed / mixed.sum()
-
-    def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
-        return shifted_masses(masses, self._grid, loc, spread, self._z_edges)
+        return (loc, spread), groups, [*guided.out_of_bag_, *direct.out_of_bag_]
 
     def expected_seconds(self, n_rows: int, n_features: int) -> float:
         """About how long a fit takes on one core."""
         return _LEAST_SECONDS + _SECONDS_A_NUMBER * min(n_rows, self.max_rows) * n_features
-
-    def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
-        """Probabilities of the bins, (n, K)."""
-        if not hasattr(self, "weights_"):
-            raise NotFittedError("QuickDensity is not fitted yet: call fit_bins(X, y, edges) first")
-        features = as_features(X)
-        parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
-        return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
 
     def _proba(self, features: FloatArray) -> FloatArray:
         direct, guided = self.forests_
@@ -185,7 +137,7 @@ class QuickDensity(BaseEstimator):  # type: ignore[misc]
         extended = np.column_stack((features, summary))
         weights = [*self._pooled, *guided.weights(guided.apply(extended)), *direct.weights(leaves)]
         masses = [share * (w @ k) for share, w, k in zip(self.weights_, weights, self._kernels, strict=True)]
-        residual = np.sum(self.weights_[[*_RESIDUAL]])
+        residual = np.sum(self.weights_[[*RESIDUAL]])
         # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
         shifted = self._shifted(
             (masses[1] + masses[2]) / residual, summary[:, 0], np.exp(self.spread_.predict(extended))

@@ -1,4 +1,4 @@
-"""Boosted trees, a Gaussian process and a forest, each out of fold, as one guess of where a value lies."""
+"""Boosted trees, a Gaussian process and a forest, each out of fold, combined to one prediction of a value."""
 
 from __future__ import annotations
 
@@ -6,26 +6,27 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.model_selection import KFold
 
+from conformodal.core import FloatArray
+
 from .process import Folds, SparseProcess
 
-FloatArray = npt.NDArray[np.float64]
-
-# up to so many rows: so many folds
+# (rows, folds): folds for at most so many rows
 _FOLDS = ((1500, 5), (8000, 3))
 _FEWEST_FOLDS = 2
-# up to so many rows a second boosting, of smaller trees, is worth its time
+# a second boosting, of smaller trees, is fitted on at most so many rows
 _SECOND_ROWS = 700
-# up to so many rows the process is
+# the Gaussian process is fitted on at most so many rows
 _PROCESS_ROWS = 10_000
 
 
-class QuickLocation:
-    """Non-negative least squares over boosting, :class:`~.process.SparseProcess` and a forest's means out of bag.
+class Location:
+    """Members' predictions of where a value lies, weighted by non-negative least squares.
+
+    Source: Breiman (1996), stacked regressions.
 
     Attributes
     ----------
@@ -35,6 +36,20 @@ class QuickLocation:
 
     out_of_fold_: FloatArray
     weights_: FloatArray
+
+    def _weigh(self, out_of_fold: FloatArray, y: FloatArray, weight: FloatArray) -> None:
+        root = np.sqrt(weight)
+        weights, _ = nnls(out_of_fold * root[:, None], y * root)
+        self.out_of_fold_ = out_of_fold
+        self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(weights.size, 1 / weights.size)
+
+    def summary(self, predictions: FloatArray) -> FloatArray:
+        """The weighted mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
+        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
+
+
+class QuickLocation(Location):
+    """Boosting, :class:`~.process.SparseProcess` and a forest's means out of bag."""
 
     def __init__(self, random_state: int) -> None:
         self.random_state = random_state
@@ -57,19 +72,12 @@ class QuickLocation:
                 self._models.append(process)
             except np.linalg.LinAlgError:  # the others answer
                 pass
-        self.out_of_fold_ = np.column_stack([*out_of_fold, forest])
-        root = np.sqrt(weight)
-        weights, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
-        self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(weights.size, 1 / weights.size)
+        self._weigh(np.column_stack([*out_of_fold, forest]), y, weight)
         return self
 
     def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
         """Predictions of all members, (n, m); `forest` are its means (n,)."""
         return np.column_stack([*(model.predict(X) for model in self._models), forest])
-
-    def summary(self, predictions: FloatArray) -> FloatArray:
-        """The weighted mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
-        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
 
 
 def folds_of(n: int, random_state: int, most_folds: int = 5) -> Folds:
@@ -79,7 +87,7 @@ def folds_of(n: int, random_state: int, most_folds: int = 5) -> Folds:
 
 
 def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Callable[[], Any]:
-    """What makes a boosting of trees."""
+    """A function that makes an untrained boosting of trees."""
 
     def make() -> Any:
         return HistGradientBoostingRegressor(

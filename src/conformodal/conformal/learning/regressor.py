@@ -10,6 +10,8 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from conformodal.core import FloatArray
+
 from ..bins import QuantileBins
 from ..calibration import Joint, SplitConformal
 from ..checks import Alpha, as_array, as_doubles, as_reals
@@ -21,8 +23,6 @@ from ..scores import Score
 from .labels import proba_of_bins
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .standard import as_sample_weight
-
-FloatArray = npt.NDArray[np.float64]
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02

@@ -9,13 +9,11 @@ from __future__ import annotations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
-from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from conformodal.core import BoolArray, FloatArray, IntArray
+
 # the group (n,) that every training value is in, and the number of groups
 Grouping: TypeAlias = tuple[IntArray, int]
 
@@ -100,13 +98,7 @@ class SharedForest:
         query = self._query(leaves, np.ones(leaves.shape, dtype=np.bool_))
         return [np.asarray((query @ table).toarray()) for table in self._tables]
 
-    def _query(self, leaves: IntArray, counted: npt.NDArray[np.bool_]) -> Any:
+    def _query(self, leaves: IntArray, counted: BoolArray) -> Any:
         row, tree = np.nonzero(counted)
         share = 1 / np.maximum(counted.sum(axis=1), 1)
         return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))
-
-
-def rank_cosines(values: FloatArray, n_cosines: int) -> FloatArray:
-    """The first cosines (n, c) of the values' ranks: splits on them see spread and modes too, not the mean alone."""
-    ranks = rankdata(values) / (values.size + 1)
-    return np.cos(np.pi * ranks[:, None] * np.arange(1, n_cosines + 1))

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core import FloatArray, IntArray
+
 from ..bins import QuantileBins
 from ..checks import as_doubles, as_finite
 from ..errors import ConformalError
 
-FloatArray = npt.NDArray[np.float64]
-
-# of values, so that distances in units of it are finite
+# least spread of the values: distances in units of a smaller one may overflow
 _LEAST_SPREAD = 1e-150
 
 
@@ -30,7 +30,7 @@ class Standardised:
     scale: float
 
     @property
-    def codes(self) -> npt.NDArray[np.int64]:
+    def codes(self) -> IntArray:
         """Bin (n,) of every value; what lies beyond the edges counts to the outer bins."""
         return np.searchsorted(self.z_edges[1:-1], self.z, side="right")
 

@@ -1,4 +1,4 @@
-"""Promises for sequences that drift: thresholds that follow the misses they make."""
+"""Online conformal prediction for sequences that drift: thresholds adapt to past misses."""
 
 from .aci import Aci, DtAci
 from .pid import ConformalPid

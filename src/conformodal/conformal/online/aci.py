@@ -42,6 +42,17 @@ class Aci:
     ----------
     alpha_t : Fraction
         The rate in force, exact; may lie outside [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aci
+    >>> tracker, missed = Aci(alpha=0.1, gamma=0.02), []
+    >>> for score in np.random.default_rng(0).normal(np.linspace(0, 5, 1000)):  # drifts
+    ...     missed.append(score > tracker.threshold())
+    ...     tracker.update(score)
+    >>> bool(abs(np.mean(missed) - 0.1) <= (0.9 + 0.02) / (1000 * 0.02))
+    True
     """
 
     def __init__(self, alpha: Alpha = 0.1, gamma: float = 0.005, window: int | None = None) -> None:
@@ -86,6 +97,17 @@ class DtAci:
         section 3.
     window
         Past scores to rank among; None for all: memory then grows with the stream.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import DtAci
+    >>> tracker = DtAci(alpha=0.5)
+    >>> tracker.threshold()  # nothing is known yet: the whole space
+    inf
+    >>> for score in (0.2, 0.4, 0.1):
+    ...     tracker.update(score)
+    >>> tracker.threshold()
+    0.2
     """
 
     def __init__(

@@ -45,6 +45,17 @@ class ConformalPid:
         Threshold before the first score; None waits with the whole space until one has come.
     forecast
         Called with the number of scores so far, gives a forecast of the next score's quantile, a finite number.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import ConformalPid
+    >>> tracker, missed = ConformalPid(alpha=0.1), []
+    >>> for score in np.random.default_rng(0).normal(np.linspace(0, 5, 1000)):  # drifts
+    ...     missed.append(score > tracker.threshold())
+    ...     tracker.update(score)
+    >>> bool(abs(np.mean(missed) - 0.1) <= (np.pi / 2 * np.sqrt(1000) + 1) / 1000)
+    True
     """
 
     def __init__(

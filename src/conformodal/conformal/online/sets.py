@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import FloatArray, RealArray
 
 from ..bins import QuantileBins
 from ..calibration.base import Calibrator, Empty
@@ -94,7 +96,7 @@ class OnlineConformal:
                 raise ConformalError(f"method must make a Tracker, with threshold and update, got {brief(tracker)}")
 
     @property
-    def thresholds(self) -> npt.NDArray[np.float64]:
+    def thresholds(self) -> FloatArray:
         """Thresholds in force, (d,)."""
         return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
 
@@ -118,6 +120,6 @@ class OnlineConformal:
             return self.predict(proba)
         return self._sets.regions_at(proba, np.stack(limits))
 
-    def _learn(self, scores: npt.NDArray[np.floating[Any]]) -> None:
+    def _learn(self, scores: RealArray) -> None:
         for tracker, score in zip(self.trackers, scores, strict=True):
             tracker.update(float(score))

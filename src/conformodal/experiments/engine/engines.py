@@ -1,4 +1,4 @@
-"""What a task, its work and an engine are."""
+"""Interfaces of tasks and of engines that run them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Threads of the libraries that work in a process of ours."""
+"""Limits on the threads of numerical libraries in this process."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _RESULTS = 10  # of results of tasks; older ones are worked out again
 
 @dataclass(frozen=True)
 class Row:
-    """One row.
+    """One row of table 1.
 
     Attributes
     ----------
@@ -124,12 +124,12 @@ class TrainingTask:
 
     @property
     def group(self) -> str:
-        """Trainings of one split share motions, and many the scene."""
+        """Trainings with the same test frames and front end: they share relative motions."""
         return f"{self.method}-{self.split}-seed{self.seed}"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All that decides the result."""
+        """All that decides the result, as JSON."""
         tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
         names = {"method": str(self.method), "split": str(self.split)}
         return {**vars(self), **names, "sigmas": list(self.sigmas), "fine_tuning": tuning, "results": _RESULTS}

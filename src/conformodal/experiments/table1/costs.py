@@ -1,14 +1,24 @@
-"""What a method costs: trained numbers, and time an answer."""
+"""Costs of a method: trained numbers, and time a frame."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 from conformodal.localization import HeadSource
 from conformodal.networks import Head
 from conformodal.odometry import PoseModel
 from conformodal.vision import SoftmaxHead
+
+_Made = TypeVar("_Made")
+
+
+def timed(make: Callable[[], _Made]) -> tuple[_Made, float]:
+    """The result of a function, and the seconds that it took."""
+    started = time.perf_counter()
+    made = make()
+    return made, time.perf_counter() - started
 
 
 def n_numbers(head: Head | SoftmaxHead) -> int:
@@ -33,6 +43,4 @@ def n_stored(model: PoseModel) -> int:
 def ms_a_frame(answer: Callable[[], object], n_frames: int) -> float:
     """Wall time of the second of two calls, in milliseconds a frame."""
     answer()
-    started = time.perf_counter()
-    answer()
-    return 1e3 * (time.perf_counter() - started) / n_frames
+    return 1e3 * timed(answer)[1] / n_frames

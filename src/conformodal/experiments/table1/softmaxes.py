@@ -1,4 +1,4 @@
-"""Softmaxes behind a kept run, and where their calibrated sets begin."""
+"""The softmaxes behind a kept run, with the probability from which a bin is in a set."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from conformodal.odometry import Method, PoseModel, load_model
 from conformodal.vision import FeatureCache, extract_features
 
 from ..errors import ExperimentError
-from .bins import MODEL
+from .bin_runs import MODEL
 
 
 @dataclass(frozen=True, eq=False)
 class Softmaxes:
-    """What a model says of the n frames of a run.
+    """Softmaxes and regions of the n frames of a run.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Softmaxes:
 
     @classmethod
     def of(cls, place: Path, names: Collection[str], sequence: Sequence, cache: FeatureCache) -> Softmaxes:
-        """Those of a run that :func:`bin_runs` kept.
+        """The softmaxes of a run that :func:`bin_runs` kept.
 
         Parameters
         ----------

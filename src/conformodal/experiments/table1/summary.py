@@ -10,6 +10,7 @@ from typing import Any
 from conformodal.core.files import replacing, write_whole
 from conformodal.odometry import Method
 
+from ..baselines import BASELINES
 from ..errors import ExperimentError
 from .conditions import Row, TrainingTask
 
@@ -28,13 +29,7 @@ METHODS = {
     "classical_smoothed": "classical, same smoother",
     "classical_landmarks": "classical, our landmarks, search and smoother",
     "landmarks": "landmarks alone",
-    "classical_thumbnail": "classical, sees the thumbnail too",
-    "learnt_weights": "classical, learnt loss weights",
-    "mixture_density": "mixture density network",
-    "dropout_passes": "MC dropout, 30 passes",
-    "deep_ensemble": "deep ensemble of 5",
-    "quantile_regression": "quantile regression (median)",
-    "local_regression": "locally linear regression",
+    **{name: kind.label for name, kind in BASELINES.items()},
 }
 Record = dict[str, Any]
 # Names of a method in runs of the paper's system, and in records, where ours are beside them.
@@ -75,7 +70,7 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
 
 
 def _region(found: Record) -> Record:
-    """Flat; ``region_alone_`` is what the softmax alone gives."""
+    """Numbers about regions in one flat record; ``region_alone_`` are those without local features."""
     own = {f"region_{k}": v for k, v in found.items() if k != "alone"}
     return {**own, **{f"region_alone_{k}": v for k, v in found.get("alone", {}).items()}}
 

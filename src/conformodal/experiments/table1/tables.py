@@ -8,20 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ..baselines import BASELINES
 from .conditions import Row
 from .summary import METHODS, Record
 
 _BYTES = 4  # of a trained number
 # The best of these stands beside the classical regressor.
-_OTHERS = (
-    "landmarks",
-    "learnt_weights",
-    "mixture_density",
-    "dropout_passes",
-    "deep_ensemble",
-    "quantile_regression",
-    "local_regression",
-)
+_OTHERS = ("landmarks", *(name for name, kind in BASELINES.items() if not kind.is_classical))
 # Systems that the first table compares: its answer, its labels, and the two regressors on its features.
 _SYSTEMS = (
     ("paper", "the paper's system here", "the paper's system", "its", ("paper_plain", "paper_classical")),

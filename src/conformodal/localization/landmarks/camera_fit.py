@@ -1,4 +1,4 @@
-"""The camera as the poses know it: focal length, and where the camera is on the rig whose poses are given.
+"""Camera calibration from the given poses: its focal length, and its mounting on the rig whose poses are given.
 
 Poses of a data set often are those of another sensor (7-Scenes gives the depth camera's), and focal lengths nominal.
 Both bend a map. Matches between frames with known poses must lie on each other's epipolar lines: seven unknowns are

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -60,16 +59,6 @@ class LandmarkMap:
     @cached_property
     def _descriptors(self) -> npt.NDArray[np.float32]:
         return self.global_descriptors.astype(np.float32)  # products of halves are slow
-
-    @property
-    def size(self) -> int:
-        """Stored numbers of four bytes."""
-        stored = (self.global_descriptors, self.points_xyz, self.descriptors, self.poses_se3, self.corrections)
-        return sum(array.nbytes for array in stored) // 4
-
-    def corrected(self, corrections: FloatArray) -> Self:
-        """The same map with other corrections."""
-        return replace(self, corrections=corrections)
 
     def localize(
         self, image: LocalFeatures, hidden: BoolArray | None = None, most: int = RETRIEVAL.clusters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -89,7 +89,7 @@ class LandmarkSource:
         progress: Progress | None = None,
         matcher: Matcher | None = None,
     ) -> Self | None:
-        """Map n images with known poses, and learn from themselves how large the errors are.
+        """Map n images with known poses, and learn the sizes of errors by hiding images from the map.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class LandmarkSource:
             return None if progress is None else lambda count, _: progress(before + count, total)
 
         plain = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
-        corrected = plain.corrected(_corrections(plain, features, truth, done(n)))
+        corrected = replace(plain, corrections=_corrections(plain, features, truth, done(n)))
         errors = _fit_errors(corrected, features, truth, groups, left_out, done(2 * n))
         return None if errors is None else cls(corrected, frames, errors)
 
@@ -132,7 +132,7 @@ class LandmarkSource:
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
         arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
-        settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": self.errors.as_json()}
+        settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
         return SourceState(arrays, settings)
 
     @classmethod
@@ -174,7 +174,7 @@ def _fit_errors(
     left_out: IntArray,
     progress: Progress | None,
 ) -> ErrorModel | None:
-    """Localise frames while less and less of what they see is mapped: without their piece, stretch, surroundings."""
+    """Learn errors from frames that are localised with their piece, stretch or surroundings hidden from the map."""
     rows = []
     for k, i in enumerate(left_out.tolist()):
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)

@@ -2,11 +2,10 @@
 
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 from .source import NeighbourSource
-from .tuning import LOCAL_CHOICES, LeftOut, fit_local
+from .tuning import LOCAL_CHOICES, fit_local
 
 __all__ = [
     "LOCAL_CHOICES",
-    "LeftOut",
     "LocalAnswers",
     "LocalRegression",
     "LocalSettings",

@@ -1,4 +1,4 @@
-"""Locally linear regression: an answer from the nearest reference samples, place by place.
+"""Locally linear regression: an estimate from the nearest reference samples, one for each place they are at.
 
 Among a handful of samples that look alike, targets are nearly linear in features; a ridge regression there is finer
 than any network of the whole (Cleveland 1979). Samples that look alike may come from several places: neighbours are
@@ -48,7 +48,7 @@ class LocalSettings:
 
 @dataclass(frozen=True, eq=False)
 class LocalAnswers:
-    """What the neighbours of each query say.
+    """Estimates for each query, one for each place that its neighbours are at.
 
     Attributes
     ----------
@@ -107,17 +107,17 @@ class LocalRegression:
 
     @property
     def size(self) -> int:
-        """Stored numbers."""
+        """How many numbers are stored."""
         return self.references.size + self.targets.size
 
     def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
-        """Answers to features (m, F)."""
+        """Estimates for features (m, F)."""
         return self.predict_projected(self.projection.apply(features))
 
     def predict_projected(
         self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     ) -> LocalAnswers:
-        """Answers to projected features (m, k); with groups of queries (m,) and references (n,), none sees its own."""
+        """Estimates for projected features (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
         parts = []
         for a in range(0, len(queries), _CHUNK):
             hidden = None if groups is None else groups[0][a : a + _CHUNK, None] == groups[1][None, :]

@@ -134,7 +134,7 @@ class NeighbourSource:
             "target_scale": own.target_scale,
         }
         numbers = {"typical": self.typical, "limit": self.limit}
-        return SourceState(arrays, {"regression": asdict(own.settings), "errors": self.errors.as_json(), **numbers})
+        return SourceState(arrays, {"regression": asdict(own.settings), "errors": asdict(self.errors), **numbers})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:

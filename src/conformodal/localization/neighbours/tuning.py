@@ -25,7 +25,7 @@ LOCAL_CHOICES = tuple(
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """How a local regression answers to samples whose group it could not see.
+    """Estimates of samples by a local regression that could not see their group.
 
     Attributes
     ----------
@@ -97,10 +97,15 @@ def fit_local(
     if progress is not None:
         progress(len(found), len(found))
     _, regression, left_out = max(found, key=lambda each: each[0])
+    return _slim(regression), left_out
+
+
+def _slim(regression: LocalRegression) -> LocalRegression:
+    """The same regression without the components that its settings leave out."""
     projection, projected = regression.projection, regression.references
     k = min(regression.settings.components, projected.shape[1])
     slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
-    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k])), left_out
+    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k]))
 
 
 def _log_likelihood(answers: LocalAnswers, targets: FloatArray, scale: FloatArray) -> float:

@@ -1,9 +1,8 @@
-"""Calibrating regions: scores of frames by localizers that did not see them, and thresholds from these."""
+"""Calibrating regions: nonconformity scores of frames that a localizer has not seen, and thresholds from them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,17 +26,9 @@ from conformodal.localization import (
 from ..config import ModelConfig
 from ..errors import OdometryError
 from ..region_rules import RegionRules
-from .folds import Fold, Folds
+from .folds import Folds
 
 FloatArray = npt.NDArray[np.floating[Any]]
-
-
-@dataclass(frozen=True, eq=False)
-class FoldLocalizer:
-    """A fold, and the localizer that learnt from its training frames alone."""
-
-    fold: Fold
-    localizer: Localizer
 
 
 def score_beliefs(
@@ -49,7 +40,7 @@ def score_beliefs(
 
 
 def calibrate_regions(
-    data: SourceData, folds: Folds, parts: Sequence[FoldLocalizer], novelty: PlaceNovelty | None, config: ModelConfig
+    data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
 ) -> RegionRules:
     """Thresholds for each kind of evidence.
 
@@ -57,8 +48,8 @@ def calibrate_regions(
     ----------
     data, folds, config
         As in training.
-    parts
-        One a fold.
+    localizers
+        One a fold, which learnt from its training frames alone.
     novelty
         Of images beside the frames that the region's sources know; None where it cannot be told.
 
@@ -67,11 +58,11 @@ def calibrate_regions(
     OdometryError
         If a source has seen a frame that it is to be calibrated on.
     """
-    for part in parts:
-        _check_unseen(part.localizer, part.fold.held_out)
+    for fold, localizer in zip(folds.folds, localizers, strict=True):
+        _check_unseen(localizer, fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    joint = choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
+    joint = _choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
     # scores per unit of the target are compared in units of its spread, which no calibration frame chose
     spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
 
@@ -85,8 +76,8 @@ def calibrate_regions(
     overall: list[FloatArray] = []
     matched: list[FloatArray] = []
     recognised: list[npt.NDArray[np.bool_]] = []
-    for part in parts:
-        frames, localizer = part.fold.held_out, part.localizer
+    for fold, localizer in zip(folds.folds, localizers, strict=True):
+        frames = fold.held_out
         targets, own = data.targets[frames], rule(localizer.cells)
         images = FrameEvidence(data.features[frames])
         overall.append(score_beliefs(own, localizer, localizer.beliefs(images), targets))
@@ -95,7 +86,7 @@ def calibrate_regions(
             matched.append(score_beliefs(own, localizer, beliefs, targets))
             recognised.append(beliefs.recognised)
     # a fold without landmarks leaves nothing to calibrate them on
-    local = len(matched) == len(parts)
+    local = len(matched) == len(localizers)
     cells = belief_cells(data.bins_of(folds.region_frames))
     return RegionRules(
         overall=rule(cells).calibrate_scores(np.concatenate(overall), units),
@@ -107,7 +98,7 @@ def calibrate_regions(
 
 
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
-    """The promise rests on it: scores of frames that a source has seen are too good."""
+    """Refuse sources that have seen calibration frames: scores of such frames are too low, and void the promise."""
     for source in localizer.sources:
         seen = np.intersect1d(source.frames, held_out)
         if seen.size:
@@ -127,8 +118,8 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     return RegionRules(rule.calibrate(proba, data.targets[held_out]), None, np.zeros(n, dtype=bool), np.ones(n), 0.0)
 
 
-def choose_joint(config: ModelConfig, n_units: int) -> Joint:
-    """What is asked for; one threshold for the whole pose where there are too few frames for one each.
+def _choose_joint(config: ModelConfig, n_units: int) -> Joint:
+    """The rule for the whole pose that was asked for; ``max`` where ``bonferroni`` has too few frames for each target.
 
     Parameters
     ----------
@@ -145,7 +136,7 @@ def choose_joint(config: ModelConfig, n_units: int) -> Joint:
 
 
 def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> npt.NDArray[np.float64]:
-    """Of the frames that calibrate, each without its own piece."""
+    """p-values of the calibration frames, each tested against the frames of other pieces."""
     if len(folds.folds) == 1:
         return novelty.p_values(data.features[folds.held_out])
     return novelty.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.held_out)]

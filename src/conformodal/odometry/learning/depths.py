@@ -1,4 +1,4 @@
-"""What depths the camera looks at, learnt from training frames: what tells the length of a submap."""
+"""The depth of the scene, learnt from training frames: it gives submaps, which have no scale, their length."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ from conformodal.datasets import Sequence
 from conformodal.motion import Corners, CornerTracker, build_submaps, grey_image
 from conformodal.poses import Submap, Trajectory, matrix_from_quat_wxyz
 
-# So many stretches of so many training frames, spread over all, are looked at.
-N_STRETCHES, STRETCH = 10, 12
-MIN_SUBMAPS = 5
-# No scene is known better than that.
-LEAST_SPREAD = 0.1
+from ..settings import DEPTHS
 
 
 def measure_depths(sequence: Sequence, frames: IntArray) -> tuple[float, float]:
@@ -39,12 +35,12 @@ def measure_depths(sequence: Sequence, frames: IntArray) -> tuple[float, float]:
     for stretch in _stretches(frames, sequence.recording):
         submaps = build_submaps(_followed(sequence, stretch), sequence.camera)
         depths += [depth for s in submaps if (depth := _depth(s, truth[stretch])) > 0]
-    if len(depths) < MIN_SUBMAPS:
+    if len(depths) < DEPTHS.least_submaps:
         return float("nan"), float("nan")
     logs = np.log(depths)
     middle = float(np.median(logs))
     spread = float(np.median(np.abs(logs - middle))) / MAD_OF_NORMAL
-    return float(np.exp(middle)), max(spread, LEAST_SPREAD)
+    return float(np.exp(middle)), max(spread, DEPTHS.least_spread)
 
 
 def _stretches(frames: IntArray, recording: npt.NDArray[np.int64]) -> list[IntArray]:
@@ -52,15 +48,15 @@ def _stretches(frames: IntArray, recording: npt.NDArray[np.int64]) -> list[IntAr
     gaps = np.diff(frames)
     if gaps.size == 0:
         return []
-    apart = (gaps > 4 * np.median(gaps)) | (np.diff(recording[frames]) != 0)
+    apart = (gaps > DEPTHS.gap * np.median(gaps)) | (np.diff(recording[frames]) != 0)
     pieces = [p for part in np.split(frames, np.flatnonzero(apart) + 1) for p in _cut(part)]
-    chosen = np.unique(np.linspace(0, len(pieces) - 1, N_STRETCHES).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(pieces) - 1, DEPTHS.stretches).round().astype(int))
     return [pieces[i] for i in chosen] if pieces else []
 
 
 def _cut(part: IntArray) -> list[IntArray]:
-    whole = len(part) // STRETCH
-    return [part[i * STRETCH : (i + 1) * STRETCH] for i in range(whole)] or ([part] if len(part) > 2 else [])
+    n = DEPTHS.frames
+    return [part[i * n : (i + 1) * n] for i in range(len(part) // n)] or ([part] if len(part) > 2 else [])
 
 
 def _followed(sequence: Sequence, frames: IntArray) -> list[Corners]:
@@ -73,7 +69,7 @@ def _followed(sequence: Sequence, frames: IntArray) -> list[Corners]:
 
 
 def _depth(submap: Submap, truth: Trajectory) -> float:
-    """Median depth in metres, if the submap is as long as the true positions make it; not positive if they disagree."""
+    """Median depth in metres, once the submap is scaled to the true positions; not positive if the two disagree."""
     places = truth.positions_xyz[submap.frames]
     path = submap.positions @ matrix_from_quat_wxyz(truth.orientations_quat_wxyz[submap.frames[:1]])[0].T
     return submap.depth * float(np.sum(path * (places - places[0])) / np.sum(path**2))

@@ -1,4 +1,4 @@
-"""Folds of the calibration: frames that are held out once, or stretches, each answered by sources of the others."""
+"""Folds of the calibration: frames or stretches that are held out from the sources which estimate them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from conformodal.core import IntArray
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 
 from ..config import Calibration
-
-N_FOLDS = 5
+from ..settings import FOLDS
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Frames that sources learn from, and frames that are held out from them and answered by them."""
+    """Frames that sources learn from, and held-out frames that these sources then estimate."""
 
     train: IntArray
     held_out: IntArray
@@ -26,7 +25,7 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """All answers that a region is calibrated with.
+    """All folds, with what is exchangeable.
 
     Attributes
     ----------
@@ -78,7 +77,7 @@ def make_folds(
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
     names = np.random.default_rng(split.seed).permutation(np.unique(units[used]))
     folds = []
-    for part in np.array_split(names, min(N_FOLDS, len(names))):
+    for part in np.array_split(names, min(FOLDS.most, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
     return Folds(folds, used, units, units)

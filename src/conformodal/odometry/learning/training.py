@@ -18,7 +18,7 @@ from conformodal.vision import Backbone, FeatureCache, extract_features
 from ..config import Method, ModelConfig, Runtime, record_of
 from ..identity import identify
 from ..model import PoseModel
-from .calibrating import FoldLocalizer, calibrate_regions, paper_rules
+from .calibrating import calibrate_regions, paper_rules
 from .folds import make_folds
 from .training_data import TrainingData
 
@@ -91,14 +91,14 @@ def train_model(
     """
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, checkpoint_dir, progress)
-    parts = [FoldLocalizer(fold, Localizer.fit(sources, fold.train, config.sources)) for fold in folds.folds]
-    single = len(parts) == 1 and np.array_equal(parts[0].fold.train, folds.region_frames)
-    localizer = parts[0].localizer if single else Localizer.fit(sources, folds.region_frames, config.sources)
+    localizers = [Localizer.fit(sources, fold.train, config.sources) for fold in folds.folds]
+    single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
+    localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources)
     if config.method is Method.PAPER:  # which has no test for novelty
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
     else:
         novelty = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
-        rules = calibrate_regions(sources, folds, parts, novelty, config)
+        rules = calibrate_regions(sources, folds, localizers, novelty, config)
     return PoseModel(
         backbone=data.backbone,
         localizer=localizer,

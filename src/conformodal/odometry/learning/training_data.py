@@ -44,13 +44,13 @@ class TrainingData:
 
     @cached_property
     def depths(self) -> tuple[float, float]:
-        """Median depth in metres and the standard deviation of its logarithm, from the training part; NaN unknown."""
+        """Median depth in metres and the standard deviation of its logarithm, from the training part; or NaN."""
         return measure_depths(self.sequence, self.split.train)
 
     def for_sources(
         self, config: ModelConfig, checkpoint_dir: Path | None = None, progress: StageProgress | None = None
     ) -> SourceData:
-        """What pose sources see; local features and projections are kept for the next call."""
+        """The data as pose sources see them; local features and projections are kept for the next call."""
         return replace(
             self._shared,
             depth_m=self.depths[0],

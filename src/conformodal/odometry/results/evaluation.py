@@ -1,4 +1,4 @@
-"""Judging a run: errors of every method, and coverage of the regions beside its exact band."""
+"""Evaluation of a run: errors of every method, and coverage of the regions with its exact band."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from ..radius import PoseRadius
 from ..region_rules import EvidenceKind
 from .statistics import RegionStatistics
 
-ASSUMPTION_HELD = (
+_ASSUMPTION_HELD = (
     "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "
     "evidence follows a Beta-binomial law, and the central 99 % of their sum is the band."
 )
-ASSUMPTION_EACH = (
+_ASSUMPTION_EACH = (
     "Frames were split at random, so calibration and test frames are exchangeable: in each kind of evidence the "
     "covered count of a target follows a Beta-binomial law, and the central 99 % of their sum is the target's band. "
     "For the whole pose there is no exact law."
 )
-ASSUMPTION_MIXED = (
+_ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
     "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
 )
-ASSUMPTION_STRETCHES = (
+_ASSUMPTION_STRETCHES = (
     "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
     "is about a frame drawn at random from a new stretch, if stretches are exchangeable and the sources, which now "
     "know all of them, err no more than those that lacked some. Where stretches calibrate, other stretches of the same "
     "recording were known: the promise does not reach a recording of which nothing was known. Coverage here is an "
     "observation."
 )
-ASSUMPTION_SEEN = (
+_ASSUMPTION_SEEN = (
     "The sources of the regions learnt from these frames, or were calibrated on them: coverage here says nothing about "
     "new ones."
 )
-ASSUMPTION_BROKEN = (
+_ASSUMPTION_BROKEN = (
     "The evaluated frames are not the ones, or not all of them, that were held out at random, one by one, together "
     "with the calibration frames, so the two are not exchangeable: coverage here is an observation, and no guarantee "
     "applies."
@@ -115,7 +115,7 @@ def coverage_table(
 def _target_row(
     statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
 ) -> dict[str, Any]:
-    """Of one target; with the band of its coverage where the calibrated and counted frames of each kind are given."""
+    """Coverage and size for one target; with the band of its coverage where `met` counts the frames of each kind."""
     finite = ~statistics.unbounded.any(axis=1)
     row: dict[str, Any] = {
         "coverage": float(statistics.inside[:, j].mean()),
@@ -131,10 +131,10 @@ def _target_row(
 def _assumption(promised: bool, by_frame: bool, whole: bool, one_law: bool, seen: bool) -> str:
     """What the coverage rests on, for people."""
     if promised:
-        return (ASSUMPTION_HELD if whole else ASSUMPTION_EACH) if one_law else ASSUMPTION_MIXED
+        return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
     if seen:
-        return ASSUMPTION_SEEN
-    return ASSUMPTION_BROKEN if by_frame else ASSUMPTION_STRETCHES
+        return _ASSUMPTION_SEEN
+    return _ASSUMPTION_BROKEN if by_frame else _ASSUMPTION_STRETCHES
 
 
 def radius_table(
@@ -142,6 +142,7 @@ def radius_table(
     trajectories: dict[str, Trajectory],
     truth: Trajectory | None,
     recording: npt.NDArray[np.int64] | None = None,
+    frames: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any] | None:
     """The chosen pose's radius, what it promises, and how many frames it held if the truth is known.
 
@@ -152,16 +153,19 @@ def radius_table(
     trajectories
         By method.
     truth
-        Of the same frames, or None.
+        Of the same frames, or of `frames`; or None.
     recording
         (n,) number of each frame's recording; None where all are one. A sized radius is the mean over recordings.
+    frames
+        Indices of the frames that `truth` is of; None for all.
     """
     if radius is None:
         return None
     estimate = trajectories[radius.method]
     numbers = np.zeros(len(estimate), dtype=np.int64) if recording is None else recording
     sizes = radius.sizes_of(estimate, numbers)
-    held = None if truth is None else float(radius.holds(estimate, truth, sizes).mean())
+    of = np.arange(len(estimate)) if frames is None else frames
+    held = None if truth is None else float(radius.holds(estimate[of], truth, sizes[of]).mean())
     by_recording = [float(sizes[numbers == k][0]) for k in np.unique(numbers)]
     return {
         "radius_m": _finite(np.mean([radius.radius_m * size for size in by_recording])),

@@ -87,7 +87,7 @@ def check_no_stray(folder: Path, command: str) -> None:
 
 @contextmanager
 def claimed(folder: Path, command: str, apart: Iterable[Path] = ()) -> Iterator[None]:
-    """Have a folder for the results of a command: usable, nobody else's, and locked; see :func:`writing_in`.
+    """Claim a folder for the results of a command: writable, without results of another, and locked.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def replace_results(folder: Path) -> None:
 
 
 def settle(folder: Path) -> None:
-    """Bring a replacement of results to its end that a process had begun."""
+    """Complete a replacement of results that another process had begun."""
     new = folder / FINISHED
     kept = _names_in(new)
     if kept is None:
@@ -173,9 +173,9 @@ def _names_in(new: Path) -> list[str] | None:
     return names
 
 
-def discard(folder: Path, names: Iterable[str] = RESULTS) -> None:
+def discard(folder: Path) -> None:
     """Remove results."""
-    for name in names:
+    for name in RESULTS:
         _remove(folder / name)
 
 
@@ -186,7 +186,7 @@ def result_digests(folder: Path) -> dict[str, str]:
 
 
 def check_belongs(folder: Path, metrics: dict[str, Any]) -> None:
-    """Refuse numbers about other results than those beside them.
+    """Refuse metrics that were written for other results than those beside them.
 
     Raises
     ------

@@ -78,20 +78,29 @@ def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any
 
 
 def iter_region_records(path: Path, *, torn: bool = False) -> Iterator[dict[str, Any]]:
-    """The same, one after the other."""
+    """The records of ``regions.jsonl`` one after the other, see :func:`read_region_records`."""
     try:
         with path.open(encoding="utf-8", errors="surrogateescape") as file:
             for number, line in enumerate(file, start=1):
-                try:
-                    record = json.loads(line)
-                    _check(record)
-                except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as exc:
-                    if torn and not line.endswith("\n"):
-                        return
-                    raise ResultsError(f"{path}, line {number}: is no region record: {exc}") from exc
-                yield record
+                problem, record = _parsed(line)
+                if problem is None:
+                    yield record
+                    continue
+                if torn and not line.endswith("\n"):
+                    return
+                raise ResultsError(f"{path}, line {number}: is no region record: {problem}") from problem
     except OSError as exc:
         raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
+
+
+def _parsed(line: str) -> tuple[Exception | None, dict[str, Any]]:
+    """The record of a line, or why it is none."""
+    try:
+        record = json.loads(line)
+        _check(record)
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as exc:
+        return exc, {}
+    return None, record
 
 
 def _check(record: dict[str, Any]) -> None:

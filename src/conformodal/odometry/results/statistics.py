@@ -1,4 +1,4 @@
-"""What coverage and size need of regions: a few numbers a frame, so that long streams need not keep the regions."""
+"""Statistics of regions: a few numbers a frame, so that long streams need not keep the regions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..region_rules import EvidenceKind
 
 @dataclass(frozen=True, eq=False)
 class RegionStatistics:
-    """Of n frames, target by target, (n, 7) each.
+    """Statistics of the regions of n frames, target by target, (n, 7) each.
 
     Attributes
     ----------
@@ -51,14 +51,14 @@ class RegionStatistics:
         sign_reference: npt.NDArray[np.float64],
         kinds: npt.NDArray[np.int64] | None = None,
     ) -> RegionStatistics:
-        """Of the regions of frames whose poses are known, and what each rests on; the softmax alone by default."""
+        """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
         kinds = np.full(len(regions), EvidenceKind.GLOBAL, dtype=np.int64) if kinds is None else kinds
         inside = regions.contains(pose_targets(truth, sign_reference))
         return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded, kinds)
 
     @classmethod
     def concatenate(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:
-        """Of the frames of all parts, in order.
+        """Statistics of the frames of all parts, in order.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What landmarks are worth: they alone, ours without them, and the baseline with them."""
+"""Trajectories that show the worth of landmarks: landmarks alone, ours without, and the regressor with them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.localization import FrameEvidence
-from conformodal.odometry import OdometryRun, PoseModel, as_trajectory
+from conformodal.odometry import OdometryRun, PoseModel, rows_by_recording, whole_paths
 from conformodal.poses import Trajectory, concatenate, normalise_quat
-from conformodal.reasoning import Candidates, Observations, smooth, softmax_mean, viterbi
+from conformodal.reasoning import Candidates, softmax_mean
 
 from ..classical import ClassicalRegressor
 
@@ -34,19 +34,15 @@ def landmark_rows(
     single = [model.localizer.update(own, [its]).candidates for own, its in zip(answers, estimates, strict=True)]
     choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "classical_landmarks": single}
     found = {"landmarks": _landmarks_alone(run, model)}
-    pieces = [np.flatnonzero(recording == number) for number in np.unique(recording)]
+    pieces = rows_by_recording(recording)
     for name, candidates in choices.items():
         seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
-        found[name] = concatenate([_reasoned(part, model) for part in seen])
+        found[name] = concatenate([whole_paths(part, model.prior)["smoothed"] for part in seen])
     return found
 
 
-def _reasoned(seen: Observations, model: PoseModel) -> Trajectory:
-    return as_trajectory(smooth(viterbi(seen, model.prior), seen, model.prior))
-
-
 def _answers(classical: ClassicalRegressor, features: npt.NDArray[np.float32]) -> Sequence[Candidates]:
-    """The classical answers as candidates, one a frame."""
+    """Predictions of the classical regressor as candidates, one a frame."""
     values = classical.predict(features)
     spread, angle = classical.spread_m[None], np.array([classical.spread_rad])
     return [Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1)) for v in values]

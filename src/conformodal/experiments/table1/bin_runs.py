@@ -14,9 +14,7 @@ from conformodal.odometry import (
     MotionRecord,
     ResultsError,
     data_digest,
-    measure_motions,
     odometry_of,
-    paper_motions,
     prepare_training_data,
     provenance,
     read_metrics,
@@ -29,7 +27,7 @@ from conformodal.vision import FeatureCache, TrainingConfig
 
 from .conditions import ALPHA
 
-N_BINS = (10, 50)
+_N_BINS = (10, 50)
 MODEL = "model"  # folder of a run's model
 
 
@@ -49,8 +47,7 @@ def bin_runs(
     """
     found = {}
     motions: MotionRecord | None = None  # both have the same test frames
-    measure = paper_motions if method is Method.PAPER else measure_motions
-    for k in N_BINS:
+    for k in _N_BINS:
         place = folder / (f"{method}-{split}-bins{k}" if method is Method.PAPER else f"{split}-bins{k}")
         found[k] = place
         config = _config(method, split, k, TrainingConfig(epochs=epochs))
@@ -59,8 +56,9 @@ def bin_runs(
             continue
         data = prepare_training_data(sequence, config, cache, progress)
         model = train_model(data, config, progress=progress)
-        motions = motions or measure(sequence, data.split.test, progress)
-        run = odometry_of(model).process(sequence, data.split.test, cache=cache, motions=motions, progress=progress)
+        odometry = odometry_of(model)
+        motions = motions or odometry.measure_motions(sequence, data.split.test, progress)
+        run = odometry.process(sequence, data.split.test, cache=cache, motions=motions, progress=progress)
         names = [sequence.image_paths[i].name for i in run.frames]
         write_run(place, run, names, sequence.require_truth()[run.frames], "bins")
         save_model(model, place / MODEL)

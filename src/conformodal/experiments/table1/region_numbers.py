@@ -15,9 +15,9 @@ from conformodal.odometry.learning.calibrating import score_beliefs
 from conformodal.poses import Trajectory
 
 from .conditions import ALPHA
-from .sizes import rank_correlation
+from .size_against_error import rank_correlation
 
-RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_RELIABILITY_ALPHAS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 def region_numbers(
@@ -35,7 +35,7 @@ def region_numbers(
 
 
 def paper_numbers(run: OdometryRun, model: PoseModel, truth: Trajectory) -> dict[str, Any]:
-    """The same of the paper's sets of bins, calibrated target by target."""
+    """Coverage and size of the regions of the paper's system, calibrated target by target."""
     rule, targets = model.calibration, pose_targets(truth, model.sign_reference)
     scores = rule.score_samples(run.localization.beliefs.proba, targets)
     error = position_error(run, truth)
@@ -52,7 +52,7 @@ def _numbers(
     *,
     local: bool,
 ) -> dict[str, Any]:
-    """Of the whole pose at alpha, and of each target at alpha as in the paper."""
+    """Coverage and size of the whole pose at alpha, and of each target at alpha as in the paper."""
     rule = model.calibration_of(local=local)
     single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
     each = model.regions(beliefs, np.tile(single.thresholds_, (len(beliefs), 1)))
@@ -78,7 +78,7 @@ def _summary(
         "intervals": float(each.n_intervals.mean()),
         "size_error_rank_correlation": rank if np.isfinite(rank) else None,
         # per target, mean over the seven: what the reliability figure shows
-        "coverage_at": [[a, float((scores <= single.at(a).thresholds_).mean())] for a in RELIABILITY_ALPHAS],
+        "coverage_at": [[a, float((scores <= single.at(a).thresholds_).mean())] for a in _RELIABILITY_ALPHAS],
     }
 
 
@@ -98,5 +98,5 @@ def in_deviations(length: FloatArray, targets: FloatArray) -> list[float]:
 
 
 def _widths(model: PoseModel) -> FloatArray:
-    """Ranges of the bins: what stands for the whole line."""
+    """Ranges of the bins, which stand for the length of the whole line."""
     return np.array([e[-1] - e[0] for e in model.bins.edges_])

@@ -10,8 +10,7 @@ from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence
 from conformodal.motion import EssentialFrontEnd
 from conformodal.poses import Trajectory
-from conformodal.reasoning import Greedy, greedy, interval_candidates, interval_means
-from conformodal.vision import FeatureCache
+from conformodal.reasoning import Greedy, greedy, interval_candidates, interval_runs
 
 from .config import Method
 from .errors import OdometryError
@@ -20,13 +19,13 @@ from .estimator import VisualOdometry
 from .frame import as_image, as_time
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
-from .paths import PAPERS_METHOD, as_trajectory
-from .reading import chosen_frames, read_frames
+from .odometry import Odometry
+from .paths import PAPERS_METHOD, as_trajectory, rows_by_recording
 from .region_rules import EvidenceKind
 
 
-class PaperOdometry:
-    """The paper's system on a stream or a sequence; what it answers has the form of :class:`VisualOdometry`'s.
+class PaperOdometry(Odometry):
+    """The paper's system on a stream or a sequence; its estimates have the form of those of :class:`VisualOdometry`.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ class PaperOdometry:
         found = _localize(self.model, self.model.backbone.features_of(image))
         proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
-        path = self._path.push(interval_means(proba, region)[0], motion, timestamp_s)
+        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
         self._last_s = timestamp_s
         pose = as_trajectory(path)
         reliable = motion is None or motion.reliable
@@ -91,50 +90,29 @@ class PaperOdometry:
             orientation_spread_rad=float(path.orientation_spreads_rad[0]),
         )
 
-    def pass_by(self, image: npt.ArrayLike) -> None:
-        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
-        found = as_image(image, self.model.camera)
-        if not isinstance(found, str):
-            self._front_end.pass_by(found)
+    def measure_motions(
+        self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
+    ) -> MotionRecord:
+        """Relative motions of `frames` as the paper has them."""
+        return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
 
-    def run(self, sequence: Sequence) -> Trajectory:
-        """The trajectory of a whole sequence; :meth:`process` gives all the rest."""
-        return self.process(sequence).trajectory
-
-    def process(
-        self,
-        sequence: Sequence,
-        frames: IntArray | None = None,
-        *,
-        cache: FeatureCache | None = None,
-        motions: MotionRecord | None = None,
-        progress: StageProgress | None = None,
+    def _answered(
+        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
     ) -> OdometryRun:
-        """Work out regions and the trajectory of a sequence, see :meth:`VisualOdometry.process`.
-
-        Raises
-        ------
-        OdometryError
-            If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
-        """
-        if motions is None:
-            motions = paper_motions(sequence, chosen_frames(self.model, sequence, frames), progress)
-        usable, features = read_frames(self.model, sequence, frames, motions, cache, progress)
         localization = _localize(self.model, features)
         proba, regions = localization.beliefs.proba, localization.regions
-        times = sequence.timestamps_s[usable]
-        intervals, found = interval_means(proba, regions), [motions.motions[i] for i in usable.tolist()]
-        positions, quats = np.empty((usable.size, 3)), np.empty((usable.size, 4))
-        for number in np.unique(sequence.recording[usable]):
-            at = np.flatnonzero(sequence.recording[usable] == number)
-            path = greedy([intervals[t] for t in at], [found[t] for t in at], times[at])
+        times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
+        intervals, moved = interval_runs(proba, regions), [motions.motions[i] for i in frames.tolist()]
+        positions, quats = np.empty((frames.size, 3)), np.empty((frames.size, 4))
+        for at in rows_by_recording(recording):
+            path = greedy([intervals[t] for t in at], [moved[t] for t in at], times[at])
             positions[at], quats[at] = path.positions_xyz, path.orientations_quat_wxyz
         return OdometryRun(
-            frames=usable,
+            frames=frames,
             timestamps_s=times,
             localization=localization,
             candidates=interval_candidates(proba, regions),
-            motions=found,
+            motions=moved,
             submaps=[],
             trajectories={self.answer: Trajectory(times, positions, quats)},
             unreadable=motions.unreadable,
@@ -150,15 +128,10 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
 
 
-def paper_motions(sequence: Sequence, frames: IntArray, progress: StageProgress | None = None) -> MotionRecord:
-    """Relative motions of `frames` as the paper has them; see :func:`~conformodal.odometry.measure_motions`."""
-    return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
-
-
 def odometry_of(
     model: PoseModel, match_every: int = 1, budget_ms: float | None = None
 ) -> VisualOdometry | PaperOdometry:
-    """What runs a model, by its method.
+    """The system that runs a model, by the model's method.
 
     Parameters
     ----------

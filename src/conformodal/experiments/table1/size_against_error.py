@@ -1,4 +1,4 @@
-"""Does the size of the region say how large the error is? Within a row hardly anything differs; across rows it does."""
+"""Does the size of the region tell the size of the error? Across rows it does; within one both hardly vary."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .tables import Table, spread
 
 
 def rank_correlation(one: npt.ArrayLike, other: npt.ArrayLike) -> float:
-    """Spearman's, of the pairs that are there; NaN where either does not vary."""
+    """Spearman's rank correlation of the finite pairs; NaN where either does not vary."""
     a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
     there = np.isfinite(a) & np.isfinite(b)
     a, b = a[there], b[there]

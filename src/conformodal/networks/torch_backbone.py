@@ -17,7 +17,7 @@ from conformodal.vision import Backbone, BackboneConfig, VisionError
 from .lite import find_network
 
 # Images are not enlarged, and reduced to at most this width.
-MAX_WIDTH = 320
+_MAX_WIDTH = 320
 
 
 def backbone_config(
@@ -33,7 +33,7 @@ def backbone_config(
     VisionError
         If the network is unknown.
     """
-    w = min(MAX_WIDTH, width)
+    w = min(_MAX_WIDTH, width)
     network, size = find_network(name), (w, max(1, round(height * w / width)))
     if whole:
         return BackboneConfig(name, None, *size, grid=(1, 1))

@@ -1,4 +1,4 @@
-"""The search for settings that every network in the comparison is given: tried on one part, judged on another."""
+"""The search for training settings of the compared networks: each is tried on one part and judged on another."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BROKEN = 2.0  # a training on more that errs so many times as much as the searc
 RATES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 
 
-class Search:
+class SettingsSearch:
     """Settings tried so far, and their errors.
 
     Parameters

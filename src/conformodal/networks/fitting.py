@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,7 @@ import torch
 from conformodal.core import Progress
 from conformodal.vision import Projection, TrainingConfig, VisionError, fit_projection
 
-from .heads import Head
-
-Loss = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
+from .heads import Head, Loss
 
 
 def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:

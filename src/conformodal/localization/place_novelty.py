@@ -12,9 +12,7 @@ from conformodal.conformal import NoveltyTest
 from conformodal.core import FloatArray
 from conformodal.vision import coarse_features
 
-# Default levels: the probability that an image of a known place is taken for unknown, chosen with
-# benchmarks/novelty.py. With K stretches no p-value is below 1 / (K + 1), so a lower level would reject nothing.
-LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
+from .settings import NOVELTY
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,4 +49,4 @@ class PlaceNovelty:
         if asked is not None:
             return asked
         by_frame = bool((self.test.weights_ == 1).all())
-        return max(LEVEL_FRAMES if by_frame else LEVEL_STRETCHES, self.test.least_p)
+        return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, self.test.least_p)

@@ -1,0 +1,56 @@
+"""Images with known poses: train on them, answer the frames that were held out, look at their regions.
+
+python examples/images.py [DATA [OUT]]     without DATA, in a small corridor that is flown through first
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from conformodal.datasets import read_sequence
+from conformodal.datasets.corridor import write_corridor
+from conformodal.odometry import (
+    ModelConfig,
+    RegionStatistics,
+    VisualOdometry,
+    coverage_table,
+    error_table,
+    prepare_training_data,
+    save_model,
+    train_model,
+)
+from conformodal.report import plan_figure
+from conformodal.vision import FeatureCache, TrainingConfig
+
+QUICK = ModelConfig(sources=("head", "neighbours"), training=TrainingConfig(epochs=20))  # for the corridor
+
+
+def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
+    sequence = read_sequence(data)
+    model = train_model(prepare_training_data(sequence, config, FeatureCache(out / "cache")), config)
+    save_model(model, out / "model")
+    run = VisualOdometry(model).process(sequence, model.split.test)
+    truth = sequence.require_truth()[run.frames]
+
+    n_boxes = run.regions.n_intervals[:, :3].prod(axis=1)
+    most = int(n_boxes.argmax())
+    print(f"{sequence.image_paths[run.frames[most]].name}: its region has {n_boxes[most]} boxes; every combination of")
+    for axis, parts in zip("xyz", run.regions.intervals(most)[:3], strict=True):
+        print(f"  {axis}: " + " or ".join(f"{low:.2f} to {high:.2f} m" for low, high in parts))
+    (out / "region.svg").write_text(plan_figure(run, most, truth), encoding="utf-8")
+
+    statistics = RegionStatistics.of(run.regions, truth, model.sign_reference, run.kinds)
+    held = coverage_table(statistics, model, exchangeable=True)  # frames were held out at random
+    low, high = held["joint_band_99"]
+    print(f"covered: {held['joint_coverage']:.3f} of {len(truth)} frames; {low:.3f} to {high:.3f} by chance alone")
+    print(f"path: {error_table({'': run.trajectory}, truth)['']['rmse_m']:.3f} m (RMSE)")
+    print(f"model and picture: {out}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        train_and_look(Path(sys.argv[1]), ModelConfig(), Path(sys.argv[2] if len(sys.argv) > 2 else "images-out"))
+    else:
+        with TemporaryDirectory() as folder:
+            write_corridor(folder, n_modules=2, n_laps=1, seed=0)
+            train_and_look(Path(folder), QUICK, Path(folder) / "out")

@@ -1,0 +1,231 @@
+"""What a layout has beside its images: times, camera, poses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from conformodal.core import FloatArray, IntArray
+from conformodal.poses import PinholeCamera, Trajectory
+
+from .colmap_writing import write_colmap
+from .layouts import Layout
+from .nerf import FILE, OPENGL_AXES
+
+_UNEVEN = 0.2  # of a frame's time
+_MOST_NUMBERED = 999_999  # six digits
+_USUAL_HZ = 30.0
+_EUROC_TRUTH = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenFrames:
+    """Frames whose images are written.
+
+    Attributes
+    ----------
+    names
+        Of the files, from the layout's folder of images.
+    times
+        (n,) seconds, strictly increasing.
+    recording
+        (n,) number of each frame's recording.
+    poses
+        (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for frames without truth.
+    """
+
+    names: list[str]
+    times: FloatArray
+    recording: IntArray
+    poses: FloatArray | None
+
+    def posed(self) -> tuple[list[int], Trajectory | None]:
+        """Which frames have a pose, and their poses."""
+        if self.poses is None:
+            return [], None
+        at = np.flatnonzero(np.isfinite(self.poses).all(axis=1))
+        return at.tolist(), Trajectory(self.times[at], self.poses[at, :3], self.poses[at, 3:])
+
+
+Finish = Callable[[Path, WrittenFrames, PinholeCamera], list[str]]
+
+
+def numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, IntArray, bool]:
+    """Frame rate, number of every frame in its recording, and whether both say its time.
+
+    Frames that are missing leave a gap in the numbers. Times that no rate fits are numbered one after the other.
+    """
+    first = np.flatnonzero(np.diff(recording, prepend=-1) != 0)
+    start = np.repeat(first, np.diff(np.append(first, len(times))))
+    counted = np.arange(len(times)) - start
+    inner = np.flatnonzero(np.diff(recording) == 0)
+    steps = np.diff(times)[inner]
+    if not steps.size:
+        return _USUAL_HZ, counted, True
+    passed = times - times[start]
+    for step in (np.median(steps), steps.min()):  # where most frames are missing, few steps are of one frame
+        rise = np.zeros(len(times))
+        rise[inner + 1] = np.maximum(np.rint(steps / step), 1)
+        total = np.cumsum(rise)
+        numbers = total - total[start]
+        rate = float(numbers @ numbers / (numbers @ passed))
+        if np.abs(passed * rate - numbers).max() <= _UNEVEN and numbers.max() <= _MOST_NUMBERED:
+            return rate, numbers.astype(np.int64), True
+    return 1 / float(np.median(steps)), counted, False
+
+
+def finish_sevenscenes(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Give images the numbers that say their times, poses beside them, camera and rate; says what was lost."""
+    rate, numbers, even = numbered_by_time(frames.times, frames.recording)
+    names = list(frames.names)
+    for i in reversed(range(len(names))):  # numbers only grow, so the place of the new name is free
+        old = folder / names[i]
+        new = old.with_name(f"frame-{numbers[i]:06d}.color{old.suffix}")
+        names[i] = str(new.relative_to(folder))
+        if new != old:
+            old.rename(new)
+    at, truth = frames.posed()
+    if truth is not None:
+        for i, pose in zip(at, truth.poses_se3, strict=True):
+            path = folder / names[i]
+            np.savetxt(path.with_name(f"{path.name.split('.')[0]}.pose.txt"), pose, fmt="%.17g")
+    np.savetxt(folder / "frame-rate.txt", [rate])
+    _camera_beside(folder, camera)
+    return [] if even else [f"7scenes has no timestamps: they are read back as even, {rate:.3f} Hz"]
+
+
+def finish_tum(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write the list of images, the camera and the poses."""
+    lines = [f"{time:.9f} rgb/{name}" for time, name in zip(frames.times.tolist(), frames.names, strict=True)]
+    _write_lines(folder / "rgb.txt", ["# timestamp filename", *lines])
+    _camera_beside(folder, camera)
+    _tum_poses(folder / "groundtruth.txt", frames)
+    return []
+
+
+def finish_images(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write times, camera and poses."""
+    _times(folder, frames)
+    _camera_beside(folder, camera)
+    _tum_poses(folder / "poses.tum", frames)
+    return []
+
+
+def finish_kitti(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write times, calibration and poses, which every frame has."""
+    row = f"{camera.fx!r} 0 {camera.cx!r} 0 0 {camera.fy!r} {camera.cy!r} 0 0 0 1 0"
+    _write_lines(folder / "calib.txt", [f"P{k}: {row}" for k in range(4)])
+    _times(folder, frames)
+    _, truth = frames.posed()
+    if truth is not None:
+        np.savetxt(folder / "poses.txt", truth.poses_se3[:, :3].reshape(-1, 12), fmt="%.17g")
+    return []
+
+
+def finish_nerf(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write camera and poses, which every frame has, and the times."""
+    lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
+    _, truth = frames.posed()
+    assert truth is not None
+    named = [
+        {"file_path": f"images/{name}", "transform_matrix": pose.tolist()}
+        for name, pose in zip(frames.names, truth.poses_se3 @ OPENGL_AXES, strict=True)
+    ]
+    content: dict[str, object] = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, **lens}
+    content |= {"w": camera.width, "h": camera.height, "frames": named}
+    (folder / FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    _times(folder, frames)
+    return []
+
+
+def finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write the list of images, the calibration and the poses of the body, which the camera's frame is here."""
+    root = folder / "mav0"
+    stamps = [nanoseconds(time) for time in frames.times.tolist()]
+    rows = [f"{stamp},{name}" for stamp, name in zip(stamps, frames.names, strict=True)]
+    _write_lines(root / "cam0" / "data.csv", ["#timestamp [ns],filename", *rows])
+    lens = [*(camera.distortion or (0.0,) * 4)][:4]
+    calibration = [
+        "sensor_type: camera",
+        "T_BS:",
+        "  cols: 4",
+        "  rows: 4",
+        f"  data: {np.eye(4).ravel().tolist()}",
+        f"rate_hz: {numbered_by_time(frames.times, frames.recording)[0]:.6g}",
+        f"resolution: [{camera.width}, {camera.height}]",
+        "camera_model: pinhole",
+        f"intrinsics: {[float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)]}",
+        "distortion_model: radial-tangential",
+        f"distortion_coefficients: {[float(v) for v in lens]}",
+    ]
+    _write_lines(root / "cam0" / "sensor.yaml", calibration)
+    at, truth = frames.posed()
+    if truth is not None:
+        poses = np.column_stack((truth.positions_xyz, truth.orientations_quat_wxyz)).tolist()
+        lines = [f"{stamps[i]},{','.join(map(repr, pose))}" for i, pose in zip(at, poses, strict=True)]
+        (root / "state_groundtruth_estimate0").mkdir()
+        _write_lines(root / "state_groundtruth_estimate0" / "data.csv", [_EUROC_TRUTH, *lines])
+    return []
+
+
+def finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """Write a model as text, in which frames without a pose are not registered, and the times of all."""
+    return _finish_colmap(folder, frames, camera, binary=False)
+
+
+def finish_colmap_binary(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+    """As :func:`finish_colmap`, in COLMAP's binary files."""
+    return _finish_colmap(folder, frames, camera, binary=True)
+
+
+def _finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera, *, binary: bool) -> list[str]:
+    at, truth = frames.posed()
+    assert truth is not None
+    write_colmap(folder / "sparse" / "0", [frames.names[i] for i in at], truth, camera, binary=binary)
+    _times(folder, frames)
+    return []
+
+
+def nanoseconds(time_s: float) -> int:
+    """A time as EuRoC writes it."""
+    return round(time_s * 1e9)
+
+
+def _times(folder: Path, frames: WrittenFrames) -> None:
+    np.savetxt(folder / "times.txt", frames.times, fmt="%.9f")
+
+
+def _camera_beside(folder: Path, camera: PinholeCamera) -> None:
+    np.savetxt(folder / "camera-intrinsics.txt", camera.matrix)
+    if camera.distortion:
+        np.savetxt(folder / "camera-distortion.txt", camera.distortion)
+
+
+def _tum_poses(path: Path, frames: WrittenFrames) -> None:
+    _, truth = frames.posed()
+    if truth is None:
+        return
+    q = truth.orientations_quat_wxyz
+    rows = np.column_stack((truth.positions_xyz, q[:, 1:], q[:, :1])).tolist()
+    lines = [f"{t:.9f} {' '.join(map(repr, row))}" for t, row in zip(truth.timestamps_s.tolist(), rows, strict=True)]
+    _write_lines(path, ["# timestamp tx ty tz qx qy qz qw", *lines])
+
+
+def _write_lines(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+# By layout; COLMAP's binary files are asked for.
+FINISH: dict[Layout, Finish] = {
+    Layout.SEVENSCENES: finish_sevenscenes,
+    Layout.TUM: finish_tum,
+    Layout.KITTI: finish_kitti,
+    Layout.IMAGES: finish_images,
+    Layout.NERF: finish_nerf,
+    Layout.COLMAP: finish_colmap,
+    Layout.EUROC: finish_euroc,
+}

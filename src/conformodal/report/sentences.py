@@ -1,0 +1,163 @@
+"""What to see in a frame, and in a whole run, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, log10, sqrt
+
+from conformodal.core.words import counted, noun_for
+
+from .frames import PageFrame, lengths
+
+
+def frame_said(frame: PageFrame) -> str:
+    """What to see in a frame: the region first, then the chosen pose.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    """
+    said = [_region_said(frame), _pose_said(frame)]
+    if not frame.reliable and not frame.unknown:
+        said.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
+    return " ".join(part for part in said if part)
+
+
+def _region_said(frame: PageFrame) -> str:
+    if frame.unknown:
+        p = "" if frame.known_p is None else f" (p = {frame.known_p:.2g})"
+        return f"Unknown place{p}: the image shows no place that is known, so the region is the whole space."
+    if frame.whole:
+        return "The region is the whole space: every position is possible."
+    if not frame.n_places:
+        return "The region is empty: no place is likely enough."
+    places = "one place" if frame.n_places == 1 else f"{frame.n_places} places"
+    if frame.unbounded:
+        return f"The region names {places}, without bounds along {' and '.join(frame.unbounded)}."
+    largest = size_said([max(lengths(parts)) for parts in frame.intervals])
+    return f"The region names {places}, {'' if frame.n_places == 1 else 'the largest '}{largest}."
+
+
+def _pose_said(frame: PageFrame) -> str:
+    """Where the chosen pose is: in the region or not, and how far from the truth."""
+    bounded = not frame.whole and frame.n_places > 0
+    inside = bounded and frame.holds(frame.position_xyz)
+    if frame.truth_xyz is None or frame.error_m is None or frame.error_deg is None:
+        if not bounded:
+            return ""
+        its = ("in it", "outside it") if frame.n_places == 1 else ("in one of them", "in none of them")
+        return f"The chosen pose lies {its[0] if inside else its[1]}."
+    subject = "The chosen pose is"
+    if bounded and frame.n_places > 1:
+        subject = "The path chooses one of them," if inside else "The chosen pose lies in none of them,"
+    far = f"{length_said(frame.error_m)} and {frame.error_deg:.2f} degrees from the truth"
+    held = "lies in the region" if frame.holds(frame.truth_xyz) else "lies outside the region"
+    return f"{subject} {far}{f'; the true position {held}' if bounded else ''}."
+
+
+@dataclass
+class RunTally:
+    """Counts over all frames of a run, also those that the page does not show."""
+
+    n: int = 0
+    n_one: int = 0
+    n_several: int = 0
+    n_whole: int = 0
+    n_unknown: int = 0
+    n_true: int = 0
+    n_held: int = 0
+    most_places: int = 0
+    squares: float = 0.0
+
+    def add(self, frame: PageFrame) -> None:
+        """Count a frame."""
+        self.n += 1
+        self.n_unknown += frame.unknown
+        self.n_whole += frame.whole
+        if not frame.whole:
+            self.n_one += frame.n_places == 1
+            self.n_several += frame.n_places > 1
+            self.most_places = max(self.most_places, frame.n_places)
+        if frame.truth_xyz is not None and frame.error_m is not None:
+            self.n_true += 1
+            self.n_held += frame.holds(frame.truth_xyz)
+            self.squares += frame.error_m**2
+
+
+def run_said(tally: RunTally) -> str:
+    """What to see in the whole run.
+
+    Parameters
+    ----------
+    tally
+        Of its frames.
+    """
+    if tally.n < 2:
+        return _one_said(tally) if tally.n else "No frame was answered."
+    regions = []
+    if tally.n_one:
+        regions.append(f"names one place in {tally.n_one}")
+    if tally.n_several:
+        regions.append(f"names several in {tally.n_several} (at most {tally.most_places})")
+    if tally.n_whole:
+        regions.append(f"is the whole space in {tally.n_whole}{_why_whole(tally)}")
+    empty = tally.n - tally.n_one - tally.n_several - tally.n_whole
+    if empty:
+        regions.append(f"is empty in {empty}")
+    said = f"Of {counted(tally.n, 'frame')}, the region {_listed(regions)}."
+    if tally.n_true:
+        rmse = length_said(sqrt(tally.squares / tally.n_true))
+        said += f" It holds the true position in {tally.n_held}; the chosen path is {rmse} from the truth (RMSE)."
+    return said
+
+
+def _one_said(tally: RunTally) -> str:
+    """Of a run of one frame, where counts of frames say nothing."""
+    region = f"names {counted(tally.most_places, 'place')}" if tally.most_places else "is empty"
+    if tally.n_whole:
+        region = f"is the whole space{_why_whole(tally)}"
+    said = f"One frame was answered: its region {region}."
+    if tally.n_true:
+        holds = "holds" if tally.n_held else "does not hold"
+        said += f" It {holds} the true position; the chosen pose is {length_said(sqrt(tally.squares))} from the truth."
+    return said
+
+
+def _why_whole(tally: RunTally) -> str:
+    """How many of the frames whose region is the whole space show no known place."""
+    n = tally.n_unknown
+    if not n:
+        return ""
+    who = f"{n} of them" if n < tally.n_whole else noun_for(n, "it", "they")
+    return f" ({who} {noun_for(n, 'shows', 'show')} no place that is known)"
+
+
+def length_said(metres: float) -> str:
+    """A length in the unit that suits it."""
+    unit, factor = _unit(metres)
+    return f"{_number(metres * factor, 3 if unit == 'm' else 2)} {unit}"
+
+
+def size_said(metres: list[float]) -> str:
+    """Lengths along several axes, in one unit."""
+    unit, factor = _unit(max(metres))
+    return f"{' by '.join(_number(m * factor, 2) for m in metres)} {unit}"
+
+
+def _unit(metres: float) -> tuple[str, float]:
+    if metres >= 1:
+        return "m", 1.0
+    return ("cm", 100.0) if metres >= 0.01 else ("mm", 1000.0)
+
+
+def _number(value: float, digits: int) -> str:
+    """So many digits that count, and no powers of ten: they are hard to read, and to listen to."""
+    if value <= 0:
+        return "0"
+    return f"{value:.{max(0, digits - 1 - floor(log10(value)))}f}"
+
+
+def _listed(parts: list[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

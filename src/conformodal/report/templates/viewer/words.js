@@ -1,0 +1,44 @@
+// The frame in words: a sentence to see, the same sentence to hear, and the numbers.
+const SEEN_EVERY = 1000, HEARD_EVERY = 6000, SETTLED = 400; // milliseconds
+const sources = { softmax: "softmax alone, landmarks not looked for", global: "the image as a whole", unmatched: "the image as a whole, no landmarks trusted", landmarks: "the image and landmarks" };
+const said = { seen: -Infinity, heard: -Infinity, waiting: null };
+
+// While it plays, sentences stay long enough to be read and are not called out one upon the other.
+function tell(playing) {
+  const time = performance.now(), sentence = frames[now].say;
+  const hear = () => { said.heard = performance.now(); $("heard").textContent = `Frame ${now + 1} of ${n}. ${frames[now].say}`; };
+  if (!playing || time - said.seen >= SEEN_EVERY) { said.seen = time; $("seen").textContent = sentence; }
+  clearTimeout(said.waiting);
+  if (!playing) said.waiting = setTimeout(hear, SETTLED);
+  else if (time - said.heard >= HEARD_EVERY) hear();
+}
+
+const p3 = (p) => (p < 0.1 ? p.toPrecision(1) : p.toFixed(2));
+
+function facts(f) {
+  const list = (p) => p.map((v) => v.toFixed(3)).join(", ");
+  const rows = [["chosen position (m)", list(f.p)]];
+  if (f.truth) rows.push(["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
+  rows.push(["intervals", f.whole ? "the whole space" : axisNames.map((name, a) => `${name} ${f.iv[a].length}`).join(", ")]);
+  if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
+  if (f.kp != null) rows.push(["known place?", isUnknown(f) ? `no, p = ${p3(f.kp)}` : `yes, p = ${p3(f.kp)}`]);
+  if (f.ev && !isUnknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
+  rows.push(["motion", `${f.ok || isUnknown(f) ? "" : "not reliable: "}${f.m.replaceAll("_", " ")}`]);
+  return rows;
+}
+
+function showFacts() {
+  const f = frames[now], where = `frame ${now + 1} of ${n}, ${(f.t - t0).toFixed(2)} s`;
+  $("label").textContent = `${f.n} (${where})`;
+  $("scrub").setAttribute("aria-valuetext", where);
+  $("words").replaceChildren(...facts(f).map(([k, v]) => {
+    const row = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
+    dt.textContent = k; dd.textContent = v;
+    row.append(dt, dd);
+    return row;
+  }));
+  $("plan").setAttribute("aria-label", `Plan of frame ${now + 1}. ${f.say}`);
+  const image = $("frame");
+  if (image && f.img) image.src = `data:image/jpeg;base64,${f.img}`;
+  if (image) image.hidden = !f.img;
+}

@@ -1,0 +1,267 @@
+"""Pages can be read at any width, in light and dark, by keyboard alone, and by a screen reader."""
+
+import json
+
+import numpy as np
+import pytest
+
+from conformodal.experiments.table1 import Table
+from conformodal.report import (
+    PageFigure,
+    ReportContent,
+    Section,
+    error_chart,
+    make_viewer,
+    write_comparison,
+    write_page,
+)
+
+ROW = {"rmse_m": 0.1234, "rmse_deg": 1.5, "median_m": 0.1, "median_deg": 1.2}
+TARGET = {"coverage": 0.9, "band_99": [0.8, 0.95], "inside_band": True, "mean_length": None, "mean_intervals": 1.2}
+METRICS = {
+    "provenance": {"packages": {"numpy": "2"}, "source_revision": "0" * 40},
+    "configuration": {"data": "/a/folder/with-a-name-that-is-so-long-that-it-has-to-be-broken-somewhere/in/the/middle"},
+    "n_answered": 60,
+    "split_note": "all frames.",
+    "errors": {"smoothed": ROW, "classical": ROW},
+    "coverage": {
+        "whole_space": True,
+        "targets": dict.fromkeys(("x", "y", "z", "q_w"), TARGET),
+        "joint_coverage": 0.9,
+        "joint_band_99": [0.85, 0.95],
+        "regions_from": "head",
+        "abstained": 0.01,
+        "alpha": 0.1,
+        "joint": "max",
+        "alpha_per_target": 0.1,
+        "score": "hpd",
+        "n_calibration": 100,
+        "assumption": "Frames are exchangeable.",
+    },
+}
+KINDS = ["run", "bare", "comparison"]
+SIZES = [(1280, 1000), (380, 800), (320, 700)]
+
+
+def run_page(folder, make_run, n=60, **options):
+    viewer = make_viewer(folder, make_run(folder, n, **options), 0.01, [np.array([[-2.0, -2.0], [2.0, -2.0]])])
+    chart = error_chart(["one"], {"ours": [[0.1, 0.2]]}, "m")
+    figures = [PageFigure("chart", "A chart", "Errors of one.", chart)]
+    image = ("frame-000: which room?", np.zeros((30, 40, 3), np.uint8))
+    write_page(folder / "report.html", ReportContent("a run", ["60 frames.", "more"], METRICS, figures, viewer, image))
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def pages(make_run, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pages")
+    bare = {"provenance": {}, "configuration": {}, "n_answered": 1, "split_note": "all frames."}
+    make_run(folder / "bare", n=1, truth=False)
+    viewer = make_viewer(folder / "bare", {})
+    write_page(folder / "bare" / "report.html", ReportContent("one frame", ["1 frame."], bare, viewer=viewer))
+    table = Table(["condition"] + [f"method {k}" for k in range(12)], [["40 % of data"] + ["0.123 ± 0.01"] * 12] * 3)
+    chart = error_chart(["one", "two"], {"ours": [[0.1], [0.2]], "theirs": [[0.2], [0.4]]}, "m")
+    sections = [Section("Lead", "", "", [("All", table)]), Section("Split", "Less is better.", chart, [("All", table)])]
+    write_comparison(folder / "table1.html", "Table 1", ["How to read it."], sections, {"seeds": [0, 1]})
+    run = run_page(folder / "run", make_run)
+    return {"run": run, "bare": folder / "bare" / "report.html", "comparison": folder / "table1.html"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_and_marks_stand_out_from_their_ground(opened, pages, kind, scheme):
+    page = opened(pages[kind], scheme=scheme)
+    for detail in page.locator("summary").all():
+        detail.click()
+    assert page.evaluate("checks.contrast()") == []
+    marks = ["--region-line", "--answer", "--classical", "--cursor", "--edge", "--focus"]
+    assert page.evaluate("(marks) => checks.palette(['--ink', '--faint'], marks)", marks) == []
+
+
+FAULTS = {
+    "contrast": "document.querySelector('.note').style.color = '#999'",
+    "labels": "document.getElementById('scrub').removeAttribute('aria-label')",
+    "structure": "document.querySelector('tbody th').removeAttribute('scope')",
+    "overflow": "document.querySelector('h1').style.width = '110vw'",
+    "small": "document.getElementById('back').style.cssText = 'min-height: 0; height: 20px'",
+}
+
+
+@pytest.mark.slow
+def test_the_checks_see_what_is_wrong(opened, pages):
+    page = opened(pages["run"])
+    for check, fault in FAULTS.items():
+        assert page.evaluate(f"checks.{check}()") == []
+        page.evaluate(fault)
+        assert page.evaluate(f"checks.{check}()"), check
+    # (0.981 + 0.05) / (0.3185 + 0.05), by hand
+    assert page.evaluate("checks.contrast()")[0].startswith("contrast 2.80: <p>")
+    page.add_style_tag(content="* { outline: none !important }")
+    page.keyboard.press("Tab")
+    assert page.evaluate("checks.focus()")[1] is False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_has_a_name_and_a_place_in_the_structure(opened, pages, kind):
+    page = opened(pages[kind])
+    assert page.evaluate("checks.labels()") == []
+    assert page.evaluate("checks.structure()") == []
+    assert page.evaluate("checks.small()") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: str(size[0]))
+def test_nothing_is_wider_than_the_window(opened, pages, kind, size):
+    page = opened(pages[kind], size=size)
+    for detail in page.locator("summary").all():
+        detail.click()
+    assert page.evaluate("checks.overflow()") == []
+    if kind != "bare" and size[0] < 500:  # figures are not made so small that nobody can read them
+        assert (
+            page.evaluate("Math.min(...[...document.querySelectorAll('.drawn svg')].map((e) => e.clientWidth))") > 500
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_keyboard_reaches_everything_in_order_and_shows_where_it_is(opened, pages, kind):
+    page = opened(pages[kind])
+    n, reached = page.evaluate("checks.focusable()"), []
+    for _ in range(n):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("checks.focus()"))
+    assert [at for at, _, _ in reached] == list(range(n))
+    assert [what for _, seen, what in reached if not seen] == []
+
+
+def where(page):
+    return int(page.input_value("#scrub"))
+
+
+@pytest.mark.slow
+def test_the_keyboard_plays_and_steps(opened, pages):
+    page = opened(pages["run"])
+    steps = [("End", 59), ("ArrowLeft", 58), ("Home", 0), ("ArrowRight", 1), ("ArrowRight", 2)]
+    for target in ("body", "#scrub", "#back"):
+        if target != "body":
+            page.focus(target)
+        for key, expected in steps:
+            page.keyboard.press(key)
+            assert where(page) == expected, (target, key)
+    page.focus("#scrub")
+    page.keyboard.press(" ")
+    assert page.inner_text("#play") == "Pause"
+    page.wait_for_function("Number(document.getElementById('scrub').value) > 2")
+    page.keyboard.press(" ")
+    assert page.inner_text("#play") == "Play"
+    page.focus("#play")  # on a button, space presses the button, once
+    page.keyboard.press(" ")
+    assert page.inner_text("#play") == "Pause"
+    page.keyboard.press("Enter")
+    assert page.inner_text("#play") == "Play"
+
+
+@pytest.mark.slow
+def test_keys_that_mean_something_else_are_left_alone(opened, pages):
+    page = opened(pages["run"])
+    page.focus("#speed")
+    page.keyboard.press("ArrowDown")
+    assert (where(page), page.input_value("#speed")) == (0, "2")
+    picture = "document.getElementById('space').toDataURL()"
+    before = page.evaluate(picture)
+    page.focus("#turning")
+    page.keyboard.press("ArrowRight")
+    turned = page.evaluate(picture)
+    page.keyboard.press("+")
+    assert len({before, turned, page.evaluate(picture)}) == 3
+    assert where(page) == 0
+    page.evaluate("document.activeElement.blur(); window.scrollTo(0, document.body.scrollHeight)")
+    page.keyboard.press("ArrowRight")
+    assert where(page) == 0  # the player is out of view
+
+
+@pytest.mark.slow
+def test_it_plays_once_when_opened_and_stops_at_the_end(opened, make_run, tmp_path):
+    path = run_page(tmp_path, make_run, n=9)
+    page = opened(path, motion="no-preference")
+    assert page.inner_text("#play") == "Pause"
+    page.wait_for_function("document.getElementById('scrub').value === '8'", timeout=10_000)
+    page.wait_for_function("document.getElementById('play').textContent === 'Play'")
+    page.wait_for_timeout(500)
+    assert where(page) == 8
+    page.click("#play")  # from the beginning again
+    page.wait_for_function("['1', '2', '3'].includes(document.getElementById('scrub').value)", timeout=10_000)
+    page.fill("#scrub", "6")  # who takes the slider has it
+    page.wait_for_timeout(500)
+    assert (where(page), page.inner_text("#play")) == (6, "Play")
+
+
+@pytest.mark.slow
+def test_it_stands_still_for_who_asked_for_less_motion(opened, pages):
+    page = opened(pages["run"], motion="reduce")
+    page.wait_for_timeout(600)
+    assert (where(page), page.inner_text("#play")) == (0, "Play")
+
+
+@pytest.mark.slow
+def test_speed_is_the_reader_s_choice(opened, pages):
+    page = opened(pages["run"])
+    page.clock.install(time=0)
+    page.clock.pause_at(60_000)  # milliseconds; from here on it goes by run_for alone
+    reached = {}
+    for speed in ("0.5", "1", "4"):
+        page.select_option("#speed", speed)
+        page.fill("#scrub", "0")
+        page.click("#play")
+        page.clock.run_for(2000)
+        page.click("#play")
+        reached[speed] = where(page)
+    expected = {"0.5": 5, "1": 10, "4": 40}  # five frames a second
+    assert {speed: abs(at - expected[speed]) <= 1 for speed, at in reached.items()} == dict.fromkeys(expected, True)
+
+
+@pytest.mark.slow
+def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(opened, pages):
+    page = opened(pages["run"])
+    frames = json.loads(page.text_content("#viewer-data"))["frames"]
+    for i in (0, 7, 40):
+        page.fill("#scrub", str(i))
+        assert page.inner_text("#seen") == frames[i]["say"]
+        assert frames[i]["say"] in page.get_attribute("#plan", "aria-label")
+        page.wait_for_function(
+            "(say) => document.getElementById('heard').textContent.includes(say)", arg=frames[i]["say"]
+        )
+    assert page.get_attribute("#heard", "aria-live") == "polite"
+    page.evaluate(
+        """() => {
+            window.heard = 0;
+            new MutationObserver(() => window.heard++).observe(document.getElementById("heard"), {childList: true});
+        }"""
+    )
+    page.select_option("#speed", "4")
+    page.fill("#scrub", "0")
+    page.click("#play")
+    page.wait_for_function("Number(document.getElementById('scrub').value) > 35", timeout=10_000)
+    assert page.evaluate("window.heard") <= 2
+    page.click("#play")
+    page.wait_for_timeout(700)
+    assert frames[where(page)]["say"] in page.inner_text("#heard")
+
+
+@pytest.mark.slow
+def test_a_region_without_a_box_is_told_apart_by_its_pattern_not_by_colour(opened, pages):
+    page = opened(pages["run"])
+    page.fill("#scrub", "7")
+    assert page.inner_text("#seen").startswith("Unknown place (p = 0.003)")
+    shades = """() => {
+        const c = document.getElementById("plan");
+        const d = c.getContext("2d").getImageData(0, c.height / 2, c.width, 1).data;
+        return Array.from({length: c.width}, (_, i) => d[4 * i + 3] ? d[4 * i] + d[4 * i + 1] + d[4 * i + 2] : 0);
+    }"""
+    striped = np.array(page.evaluate(shades))
+    page.fill("#scrub", "8")
+    plain = np.array(page.evaluate(shades))
+    assert np.sum(np.abs(np.diff(striped)) > 30) > 2 * np.sum(np.abs(np.diff(plain)) > 30)

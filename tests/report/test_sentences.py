@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+
+from conformodal.core.words import counted, noun_for
+from conformodal.report.frames import PageFrame
+from conformodal.report.sentences import RunTally, frame_said, length_said, run_said, size_said
+
+HERE = [[-0.05, 0.05]]
+THERE = [[-0.05, 0.05], [9.9, 10.15]]
+LINE = [[None, None]]
+
+
+def frame(intervals, position=(0.0, 0.0, 0.0), truth=None, error=0.042, **other):
+    known = {} if truth is None else {"truth_xyz": np.array(truth), "error_m": error, "error_deg": 0.9}
+    given = {"reliable": True, "motion": "ok", "known_p": 0.4, "evidence": "landmarks"} | other
+    return PageFrame(
+        "f", 0.0, position_xyz=np.array(position), quat_wxyz=np.eye(4)[0], intervals=intervals, **given, **known
+    )
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (
+            frame([HERE] * 3, truth=(0.01, 0, 0)),
+            "The region names one place, 10 by 10 by 10 cm. The chosen pose is 4.2 cm and 0.90 degrees from the truth; "
+            "the true position lies in the region.",
+        ),
+        (
+            frame([THERE, HERE, HERE], truth=(5, 0, 0), error=5),
+            "The region names 2 places, the largest 25 by 10 by 10 cm. The path chooses one of them, 5.00 m and 0.90 "
+            "degrees from the truth; the true position lies outside the region.",
+        ),
+        (
+            frame([THERE, THERE, HERE], position=(5, 0, 0), truth=(10, 10, 0), error=5),
+            "The region names 4 places, the largest 25 by 25 by 10 cm. The chosen pose lies in none of them, 5.00 m "
+            "and 0.90 degrees from the truth; the true position lies in the region.",
+        ),
+        (frame([HERE] * 3), "The region names one place, 10 by 10 by 10 cm. The chosen pose lies in it."),
+        (
+            frame([THERE, HERE, HERE], position=(5, 0, 0)),
+            "The region names 2 places, the largest 25 by 10 by 10 cm. The chosen pose lies in none of them.",
+        ),
+        (
+            frame([THERE, LINE, HERE]),
+            "The region names 2 places, without bounds along y. The chosen pose lies in one of them.",
+        ),
+        (frame([LINE] * 3), "The region is the whole space: every position is possible."),
+        (
+            frame([LINE] * 3, evidence="unknown", known_p=0.00312, reliable=False, truth=(0, 0, 0)),
+            "Unknown place (p = 0.0031): the image shows no place that is known, so the region is the whole space. The "
+            "chosen pose is 4.2 cm and 0.90 degrees from the truth.",
+        ),
+        (frame([[], HERE, HERE]), "The region is empty: no place is likely enough."),
+        (
+            frame([HERE] * 3, reliable=False, motion="too_few_corners"),
+            "The region names one place, 10 by 10 by 10 cm. The chosen pose lies in it. The motion since the frame "
+            "before is not reliable (too few corners).",
+        ),
+    ],
+)
+def test_the_sentence_of_a_frame(shown, expected):
+    assert frame_said(shown) == expected
+
+
+def tally(*frames):
+    found = RunTally()
+    for one in frames:
+        found.add(one)
+    return run_said(found)
+
+
+def test_the_sentence_of_a_run():
+    one, two = frame([HERE] * 3, truth=(0, 0, 0), error=3.0), frame([THERE, HERE, HERE], truth=(5, 0, 0), error=4.0)
+    unknown = frame([LINE] * 3, evidence="unknown", truth=(0, 0, 0), error=0.0)
+    assert tally(one) == (
+        "One frame was answered: its region names 1 place. It holds the true position; the chosen pose is 3.00 m from "
+        "the truth."
+    )
+    assert "names 2 places. It does not hold the true position" in tally(two)
+    assert tally(one, two, two, unknown) == (
+        "Of 4 frames, the region names one place in 1, names several in 2 (at most 2) and is the whole space in 1 (it "
+        "shows no place that is known). It holds the true position in 2; the chosen path is 3.20 m from the truth "
+        "(RMSE)."
+    )  # sqrt((9 + 16 + 16) / 4)
+    assert "is the whole space in 2 (1 of them shows no place that is known)" in tally(unknown, frame([LINE] * 3))
+    assert "is the whole space in 2 (they show no place that is known)" in tally(unknown, unknown)
+    assert "is the whole space (it shows no place that is known). It holds" in tally(unknown)
+    assert "names one place in 1 and is empty in 1." in tally(one, frame([[], HERE, HERE]))
+    assert tally(frame([LINE] * 3)) == "One frame was answered: its region is the whole space."
+    assert tally(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."
+    assert tally() == "No frame was answered."
+
+
+@pytest.mark.parametrize(
+    ("metres", "expected"),
+    [(0.0, "0 mm"), (0.00042, "0.42 mm"), (0.0034, "3.4 mm"), (0.01, "1.0 cm"), (0.4567, "46 cm"), (1, "1.00 m"),
+     (12.345, "12.3 m"), (1234.5, "1234 m")],
+)  # fmt: skip
+def test_lengths_have_the_unit_that_suits_them_and_no_powers_of_ten(metres, expected):
+    assert length_said(metres) == expected
+
+
+def test_sizes_have_one_unit():
+    assert size_said([0.034, 0.5, 0.0004]) == "3.4 by 50 by 0.040 cm"
+    assert size_said([250.0, 1.0, 0.0]) == "250 by 1.0 by 0 m"
+
+
+def test_counts_agree_with_their_nouns():
+    assert [counted(n, "frame") for n in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
+    assert [counted(n, "stretch", "stretches") for n in (1, 3)] == ["1 stretch", "3 stretches"]
+    assert [noun_for(n, "is", "are") for n in (1, 2)] == ["is", "are"]
+    assert counted(np.int64(1), "frame") == "1 frame"
