@@ -5,6 +5,7 @@ from PIL import Image
 
 from conformodal.networks import TorchBackbone, fine_tune, pick_device
 from conformodal.networks.augmentation import augment
+from conformodal.networks.shares import BatchShare
 from conformodal.vision import BackboneConfig, FeatureCache, FineTuning, VisionError
 
 SMALL = BackboneConfig(width=64, height=48, grid=(2, 2), block=2)
@@ -74,6 +75,41 @@ def test_a_stopped_tuning_goes_on(pictures, tmp_path):
     assert seen[0] in (2, 3)
     assert seen[-1] == 4
     assert not list((tmp_path / "training").iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("batch_size", [7, 23])  # the last batch has three images, and one
+def test_two_processes_give_what_one_gives(pictures, batch_size):
+    backbone, config = TorchBackbone(SMALL), FineTuning(blocks=1, epochs=3, batch_size=batch_size, learning_rate=1e-3)
+    before = backbone.weights()
+    kept = {name: value.copy() for name, value in before.items()}
+    one, two = (fine_tune(backbone, *pictures, [2], config, FeatureCache(None), processes=n).weights() for n in (1, 2))
+    assert all(np.array_equal(before[name], kept[name]) for name in kept)  # the memory of the network stays its own
+    moved = max(np.abs(one[k] - before[k]).max() for k in one if one[k].dtype == np.float32)
+    off = max(np.abs(one[k] - two[k]).max() for k in one if one[k].dtype == np.float32)
+    assert moved > 1e-3
+    assert off < 1e-4
+
+
+def test_a_row_is_augmented_alike_in_a_share_of_the_batch(monkeypatch):
+    images = torch.randint(0, 256, (5, 20, 30, 3), dtype=torch.uint8)
+
+    def changed(rank, n_processes):
+        monkeypatch.setattr("conformodal.networks.shares.place", lambda: (rank, n_processes))
+        share = BatchShare(5)
+        torch.manual_seed(0)
+        return augment(images[share.rows], share)
+
+    whole, first, second = changed(0, 1), changed(0, 2), changed(1, 2)
+    assert torch.equal(first, whole[::2])
+    assert torch.equal(second, whole[1::2])
+    losses = torch.arange(5.0)
+    monkeypatch.setattr("conformodal.networks.shares.place", lambda: (0, 2))
+    halves = [BatchShare(5).mean(losses[::2])]
+    monkeypatch.setattr("conformodal.networks.shares.place", lambda: (1, 2))
+    halves.append(BatchShare(5).mean(losses[1::2]))
+    assert float(sum(halves)) / 2 == pytest.approx(float(losses.mean()))
+    assert float(BatchShare(1).mean(losses[:1])) == 0  # a row that another process works on
 
 
 def test_augmented_images_stay_images_and_differ():

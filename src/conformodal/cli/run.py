@@ -21,6 +21,7 @@ from conformodal.datasets.streams import (
     prefetch,
 )
 from conformodal.odometry import (
+    BudgetWarning,
     Estimate,
     EvidenceKind,
     OdometryError,
@@ -30,7 +31,6 @@ from conformodal.odometry import (
     load_model,
     model_digest,
     odometry_of,
-    provenance,
     read_trajectories,
     write_metrics,
     write_region_parquet,
@@ -40,10 +40,10 @@ from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
 from .arguments import FollowOutside, SavedModel, results_folder
-from .console import StatusLine, kind_errors, print_where, say_strongly
+from .console import StatusLine, kind_errors, print_where, said_strongly, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
-from .outcome import Known, Part, part_frames, run_metrics, say, summary
+from .outcome import Known, Part, part_frames, run_metrics, say, summary, unfinished_metrics
 from .sources import open_source
 from .watching import Watcher, watchers
 
@@ -82,6 +82,10 @@ def run(
             min=1, help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
         ),
     ] = None,
+    budget_ms: Annotated[
+        float | None,
+        typer.Option(help="Milliseconds a frame may take: local features are matched where this leaves time for it."),
+    ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
@@ -96,7 +100,7 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
-        _check_for(loaded, novelty_level, match_every)
+        _check_for(loaded, novelty_level, match_every, budget_ms)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
         as_trained = part is not Part.ALL
@@ -110,7 +114,7 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         watching = watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images)
-        how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
+        how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
         metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
@@ -128,7 +132,7 @@ class _StreamOptions:
 
     Attributes
     ----------
-    part, pace, limit, match_every
+    part, pace, limit, match_every, budget_ms
         As for :func:`run`.
     digest
         Of the model, for the record.
@@ -139,6 +143,7 @@ class _StreamOptions:
     limit: int | None = None
     match_every: int | None = None
     digest: str | None = None
+    budget_ms: float | None = None
 
 
 @dataclass(eq=False)
@@ -173,11 +178,17 @@ def _stream_through(
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
-    odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
+    # a budget leaves out what there is no time for
+    seldom = MATCH_EVERY_LIVE if lossy and how.budget_ms is None else 1
+    odometry = odometry_of(model, how.match_every or seldom, how.budget_ms)
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
-    with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
-        write_metrics(writer.place, _unfinished(model, how.part, how.digest))
+    with (
+        stopping(gently=True) as stop,
+        ResultsWriter(out, answer=odometry.answer) as writer,
+        said_strongly(BudgetWarning),
+    ):
+        write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
         truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
         runner = StreamRunner(odometry, writer, truth=truth, posed=posed)
         stopped, limited = _push_all(runner, stream, shown, how, stop)
@@ -235,7 +246,7 @@ def _write_results(
         known,
         counts,
         whole=whole,
-        matched_all=runner.odometry.match_every == 1,
+        matched_all=runner.matched_all,
         recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
     )
     write_metrics(writer.place, metrics)
@@ -247,12 +258,14 @@ def _write_results(
     return metrics
 
 
-def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
+def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None, budget_ms: float | None) -> None:
     """Refuse options that say nothing with this model."""
     if novelty_level and model.novelty is None:
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
     if match_every not in (None, 1) and not model.looks_at_local_features:
         raise OptionError(f"--match-every: the model looks at no local features, got {match_every}")
+    if budget_ms is not None and not model.looks_at_local_features:
+        raise OptionError(f"--budget-ms: the model looks at no local features to leave out, got {budget_ms:g}")
 
 
 def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
@@ -261,23 +274,13 @@ def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
         raise OdometryError(f"{name}: no frame could be answered: {stopped or first}")
 
 
-def _unfinished(model: PoseModel, part: Part, digest: str | None) -> dict[str, Any]:
-    """What a run that is killed leaves as its metrics: enough to evaluate what it has written."""
-    return {
-        "command": "run",
-        "unfinished": True,
-        "model": digest,
-        "provenance": provenance(),
-        "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
-        "seed": model.split.seed,
-        "sign_reference_quat_wxyz": model.sign_reference.tolist(),
-    }
-
-
 def _counts(runner: StreamRunner) -> dict[str, Any]:
+    budget = runner.odometry.budget
     return {
         "n_answered": runner.n_answered,
         "match_every": runner.odometry.match_every,
+        "n_matched": runner.n_matched,
+        "budget": None if budget is None else budget.record.table(),
         "results": result_digests(runner.writer.place),
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,

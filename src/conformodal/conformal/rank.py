@@ -10,6 +10,9 @@ from conformodal.core import RealArray
 from .checks import Alpha, as_alpha, as_scores
 from .errors import ConformalError
 from .scalars import as_count
+from .selecting import kth_smallest
+
+MANY = 20_000_000  # scores, of which a copy is avoided
 
 
 def conformal_rank(n: int, alpha: Alpha) -> int:
@@ -52,7 +55,8 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     Parameters
     ----------
     scores
-        Nonconformity scores. ``+inf`` is allowed and counts as the worst score.
+        Nonconformity scores. ``+inf`` is allowed and counts as the worst score. A vector may be a memory-mapped file:
+        of very many scores no copy is made.
     alpha
         Miscoverage rate in (0, 1).
     axis
@@ -84,4 +88,6 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     k = conformal_rank(n, alpha)
     if k > n:
         return np.full(arr.shape[1:], np.inf, dtype=arr.dtype)
+    if arr.ndim == 1 and n > MANY:
+        return kth_smallest(arr, k)
     return np.asarray(np.partition(arr, k - 1, axis=0)[k - 1])

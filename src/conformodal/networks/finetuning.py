@@ -15,23 +15,27 @@ from torch.utils.data import Dataset
 
 from conformodal.core import Progress
 from conformodal.datasets import ImageError, read_image
-from conformodal.vision import FeatureCache, FineTuning, VisionError
+from conformodal.vision import BackboneConfig, FeatureCache, FineTuning, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 
 from .torch_backbone import TorchBackbone
 
 
 class _Images(Dataset[tuple[torch.Tensor, torch.Tensor]]):
-    """Prepared images, decoded when asked for, with their labels."""
+    """Prepared images, decoded when asked for, with their labels.
 
-    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], backbone: TorchBackbone) -> None:
-        self.files, self.labels, self.backbone = files, torch.from_numpy(labels), backbone
+    They do not know the network: torch moves the weights of one that goes to another process, under arrays that share
+    their memory.
+    """
+
+    def __init__(self, files: Sequence[Path], labels: npt.NDArray[np.float32], config: BackboneConfig) -> None:
+        self.files, self.labels, self.config = files, torch.from_numpy(labels), config
 
     def __len__(self) -> int:
         return len(self.files)
 
     def __getitem__(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
-        image = self.backbone.prepare(read_image(self.files[i]))
+        image = self.config.prepare(read_image(self.files[i]))
         return torch.from_numpy(np.array(image)), self.labels[i]
 
 
@@ -43,6 +47,7 @@ def fine_tune(
     config: FineTuning,
     cache: FeatureCache,
     progress: Progress | None = None,
+    processes: int = 1,
 ) -> TorchBackbone:
     """A copy of a network whose last blocks have learnt these images, augmented, with a temporary softmax head.
 
@@ -62,11 +67,15 @@ def fine_tune(
         Keeps the tuned weights, and the state of a training that was stopped.
     progress
         Called with epochs done and epochs in all.
+    processes
+        On this machine, which share the work; the result is the same but for rounding. With more than one, no progress
+        is told, and a training that is stopped begins anew. The program must guard its start by
+        ``if __name__ == "__main__"``, for each process imports it.
 
     Raises
     ------
     VisionError
-        If there are fewer images than two, or as many labels as images are not given.
+        If there are fewer images than two, no process, or as many labels as images are not given.
     ImageError
         If an image cannot be read; names the file.
     """
@@ -75,6 +84,8 @@ def fine_tune(
         raise VisionError(
             f"fine-tuning needs two images or more and labels ({len(image_files)}, {sum(outputs)}), got {y.shape}"
         )
+    if processes < 1:
+        raise VisionError(f"processes must be at least 1, got {processes}")
     key = _digest(backbone, image_files, y, config)
     kept = None if cache.folder is None else cache.folder.parent / "backbones" / f"{key}.safetensors"
     tuned = TorchBackbone(backbone.config)
@@ -89,7 +100,7 @@ def fine_tune(
 
     tuned.to(backbone.device)
     folder = None if cache.folder is None else cache.folder.parent / "training" / key
-    run_tuning(tuned, _Images(image_files, y, backbone), outputs, config, folder, progress)
+    run_tuning(tuned, _Images(image_files, y, backbone.config), outputs, config, folder, progress, processes)
     weights = tuned.weights()
     tuned.take_weights(weights)
     if kept is not None:

@@ -100,6 +100,7 @@ def fit_module(
     *,
     keep_every: int = _CHECKPOINT_EVERY_EPOCHS,
     accelerator: str = "cpu",
+    processes: int = 1,
 ) -> None:
     """Fit a module in place.
 
@@ -115,6 +116,8 @@ def fit_module(
         Epochs between states.
     accelerator
         Lightning's name of the device.
+    processes
+        That share the work (DDP); the loader gives each its part of every batch.
     """
     with ExitStack() as stack:
         if folder is not None:
@@ -123,7 +126,7 @@ def fit_module(
                 stack.enter_context(locked(folder.with_name(f"{folder.name}.lock")))
             except FolderInUseError:  # another process trains the same, and keeps the state
                 folder = None
-        _fit(module, loader, epochs, folder, progress, keep_every, accelerator)
+        _fit(module, loader, epochs, folder, progress, keep_every, accelerator, processes)
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -136,6 +139,7 @@ def _fit(
     progress: Progress | None,
     keep_every: int,
     accelerator: str,
+    processes: int,
 ) -> None:
     callbacks: list[Callback] = []
     resume = None
@@ -148,7 +152,9 @@ def _fit(
         trainer = lightning.Trainer(
             max_epochs=epochs,
             accelerator=accelerator,
-            devices=1,
+            devices=processes,
+            strategy="auto" if processes == 1 else "ddp_spawn",
+            use_distributed_sampler=False,
             callbacks=callbacks,
             logger=False,
             enable_checkpointing=False,

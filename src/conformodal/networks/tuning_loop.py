@@ -15,6 +15,7 @@ from conformodal.vision import FineTuning
 
 from .augmentation import augment
 from .loop import fit_module
+from .shares import Order, SharedBatches
 from .torch_backbone import TorchBackbone
 
 _HEAD_RATE = 10.0
@@ -23,17 +24,21 @@ _DROPOUT = 0.3
 
 
 class _Tuning(lightning.LightningModule):
-    def __init__(self, backbone: TorchBackbone, outputs: list[int], config: FineTuning, n_steps: int) -> None:
+    def __init__(self, backbone: TorchBackbone, outputs: list[int], config: FineTuning, batches: SharedBatches) -> None:
         super().__init__()
-        self.backbone, self.outputs, self.config, self.n_steps = backbone, outputs, config, n_steps
+        self.backbone, self.outputs, self.config, self.batches = backbone, outputs, config, batches
         self.head = nn.Sequential(nn.Dropout(_DROPOUT), nn.LazyLinear(sum(outputs)))
 
-    def training_step(self, batch: list[torch.Tensor], _: int) -> torch.Tensor:
+    def training_step(self, batch: list[torch.Tensor], number: int) -> torch.Tensor:
         images, labels = batch
+        share = self.batches.share(number)
         self.backbone.eval()  # statistics of batch normalisation stay
-        raw = self.head(self.backbone(augment(images)))
+        dropout, linear = self.head
+        features = self.backbone(augment(images, share))
+        kept = dropout(torch.ones((share.size, features.shape[1]), device=features.device))[share.rows]
+        raw = linear(features * kept)
         blocks = zip(torch.split(raw, self.outputs, dim=1), torch.split(labels, self.outputs, dim=1), strict=True)
-        return torch.stack([-(t * torch.log_softmax(r, dim=1)).sum(dim=1).mean() for r, t in blocks]).mean()
+        return torch.stack([share.mean(-(t * torch.log_softmax(r, dim=1)).sum(dim=1)) for r, t in blocks]).mean()
 
     def configure_optimizers(self) -> Any:
         rate = self.config.learning_rate
@@ -43,7 +48,10 @@ class _Tuning(lightning.LightningModule):
         ]
         optimizer = torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, max_lr=[rate, _HEAD_RATE * rate], total_steps=self.n_steps, pct_start=0.2
+            optimizer,
+            max_lr=[rate, _HEAD_RATE * rate],
+            total_steps=self.config.epochs * len(self.batches),
+            pct_start=0.2,
         )
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
@@ -55,18 +63,25 @@ def run_tuning(
     config: FineTuning,
     folder: Path | None,
     progress: Progress | None,
+    processes: int = 1,
 ) -> None:
     """Train the last blocks of `backbone` in place, and freeze it again."""
     size = len(images)  # type: ignore[arg-type]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        order = torch.Generator().manual_seed(config.seed)
-        loader: DataLoader[Any] = DataLoader(images, min(config.batch_size, size), shuffle=True, generator=order)
-        module = _Tuning(backbone, outputs, config, config.epochs * len(loader))
+        order = Order()
+        order.manual_seed(config.seed)
+        batches = SharedBatches(size, min(config.batch_size, size), order)
+        loader: DataLoader[Any] = DataLoader(images, batch_sampler=batches, generator=order)
+        module = _Tuning(backbone, outputs, config, batches)
         with torch.no_grad():  # gives the lazy layer its size
             module.head(backbone(images[0][0][None].to(backbone.device)))
         for block in backbone.blocks[-config.blocks :] if config.blocks else backbone.blocks:
             block.requires_grad_(True)
         accelerator = "gpu" if backbone.device.type == "cuda" else "cpu"
-        fit_module(module, loader, config.epochs, folder, progress, keep_every=1, accelerator=accelerator)
+        if processes > 1:  # a state or a progress bar of several processes would be nobody's
+            folder, progress = None, None
+        fit_module(
+            module, loader, config.epochs, folder, progress, keep_every=1, accelerator=accelerator, processes=processes
+        )
     backbone.eval().requires_grad_(False)

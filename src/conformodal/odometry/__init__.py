@@ -1,7 +1,8 @@
 """The estimator: trained models, streams and sequences."""
 
+from .budget import BudgetRecord, FrameBudget
 from .config import Calibration, Method, ModelConfig, Runtime, config_of
-from .errors import ModelFileError, OdometryError, ResultsError
+from .errors import BudgetWarning, ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .identity import data_digest, identify
@@ -39,9 +40,12 @@ __all__ = [
     "METHODS",
     "METRES_PER_RAD",
     "METRICS",
+    "BudgetRecord",
+    "BudgetWarning",
     "Calibration",
     "Estimate",
     "EvidenceKind",
+    "FrameBudget",
     "Localization",
     "Method",
     "ModelConfig",

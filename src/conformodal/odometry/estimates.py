@@ -55,6 +55,8 @@ class Estimate:
     position_spread_m, orientation_spread_rad
         How far off the pose may be, by its own account: spreads of the path's errors; None without an image. They grow
         while the path is bridged by motion alone.
+    matched
+        Whether local features were matched.
     localization
         Belief and region of this frame alone; None without an image.
     reliable
@@ -77,6 +79,7 @@ class Estimate:
     evidence: EvidenceKind | None = None
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
+    matched: bool = False
 
 
 @dataclass(eq=False)

@@ -14,6 +14,7 @@ from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import LAG, Candidates, OnlineReasoner, blend, bridge, online, predict_candidates
 
+from .budget import FrameBudget, as_budget
 from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
@@ -40,17 +41,23 @@ class VisualOdometry(Odometry):
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
         Regions of the others are wider. :meth:`run` matches them in all.
+    budget_ms
+        Milliseconds that the answer to a frame of a stream may take, or a :class:`~conformodal.odometry.FrameBudget`:
+        local features are matched in fewer frames, or in none, where this keeps it. :meth:`run` does without.
 
     Raises
     ------
     OdometryError
-        If `match_every` is less than 1, or the model is the paper's, which :class:`PaperOdometry` runs.
+        If `match_every` is less than 1, `budget_ms` is not positive, or the model is the paper's, which
+        :class:`PaperOdometry` runs.
     """
 
     answer = METHODS[0]
     whole_paths = True  # better answers than those of a stream follow, from whole paths
 
-    def __init__(self, model: PoseModel, lag: int = LAG, match_every: int = 1) -> None:
+    def __init__(
+        self, model: PoseModel, lag: int = LAG, match_every: int = 1, budget_ms: float | FrameBudget | None = None
+    ) -> None:
         if match_every < 1:
             raise OdometryError(f"match_every must be at least 1, got {match_every}")
         if model.method is Method.PAPER:
@@ -58,6 +65,7 @@ class VisualOdometry(Odometry):
         self.model = model
         self.lag = lag
         self.match_every = match_every
+        self.budget = None if budget_ms is None else as_budget(budget_ms)
         self._reasoner = OnlineReasoner(model.prior, lag)
         self.reset()
 
@@ -96,8 +104,17 @@ class VisualOdometry(Odometry):
         image = as_image(image, self.model.camera)
         if isinstance(image, str):
             return Estimate(timestamp_s, None, None, None, None, None, False, image)
+        if self.budget is None:
+            return self._answer(image, timestamp_s)
+        self.budget.start()
+        estimate = self._answer(image, timestamp_s)
+        self.budget.stop(matched=estimate.matched)
+        return estimate
+
+    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
-        found = self.model.localize(FrameEvidence(features, [self._local_features(image)]))
+        local = self._local_features(image)
+        found = self.model.localize(FrameEvidence(features, [local]))
         motion = self._front_end.measure(image)
         here = self._candidates(found, motion, timestamp_s)
         path = self._reasoner.push(here, motion, timestamp_s)
@@ -124,6 +141,7 @@ class VisualOdometry(Odometry):
             kind,
             float(np.linalg.norm(path.position_spreads[-1])),
             float(path.orientation_spreads_rad[-1]),
+            local is not None,
         )
 
     def _candidates(self, found: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Candidates:
@@ -142,6 +160,7 @@ class VisualOdometry(Odometry):
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0
         self._n_steps += 1
+        due = due and (self.budget is None or self.budget.has_room)
         if not (due and self.model.looks_at_local_features):
             return None
         return extract_local_features(image, self.model.camera)

@@ -39,7 +39,7 @@ class PaperOdometry(Odometry):
     """
 
     answer = PAPERS_METHOD
-    lag, match_every = 0, 1
+    lag, match_every, budget = 0, 1, None
     whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
@@ -128,14 +128,18 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
 
 
-def odometry_of(model: PoseModel, match_every: int = 1) -> VisualOdometry | PaperOdometry:
+def odometry_of(
+    model: PoseModel, match_every: int = 1, budget_ms: float | None = None
+) -> VisualOdometry | PaperOdometry:
     """The system that runs a model, by the model's method.
 
     Parameters
     ----------
     model
         Trained and calibrated.
-    match_every
+    match_every, budget_ms
         See :class:`VisualOdometry`; the paper's system looks at no local features.
     """
-    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model, match_every=match_every)
+    if model.method is Method.PAPER:
+        return PaperOdometry(model)
+    return VisualOdometry(model, match_every=match_every, budget_ms=budget_ms)

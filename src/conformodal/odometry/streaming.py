@@ -60,9 +60,9 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable, n_localized, n_unknown
-        Frames so far; the last two: those with an absolute pose estimate from landmarks,
-        and those that show no known place.
+    n_answered, n_unreliable, n_matched, n_localized, n_unknown
+        Frames so far; the last three: those whose local features were matched, those with an absolute pose estimate
+        from landmarks, and those that show no known place.
     answered
         Places in the data set of those whose true pose is known.
     known
@@ -89,7 +89,8 @@ class StreamRunner:
     ) -> None:
         self.odometry, self.writer = odometry, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_matched = self.n_localized = 0
+        self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.known: list[int] = []
         self.by_recording: Counter[int] = Counter()
@@ -113,6 +114,12 @@ class StreamRunner:
     def statistics(self) -> RegionStatistics:
         """Of the regions of all answered frames, if the truth is known and there are any."""
         return RegionStatistics.concatenate(self._statistics)
+
+    @property
+    def matched_all(self) -> bool:
+        """Whether local features of all answered frames were matched, if the model looks at them."""
+        asked = self.odometry.match_every == 1 and self.odometry.budget is None
+        return asked or self.n_matched == self.n_answered
 
     @property
     def truth(self) -> Trajectory | None:
@@ -183,6 +190,7 @@ class StreamRunner:
         self.n_answered += 1
         self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
+        self.n_matched += estimate.matched
         self.n_localized += bool(estimate.estimates)
         if motion is not None:
             self.motion[str(motion.status)] += 1

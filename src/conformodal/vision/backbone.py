@@ -79,6 +79,13 @@ class BackboneConfig:
     height: int = 240
     grid: tuple[int, int] = (6, 8)
 
+    def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
+        size = (self.width, self.height)
+        if image.shape[1::-1] == size:
+            return image
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
 
 class Backbone(ABC):
     """A feature extractor; a subclass runs the network.
@@ -109,10 +116,7 @@ class Backbone(ABC):
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
-        size = (self.config.width, self.config.height)
-        if image.shape[1::-1] == size:
-            return image
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return self.config.prepare(image)
 
     def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
         """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
