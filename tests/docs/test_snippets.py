@@ -144,7 +144,7 @@ OPTIONS = {
 OPTIONS |= {"--help"}
 FIRST = {words[0] for words in VERBS}
 CHOSEN = {"LAYOUT": "images"}  # for a word that stands for one of several
-OF_OTHERS = {"--quick", "--seeds", "--places"}  # of scripts in benchmarks/
+OF_OTHERS = {"--quick", "--seeds", "--places", "--dry-run", "--offline"}  # of scripts in benchmarks/ and scripts/
 
 
 def find(words):

@@ -287,7 +287,7 @@ def test_reproduce_table1_on_a_small_corridor_and_go_on(papers, reproduce):
     assert {*METHODS, "online"} == {r["method"] for r in records}
     page = (out / "table1.html").read_text()
     assert page.count("<svg") == 1
-    assert all(f"<td>{escape(name)}</td>" in page for name in METHODS.values())
+    assert all(f">{escape(name)}</th>" in page for name in METHODS.values())
     assert not re.search(r'(src|href)="http', page)  # readable without a network
     assert (out / "table1.parquet").is_file()
     by_row = {r["row"]: r for r in records if r["method"] == "smoothed"}

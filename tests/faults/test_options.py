@@ -42,6 +42,7 @@ NUMBERS = {
     "fine-tune-epochs": ["1000000000"],
     "metres-per-radian": ["inf", "0"],
     "seeds": ["1000000"],
+    "first-seed": ["-1", "99999999999999999999"],
     "workers": ["1000000"],
 }
 COMMANDS = {

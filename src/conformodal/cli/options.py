@@ -60,6 +60,7 @@ RANGES = {
     "novelty_level": _Range(0, 1, high_open=True),
     "seed": _Range(0, 2**31 - 1),
     "seeds": _Range(1, 10_000),
+    "first_seed": _Range(0, 2**30),
     "workers": _Range(1, 1024),
     "limit": _Range(1),
     "match_every": _Range(1),

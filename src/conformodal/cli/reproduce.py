@@ -116,7 +116,7 @@ def table1(
     method: _SystemsOption = Systems.ALL,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
     first_seed: Annotated[
-        int, typer.Option("--first-seed", min=0, help="Seed of the first repeat; only runs of seed 0 are kept to draw.")
+        int, typer.Option("--first-seed", help="Seed of the first repeat; only runs of seed 0 are kept to draw.")
     ] = 0,
     split: Annotated[SplitKind | None, typer.Option(help="One split only; by default interleaved and blocks.")] = None,
     networks: _Networks = _NETWORKS,

@@ -52,7 +52,7 @@ def test_names():
 
 
 def test_a_slow_fit_is_announced_and_told_of(capsys):
-    with pytest.warns(SlowFitWarning, match=r"48 rows and 1 target\(s\) will take about 60 seconds") as seen:
+    with pytest.warns(SlowFitWarning, match=r"48 rows and 1 target will take about 60 seconds") as seen:
         ConformalRegressor(Slow(), n_bins=5, verbose=True).fit(*table())
     assert seen[0].filename == __file__
     assert "target 1 of 1: 2 of 2 parts" in capsys.readouterr().err

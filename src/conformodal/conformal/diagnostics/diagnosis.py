@@ -176,6 +176,17 @@ def diagnose(
         If shapes do not fit.
     NotCalibratedError
         Before calibration.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
+    >>> y = np.random.default_rng(0).normal(size=2000)
+    >>> bins = QuantileBins(20).fit(y[:1000])
+    >>> proba = np.full((500, 20), 1 / 20)  # of a classifier that has learnt nothing
+    >>> calibrator = SplitConformal(bins, alpha=0.1, score="density").calibrate(proba, y[1000:1500])
+    >>> diagnose(calibrator, proba, y[1500:]).columns[0].coverage.inside
+    True
     """
     if not isinstance(calibrator, SplitConformal):
         raise ConformalError(f"calibrator must be a SplitConformal, got {type(calibrator).__name__}")
