@@ -49,7 +49,8 @@ def test_thresholds_are_those_of_stretches(trained):
 
 def test_the_sources_of_the_region_have_seen_all_frames_that_calibrate(trained):
     model, data, folds = trained
-    np.testing.assert_array_equal(model.localizer.frames, folds.region_frames)
+    for source in model.localizer.sources:
+        np.testing.assert_array_equal(source.frames, folds.region_frames)
     both = np.concatenate((data.split.train, data.split.calibration))
     np.testing.assert_array_equal(np.sort(both), folds.region_frames)
     np.testing.assert_array_equal(model.novelty.test.groups, folds.units[folds.region_frames])

@@ -34,25 +34,20 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
     graph = model.graph
     n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
     ours = {name: np.asarray(value) for name, value in head.weights.items()}
-    ours["offset"], ours["components"] = (
-        ours["offset"][:n_map],
-        ours["components"][:n_map],
-    )  # the head does not see the global descriptor
-    if (
-        ours["components"].ndim == 1
-    ):  # then the hidden layer looks at all features, of which those of the global descriptor are 0
+    # the head does not see the global descriptor, in which features end
+    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]
+    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, and those of the descriptor are 0
         ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
     for name in ("trunk.1.weight", "output.weight"):
         ours[name] = np.ascontiguousarray(ours[name].T)
     ours |= {k: np.array(v, np.float32) for k, v in (("half", 0.5), ("one", 1), ("root", np.sqrt(0.5)))}
     graph.initializer.extend(numpy_helper.from_array(value, f"head.{name}") for name, value in ours.items())
-    last = OUTPUT
 
     def add(operator: str, inputs: list[str], output: str, **attributes: Any) -> str:
         graph.node.append(helper.make_node(operator, inputs, [f"head.{output}"], **attributes))
         return f"head.{output}"
 
-    last = add("Cast", [last], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
+    last = add("Cast", [OUTPUT], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
     last = add("Cast", [last], "features", to=onnx.TensorProto.FLOAT)
     last = add("Sub", [last, "head.offset"], "centred")
     last = add("MatMul" if ours["components"].ndim == 2 else "Mul", [last, "head.components"], "projected")
