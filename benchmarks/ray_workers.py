@@ -35,7 +35,7 @@ def some_frames(source: Path, folder: Path, n: int) -> Path:
 def table1(data: Path, out: Path, cache: Path, epochs: int, *engine: str) -> float:
     """Seconds of one run, by its own account."""
     command = [sys.executable, "-c", COMMAND, "reproduce", "table1", str(data), "--out", str(out)]
-    command += ["--cache", str(cache), "--method", "paper", "--seeds", "1", "--split", "interleaved"]
+    command += ["--cache", str(cache), "--method", "paper", "--seeds", "2", "--split", "interleaved"]
     command += ["--networks", ",".join([NETWORK] * 3), "--epochs", str(epochs), *engine]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     found: float = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["seconds"]
@@ -55,11 +55,10 @@ def on_cluster(cpus: list[int], data: Path, out: Path, cache: Path, epochs: int)
         cluster.shutdown()
 
 
-def tables(out: Path) -> str:
-    """All numbers of a table but seconds."""
+def errors(out: Path) -> dict[str, float]:
+    """Position errors of a table, to six digits, by row, split, seed and method."""
     rows = json.loads((out / "table1.json").read_text(encoding="utf-8"))
-    kept = [{k: v for k, v in row.items() if "second" not in k and not k.endswith("_s")} for row in rows]
-    return json.dumps(kept, sort_keys=True)
+    return {"/".join(str(row[k]) for k in ("row", "split", "seed", "method")): round(row["rmse_m"], 6) for row in rows}
 
 
 def main() -> None:
@@ -73,11 +72,11 @@ def main() -> None:
         here = Path(scratch)
         data = some_frames(DATA / "7scenes" / "redkitchen" / "seq-01", here / "data", asked.frames)
         table1(data, here / "local", here / "cache", asked.epochs)  # features into the cache
-        expected, first = tables(here / "local"), 0.0
+        expected, first = errors(here / "local"), 0.0
         for cpus in ([1], [1, 1], [2, 2]):
             out = here / f"out-{sum(cpus)}"
             seconds = on_cluster(cpus, data, out, here / "cache", asked.epochs)
-            if tables(out) != expected:
+            if errors(out) != expected:
                 raise SystemExit(f"{sum(cpus)} workers give another table than this machine alone")
             first = first or seconds
             lines.append(f"| {sum(cpus)} | {len(cpus)} | {seconds:.1f} | {first / seconds:.2f} |")
@@ -85,10 +84,10 @@ def main() -> None:
         n_tasks = len(list((here / "local" / "tasks").iterdir()))
     lines += [
         "",
-        f"`reproduce table1 --method paper --seeds 1 --split interleaved --epochs {asked.epochs}` on {asked.frames} "
+        f"`reproduce table1 --method paper --seeds 2 --split interleaved --epochs {asked.epochs}` on {asked.frames} "
         f"frames of redkitchen, {NETWORK}, features cached, {n_tasks} tasks; from the data set to the table, with the "
-        f"start of the workers. Both nodes are on this machine and share its {os.cpu_count()} cores. All tables are "
-        "the same as without Ray.",
+        f"start of the workers. Both nodes are on this machine and share its {os.cpu_count()} cores. All errors are "
+        "those of a run without Ray.",
     ]
     write_page("ray_workers", "The paper's table on a Ray cluster", "python benchmarks/ray_workers.py", lines)
 

@@ -27,7 +27,9 @@ from conformodal.experiments.losses import (
     pinball_loss,
     split_mixture,
 )
+from conformodal.experiments.plain import fit_values, known_frames, scaling
 from conformodal.experiments.table1 import METHODS
+from conformodal.networks import predict_values
 from conformodal.odometry import TrainingData
 from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
@@ -92,6 +94,30 @@ def test_all_learn_what_can_be_learnt(trained):
     errors = {name: rmse(values, data) for name, values in found.items()}
     assert max(errors.values()) < 0.5 * nothing, errors
     assert errors["ensemble"] < 1.05 * errors["classical"]
+
+
+def test_a_short_search_tries_three_rates_and_keeps_the_best(trained, monkeypatch):
+    data, _, _ = trained
+    tried, errors = [], {}
+
+    def noted(data, standard, rows, settings, **options):
+        head = fit_values(data, standard, rows, settings, **options)
+        tried.append((settings, len(rows)))
+        if len(rows) == len(data.split.train):
+            check, (mean, scale) = data.split.calibration, scaling(data)
+            miss = predict_values(head, data.features[check]) * scale + mean - data.targets[check]
+            errors[settings] = np.mean(np.sum(miss[:, :3] ** 2, axis=1))
+        return head
+
+    monkeypatch.setattr("conformodal.experiments.classical.fit_values", noted)
+    few = train_classical(data, CONFIG, thorough=False)
+    assert [replace(CONFIG, learning_rate=s.learning_rate) for s, _ in tried] == [s for s, _ in tried]
+    assert [s.learning_rate for s, n in tried if n == len(data.split.train)] == [3e-4, 1e-3, 3e-3]
+    assert len(tried) == 4
+    assert tried[-1] == (min(errors, key=errors.get), len(known_frames(data)))
+    assert few.training == tried[-1][0]
+    x = data.features[data.split.test]
+    assert rmse(few.predict(x), data) < 0.5 * data.targets.std()
 
 
 def test_a_baseline_is_named_in_one_file_of_the_source():

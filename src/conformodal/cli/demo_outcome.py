@@ -66,7 +66,7 @@ class DemoResults:
 
 
 def answer_test_part(
-    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress
+    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress, *, thorough: bool
 ) -> Outcome:
     """Answer the test part by a model, by a tuned regressor and, beside the paper's system, by a plain one.
 
@@ -80,6 +80,8 @@ def answer_test_part(
         The flight.
     report
         Told what is being done.
+    thorough
+        Whether all settings are tried for the tuned regressor, see :func:`~conformodal.experiments.train_classical`.
     """
     frames = part_frames(model, sequence, Part.TEST)
     cache = FeatureCache(out / "cache")
@@ -90,7 +92,7 @@ def answer_test_part(
     features = extract_features(paths, model.backbone, cache)
     result.trajectories |= comparison_paths(result, model, recording)
     data = prepare_training_data(sequence, config, cache, report)
-    classical = train_classical(data, baseline_training(config.training), report)
+    classical = train_classical(data, baseline_training(config.training), report, thorough=thorough)
     result.trajectories |= classical.trajectories(features, result, recording, model.prior)
     if model.method is Method.PAPER:
         plain = train_plain(data, config.training)

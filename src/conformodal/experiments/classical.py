@@ -26,6 +26,7 @@ from .settings_search import SettingsSearch
 
 _START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
+_FEW_RATES = (3e-4, 1e-3, 3e-3)
 _BATCH_SIZE = 32  # at 64, the conformal network's, errors rose on most splits that were tried
 _COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
 
@@ -73,6 +74,7 @@ def train_classical(
     progress: Callable[[str, int, int], None] | None = None,
     *,
     whole: bool = False,
+    thorough: bool = True,
 ) -> ClassicalRegressor:
     """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
@@ -90,6 +92,8 @@ def train_classical(
         Called with stage, trainings done and trainings in all (as far as known).
     whole
         Whether it sees the global descriptor too; by default it sees what the softmax head sees.
+    thorough
+        False tries three rates with the conformal network's own dropout and nothing else, a third of the trainings.
     """
     train, check = data.split.train, data.split.calibration
     mean, scale = scaling(data)
@@ -109,7 +113,10 @@ def train_classical(
         return root_mean_square(misses[settings][:, :3])
 
     search = SettingsSearch(error, report)
-    _try_settings(search, config)
+    if thorough:
+        _try_settings(search, config)
+    else:
+        search.try_out(*(replace(config, learning_rate=rate) for rate in _FEW_RATES))
     report(len(search.errors), len(search.errors))
     chosen, head = search.once_more(
         lambda settings: fit(known_frames(data), settings), lambda head: root_mean_square(miss(head)[:, :3])
