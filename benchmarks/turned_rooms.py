@@ -125,7 +125,7 @@ def main() -> None:
     results: list[Numbers] = []
     for seed in seeds:
         file = folder / f"{seed}.json"
-        if not file.is_file():
+        if not file.is_file() or "evidence" not in file.read_text(encoding="utf-8"):
             file.write_text(json.dumps(measure(*observe(seed)), indent=0) + "\n", encoding="utf-8")
         results.append(json.loads(file.read_text(encoding="utf-8")))
     rows = []
