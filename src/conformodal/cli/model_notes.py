@@ -22,13 +22,16 @@ _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
     """Note on the landmarks."""
     if landmarks is None:
-        return "no landmarks: too few corners of the training frames could be triangulated; the belief does without"
+        return (
+            "no landmarks: too few corners of the training frames could be triangulated; the belief rests on the other "
+            "sources"
+        )
     n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
     said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
         said += (
-            f"; the poses speak for a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
+            f"; the poses imply a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
             "former, all else the latter"
         )
     return said
@@ -56,11 +59,11 @@ def said_of_distances(split: Split, recording: IntArray) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:
-        return "test frames are of recordings of which nothing is known"
+        return "test frames are from recordings without a training or calibration frame"
     median = found["median_frames_to_known"]
     return (
         f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
-        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % within {_NEAR_FRAMES}"
+        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % of them within {_NEAR_FRAMES}"
     )
 
 
@@ -83,21 +86,21 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
         said = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
         said = [
-            f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of training and "
-            f"calibration part together; each is answered by sources that did not see its {unit}"
+            f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of the "
+            f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} a target would need {_units_needed(config.alpha)} "
             f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
         )
     if config.method is Method.PAPER:
         said.append("images are not tested for unknown places: the paper has no such test")
     elif model.novelty is None:
         said.append(
-            "images are not tested for unknown places: the test must leave out one of at least two pieces of the data, "
-            "and there is only one"
+            "images are not tested for unknown places: the test leaves out one piece of the data at a time, and there "
+            "is only one piece"
         )
     elif model.rules.level < model.novelty.test.least_p:
         said.append(
@@ -125,7 +128,7 @@ def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
             said.append(f"no frame calibrates the regions {WHERE[kind]}: there the region is the whole space")
         elif np.isposinf(rule.thresholds_).any():
             said.append(
-                f"The region is the whole space in some target {WHERE[kind]}: "
+                f"The region is unbounded in some target {WHERE[kind]}: "
                 f"{counted(rule.n_units, unit, units)} {noun_for(rule.n_units, 'calibrates', 'calibrate')} it, too few "
                 f"for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie beyond the training range. "
                 f"Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."

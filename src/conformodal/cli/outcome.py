@@ -192,7 +192,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
         radius = metrics["radius"]
         lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
     if metrics.get("stopped"):
-        lines.append(f"Stopped early: {metrics['stopped']}. Everything before is here.")
+        lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
     return lines
 
 
@@ -209,8 +209,8 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
         say_line(line)
     if whole_space:
         say_strongly(
-            "The region of a known place is the whole space in some target: too few calibration frames with the same "
-            "kind of evidence for this alpha, or too many of them beyond the training range."
+            "The region of a frame that shows a known place is unbounded in some target: too few calibration frames "
+            "have the same kind of evidence for this alpha, or too many of them lie beyond the training range."
         )
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
@@ -238,7 +238,7 @@ def _said_of_budget(metrics: dict[str, Any]) -> list[str]:
     if kept["out_of_reach"]:
         said.append(
             f"The budget cannot be kept: without matching a frame took {kept['unmatched_ms']:.1f} ms (median); give "
-            "more time, or take a smaller network"
+            "frames more time, or train a model with a smaller network"
         )
     return said
 
@@ -284,7 +284,7 @@ def _n_frames(model: PoseModel, part: Part) -> int | None:
 
 def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:
     if part is Part.ALL:
-        return "all frames of the source (parts of the training data among them, if it is the same)."
+        return "all frames of the source (training frames among them, if the source is the training data)."
     n = len(model.split.part(str(part)))
     some = "" if n_answered == n else f"{n_answered} of {counted(n, 'frame')} of "
     return f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."

@@ -76,7 +76,7 @@ def record_next(found: RecordingQuality, names: Names) -> list[str]:
         alike = sorted(found.ambiguity.stretches, key=lambda one: -one.n_frames)
         said += [_apart(one, names, found) for one in alike]
     more = len(said) - QUALITY.most_advice
-    return said if more <= 0 else [*said[: QUALITY.most_advice], f"{more} more such stretches follow in metrics.json."]
+    return said if more <= 0 else [*said[: QUALITY.most_advice], f"metrics.json lists {more} more such stretches."]
 
 
 def said_of_quality(found: RecordingQuality) -> list[str]:
@@ -93,7 +93,7 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
             f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
         )
         said.append(
-            f"turning or moving fast, more than {100 * QUALITY.fast:.0f} % of the view from frame to frame: "
+            f"turning or moving fast (more than {100 * QUALITY.fast:.0f} % of the field of view from frame to frame): "
             + (_count(len(coverage.fast), "stretch") if coverage.fast else "nowhere")
         )
     if found.ambiguity is not None:
@@ -126,8 +126,9 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
         thin = found.coverage.thin_frames[np.searchsorted(found.posed, places.frames)]
         if thin.any() and not thin.all():
             said.append(
-                f"median error of the belief about one such frame: {np.median(found.errors_m[thin]):.3f} m where it is "
-                f"thinly covered, {np.median(found.errors_m[~thin]):.3f} m elsewhere"
+                "median position error of these frames, each answered by itself: "
+                f"{np.median(found.errors_m[thin]):.3f} m where they are thinly covered, "
+                f"{np.median(found.errors_m[~thin]):.3f} m elsewhere"
             )
     return said
 
@@ -149,7 +150,7 @@ def said_of_promise(promise: KindPromise) -> str:
 def _more_units(promise: KindPromise) -> str:
     unit = "frames" if promise.n_units == promise.n_frames else "stretches or recordings"
     return (
-        f"Record more {unit} of the kind {WHERE[promise.evidence]}: there regions are the whole space, because "
+        f"Record more {unit} {WHERE[promise.evidence]}: regions are the whole space there, because "
         f"{promise.n_units} calibrate them; alpha = {promise.alpha:g} needs at least {promise.n_needed}, none of them "
         "beyond the training range."
     )
@@ -163,8 +164,8 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
         way = f"from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)}"
         denser = "" if one.last - one.first == 1 else " with more frames"
         return (
-            f"Record the way {way} (around {names.place(one.place_xyz)}){denser}: between two of its frames nothing is "
-            f"known within {gap}."
+            f"Record the way {way} (around {names.place(one.place_xyz)}){denser}: between two of its frames the "
+            f"nearest known view is {gap} away."
         )
     number = int(found.known_names[one.nearest])
     other = f"known frame {number}" if number >= 0 else "the nearest known frame"
@@ -174,8 +175,8 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
     if one.turned == TILTED:
         ways = f", tilted against {other}" + (f" and from further {one.moved}" if one.moved else "")
     return (
-        f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) again{ways}; nothing is "
-        f"known within {gap}."
+        f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) again{ways}; the "
+        f"nearest known view is {gap} away."
     )
 
 
@@ -194,7 +195,7 @@ def _apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
     look = "looks" if one.first == one.last else "look"
     return (
         f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) {look} like {other}: "
-        "record the way from one to the other in one piece, and each with more of what tells them apart in view."
+        "record the way from one to the other in one piece, and record each with more in view of what tells them apart."
     )
 
 
