@@ -125,7 +125,7 @@ def main() -> None:
     results: list[Numbers] = []
     for seed in seeds:
         file = folder / f"{seed}.json"
-        if not file.is_file() or "evidence" not in file.read_text(encoding="utf-8"):
+        if not file.is_file():
             file.write_text(json.dumps(measure(*observe(seed)), indent=0) + "\n", encoding="utf-8")
         results.append(json.loads(file.read_text(encoding="utf-8")))
     rows = []
@@ -170,9 +170,8 @@ def evidence_lines(seeds: list[int], results: list[Numbers]) -> list[str]:
         "",
         f"Nats: log of the mass of candidates within {NEAR_M} m and {np.degrees(NEAR_RAD):.0f} degrees of the true "
         "pose, less that of candidates near its half-turn, summed over frames. In rooms both views are equal to the "
-        "pixel, so that honest evidence is zero there; in the lobby the poster tells the sides apart. A path that "
-        "rotations link as a whole goes where the sum over all frames goes. Correlation: of neighbouring frames in "
-        "rooms. Wrong room: Viterbi with limits and rotations.",
+        "pixel, so that honest evidence is zero there; in the lobby the poster tells the sides apart. Correlation: of "
+        "neighbouring frames in rooms. Wrong room: Viterbi with limits and rotations.",
     ]
 
 
