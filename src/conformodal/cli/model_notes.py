@@ -92,7 +92,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
     if softmax.joint != config.joint:
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} a target would need {_units_needed(config.alpha)} "
+            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
             f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
         )
     if config.method is Method.PAPER:
