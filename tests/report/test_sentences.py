@@ -3,7 +3,7 @@ import pytest
 
 from conformodal.core.words import counted, noun_for
 from conformodal.report.frames import PageFrame
-from conformodal.report.sentences import RunTally, frame_said, length_said, run_said, size_said
+from conformodal.report.sentences import RunStatistics, frame_said, length_said, run_said, size_said
 
 HERE = [[-0.05, 0.05]]
 THERE = [[-0.05, 0.05], [9.9, 10.15]]
@@ -63,8 +63,8 @@ def test_the_sentence_of_a_frame(shown, expected):
     assert frame_said(shown) == expected
 
 
-def tally(*frames):
-    found = RunTally()
+def statistics_of(*frames):
+    found = RunStatistics()
     for one in frames:
         found.add(one)
     return run_said(found)
@@ -73,23 +73,25 @@ def tally(*frames):
 def test_the_sentence_of_a_run():
     one, two = frame([HERE] * 3, truth=(0, 0, 0), error=3.0), frame([THERE, HERE, HERE], truth=(5, 0, 0), error=4.0)
     unknown = frame([LINE] * 3, evidence="unknown", truth=(0, 0, 0), error=0.0)
-    assert tally(one) == (
+    assert statistics_of(one) == (
         "One frame was answered: its region names 1 place. It holds the true position; the chosen pose is 3.00 m from "
         "the truth."
     )
-    assert "names 2 places. It does not hold the true position" in tally(two)
-    assert tally(one, two, two, unknown) == (
+    assert "names 2 places. It does not hold the true position" in statistics_of(two)
+    assert statistics_of(one, two, two, unknown) == (
         "Of 4 frames, the region names one place in 1, names several in 2 (at most 2) and is the whole space in 1 (it "
         "shows no place that is known). It holds the true position in 2; the chosen path is 3.20 m from the truth "
         "(RMSE)."
     )  # sqrt((9 + 16 + 16) / 4)
-    assert "is the whole space in 2 (1 of them shows no place that is known)" in tally(unknown, frame([LINE] * 3))
-    assert "is the whole space in 2 (they show no place that is known)" in tally(unknown, unknown)
-    assert "is the whole space (it shows no place that is known). It holds" in tally(unknown)
-    assert "names one place in 1 and is empty in 1." in tally(one, frame([[], HERE, HERE]))
-    assert tally(frame([LINE] * 3)) == "One frame was answered: its region is the whole space."
-    assert tally(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."
-    assert tally() == "No frame was answered."
+    assert "is the whole space in 2 (1 of them shows no place that is known)" in statistics_of(
+        unknown, frame([LINE] * 3)
+    )
+    assert "is the whole space in 2 (they show no place that is known)" in statistics_of(unknown, unknown)
+    assert "is the whole space (it shows no place that is known). It holds" in statistics_of(unknown)
+    assert "names one place in 1 and is empty in 1." in statistics_of(one, frame([[], HERE, HERE]))
+    assert statistics_of(frame([LINE] * 3)) == "One frame was answered: its region is the whole space."
+    assert statistics_of(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."
+    assert statistics_of() == "No frame was answered."
 
 
 @pytest.mark.parametrize(

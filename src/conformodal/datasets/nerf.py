@@ -90,7 +90,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
 
 
 def _matrix(rows: Any) -> list[list[float]]:
-    if rows is None:  # a frame whose pose nobody knows
+    if rows is None:  # a frame without a pose
         return [[float("nan")] * 4] * 4
     found = [[_number(v) for v in row] for row in rows if isinstance(row, list)]
     if not isinstance(rows, list) or [len(row) for row in found] != [4] * 4:

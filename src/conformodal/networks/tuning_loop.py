@@ -79,7 +79,7 @@ def run_tuning(
         for block in backbone.blocks[-config.blocks :] if config.blocks else backbone.blocks:
             block.requires_grad_(True)
         accelerator = "gpu" if backbone.device.type == "cuda" else "cpu"
-        if processes > 1:  # a state or a progress bar of several processes would be nobody's
+        if processes > 1:  # several processes have neither a state to go on from nor a progress bar
             folder, progress = None, None
         fit_module(
             module, loader, config.epochs, folder, progress, keep_every=1, accelerator=accelerator, processes=processes

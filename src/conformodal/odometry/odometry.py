@@ -34,7 +34,7 @@ class Odometry(ABC):
     lag
         Frames of a stream whose answer may still change.
     match_every
-        Local features are matched in every so many frames of a stream.
+        Interval, in frames of a stream, at which local features are matched.
     """
 
     model: PoseModel

@@ -57,7 +57,7 @@ def _pose_said(frame: PageFrame) -> str:
 
 
 @dataclass
-class RunTally:
+class RunStatistics:
     """Counts over all frames of a run, also those that the page does not show."""
 
     n: int = 0
@@ -85,51 +85,53 @@ class RunTally:
             self.squares += frame.error_m**2
 
 
-def run_said(tally: RunTally) -> str:
+def run_said(statistics: RunStatistics) -> str:
     """What to see in the whole run.
 
     Parameters
     ----------
-    tally
+    statistics
         Of its frames.
     """
-    if tally.n < 2:
-        return _one_said(tally) if tally.n else "No frame was answered."
+    if statistics.n < 2:
+        return _one_said(statistics) if statistics.n else "No frame was answered."
     regions = []
-    if tally.n_one:
-        regions.append(f"names one place in {tally.n_one}")
-    if tally.n_several:
-        regions.append(f"names several in {tally.n_several} (at most {tally.most_places})")
-    if tally.n_whole:
-        regions.append(f"is the whole space in {tally.n_whole}{_why_whole(tally)}")
-    empty = tally.n - tally.n_one - tally.n_several - tally.n_whole
+    if statistics.n_one:
+        regions.append(f"names one place in {statistics.n_one}")
+    if statistics.n_several:
+        regions.append(f"names several in {statistics.n_several} (at most {statistics.most_places})")
+    if statistics.n_whole:
+        regions.append(f"is the whole space in {statistics.n_whole}{_why_whole(statistics)}")
+    empty = statistics.n - statistics.n_one - statistics.n_several - statistics.n_whole
     if empty:
         regions.append(f"is empty in {empty}")
-    said = f"Of {counted(tally.n, 'frame')}, the region {_listed(regions)}."
-    if tally.n_true:
-        rmse = length_said(sqrt(tally.squares / tally.n_true))
-        said += f" It holds the true position in {tally.n_held}; the chosen path is {rmse} from the truth (RMSE)."
+    said = f"Of {counted(statistics.n, 'frame')}, the region {_listed(regions)}."
+    if statistics.n_true:
+        rmse = length_said(sqrt(statistics.squares / statistics.n_true))
+        said += f" It holds the true position in {statistics.n_held}; the chosen path is {rmse} from the truth (RMSE)."
     return said
 
 
-def _one_said(tally: RunTally) -> str:
+def _one_said(statistics: RunStatistics) -> str:
     """Of a run of one frame, where counts of frames say nothing."""
-    region = f"names {counted(tally.most_places, 'place')}" if tally.most_places else "is empty"
-    if tally.n_whole:
-        region = f"is the whole space{_why_whole(tally)}"
+    region = f"names {counted(statistics.most_places, 'place')}" if statistics.most_places else "is empty"
+    if statistics.n_whole:
+        region = f"is the whole space{_why_whole(statistics)}"
     said = f"One frame was answered: its region {region}."
-    if tally.n_true:
-        holds = "holds" if tally.n_held else "does not hold"
-        said += f" It {holds} the true position; the chosen pose is {length_said(sqrt(tally.squares))} from the truth."
+    if statistics.n_true:
+        holds = "holds" if statistics.n_held else "does not hold"
+        said += (
+            f" It {holds} the true position; the chosen pose is {length_said(sqrt(statistics.squares))} from the truth."
+        )
     return said
 
 
-def _why_whole(tally: RunTally) -> str:
+def _why_whole(statistics: RunStatistics) -> str:
     """How many of the frames whose region is the whole space show no known place."""
-    n = tally.n_unknown
+    n = statistics.n_unknown
     if not n:
         return ""
-    who = f"{n} of them" if n < tally.n_whole else noun_for(n, "it", "they")
+    who = f"{n} of them" if n < statistics.n_whole else noun_for(n, "it", "they")
     return f" ({who} {noun_for(n, 'shows', 'show')} no place that is known)"
 
 
@@ -152,7 +154,7 @@ def _unit(metres: float) -> tuple[str, float]:
 
 
 def _number(value: float, digits: int) -> str:
-    """So many digits that count, and no powers of ten: they are hard to read, and to listen to."""
+    """A number with its significant digits and without a power of ten, which is hard to read and to listen to."""
     if value <= 0:
         return "0"
     return f"{value:.{max(0, digits - 1 - floor(log10(value)))}f}"

@@ -18,7 +18,7 @@ from conformodal.odometry.results.records import REGIONS, TRAJECTORY, TRUTH
 from conformodal.poses import Trajectory, read_tum
 
 from .frames import Paths, page_frame
-from .sentences import RunTally, frame_said, run_said
+from .sentences import RunStatistics, frame_said, run_said
 
 MOST_FRAMES = 1000
 # In this order they are one script; a later one uses names of the earlier ones.
@@ -68,10 +68,10 @@ def make_viewer(
     n = len(answer)
     paths = Paths(answer, _beside(folder / TRUTH, n), _beside(folder / "methods" / "classical.tum", n))
     errors, stride = paths.errors(), max(1, -(-n // MOST_FRAMES))
-    shown, tally = [], RunTally()
+    shown, statistics = [], RunStatistics()
     for i, record in zip(range(n), iter_region_records(folder / REGIONS), strict=False):
         frame = page_frame(i, record, paths, errors)
-        tally.add(frame)
+        statistics.add(frame)
         if frame.name in images if images else i % stride == 0:
             shown.append(frame.as_json(frame_said(frame), images.get(frame.name)))
     extent = np.ptp(answer.positions_xyz, axis=0)
@@ -88,7 +88,7 @@ def make_viewer(
     return Viewer(
         json=json_in_script(data),
         script=_script(),
-        said=run_said(tally),
+        said=run_said(statistics),
         note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         n_shown=len(shown),
         has_images=bool(images),

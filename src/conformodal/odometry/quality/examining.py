@@ -145,7 +145,7 @@ def frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
 
 
 def _spread(frames: IntArray, most: int) -> IntArray:
-    """At most so many of them, evenly spread."""
+    """At most `most` of the frames, evenly spread."""
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), most))
     return frames[chosen.round().astype(np.int64)]
 

@@ -1,4 +1,4 @@
-"""What calibration can promise with so many frames or stretches, by kind of evidence."""
+"""What calibration can promise with a given number of frames or stretches, by kind of evidence."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class KindPromise:
     least_alpha
         The least rate with bounded regions, exact; 1 where there is none.
     band
-        Within which the coverage of so many new frames lies, in 99 % of all calibrations and frames; None where no law
-        is exact.
+        Central 99 % interval of the coverage of new frames, over all calibrations and frames; None where no law is
+        exact.
     """
 
     evidence: EvidenceKind

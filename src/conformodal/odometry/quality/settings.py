@@ -23,7 +23,7 @@ class QualitySettings:
     most_stations
         Between two neighbouring frames.
     bridged
-        Stretches with at most so many other frames between them are one.
+        Largest number of other frames between two stretches that count as one.
     place
         Known frames that differ by less stand at one place when a region is said to hold several; places are apart if
         what they show has nothing in common, which is at twice as much.
