@@ -18,7 +18,6 @@ from .budget import FrameBudget, as_budget
 from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
-from .frame import as_image, as_time
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
@@ -87,29 +86,6 @@ class VisualOdometry(Odometry):
         self._last_s: float | None = None
         self._n_steps = 0
         self._before: Candidates | None = None
-
-    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
-        """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
-
-        The pose is the best given all frames so far, and `revised` those before it, better known by now;
-        :meth:`run` also uses the frames after. A frame that cannot be used does not end the stream: the answer says
-        so.
-
-        Raises
-        ------
-        OdometryError
-            If the timestamp is not finite, or not later than the one before; nothing has changed then.
-        """
-        timestamp_s = as_time(timestamp_s, self._last_s)
-        image = as_image(image, self.model.camera)
-        if isinstance(image, str):
-            return Estimate(timestamp_s, None, None, None, None, None, False, image)
-        if self.budget is None:
-            return self._answer(image, timestamp_s)
-        self.budget.start()
-        estimate = self._answer(image, timestamp_s)
-        self.budget.stop(matched=estimate.matched)
-        return estimate
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)

@@ -13,9 +13,10 @@ from conformodal.motion import FrontEnd
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache, extract_features
 
+from .budget import FrameBudget
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
-from .frame import as_frames, as_image
+from .frame import as_frames, as_image, as_time
 from .model import PoseModel
 from .motions import MotionRecord
 
@@ -35,6 +36,8 @@ class Odometry(ABC):
         Frames of a stream whose answer may still change.
     match_every
         Interval, in frames of a stream, at which local features are matched.
+    budget
+        Of the time that the answer to a frame of a stream may take; None where there is none.
     """
 
     model: PoseModel
@@ -42,21 +45,40 @@ class Odometry(ABC):
     whole_paths: bool
     lag: int
     match_every: int
+    budget: FrameBudget | None
     _front_end: FrontEnd
+    _last_s: float | None
 
     @abstractmethod
     def reset(self) -> None:
         """Forget the stream so far."""
 
-    @abstractmethod
     def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
+
+        The pose is the best given all frames so far, and `revised` those before it, better known by now;
+        :meth:`run` also uses the frames after. A frame that cannot be used does not end the stream: the estimate says
+        so.
 
         Raises
         ------
         OdometryError
             If the timestamp is not finite, or not later than the one before; nothing has changed then.
         """
+        timestamp_s = as_time(timestamp_s, self._last_s)
+        usable = as_image(image, self.model.camera)
+        if isinstance(usable, str):
+            return Estimate(timestamp_s, None, None, None, None, None, False, usable)
+        if self.budget is None:
+            return self._answer(usable, timestamp_s)
+        self.budget.start()
+        estimate = self._answer(usable, timestamp_s)
+        self.budget.stop(matched=estimate.matched)
+        return estimate
+
+    @abstractmethod
+    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
+        """The estimate of a frame that can be used; its time becomes the last one."""
 
     def pass_by(self, image: npt.ArrayLike) -> None:
         """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""

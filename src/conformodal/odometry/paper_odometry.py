@@ -16,7 +16,6 @@ from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .frame import as_image, as_time
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
@@ -54,18 +53,7 @@ class PaperOdometry(Odometry):
         self._path = Greedy()
         self._last_s: float | None = None
 
-    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
-        """Take the next frame of a stream, as :meth:`VisualOdometry.step` does.
-
-        Raises
-        ------
-        OdometryError
-            If the timestamp is not finite, or not later than the one before; nothing has changed then.
-        """
-        timestamp_s = as_time(timestamp_s, self._last_s)
-        image = as_image(image, self.model.camera)
-        if isinstance(image, str):
-            return Estimate(timestamp_s, None, None, None, None, None, False, image)
+    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         found = _localize(self.model, self.model.backbone.features_of(image))
         proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
@@ -128,9 +116,7 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
 
 
-def odometry_of(
-    model: PoseModel, match_every: int = 1, budget_ms: float | None = None
-) -> VisualOdometry | PaperOdometry:
+def odometry_of(model: PoseModel, match_every: int = 1, budget_ms: float | None = None) -> Odometry:
     """The system that runs a model, by the model's method.
 
     Parameters

@@ -17,8 +17,7 @@ from conformodal.poses import RelativeMotion, Trajectory
 from conformodal.reasoning import Candidates, Observations
 
 from .estimates import Estimate
-from .estimator import VisualOdometry
-from .paper_odometry import PaperOdometry
+from .odometry import Odometry
 from .paths import whole_paths
 from .region_rules import EvidenceKind
 from .results import RegionStatistics, ResultsWriter
@@ -79,7 +78,7 @@ class StreamRunner:
 
     def __init__(
         self,
-        odometry: VisualOdometry | PaperOdometry,
+        odometry: Odometry,
         writer: ResultsWriter,
         *,
         truth: Trajectory | None = None,

@@ -18,7 +18,7 @@ from typing import Any
 from conformodal.core import MissingPackageError
 from conformodal.core.errors import ConformodalError
 from conformodal.datasets.streams import COMPRESSED, INFO, RAW, SourceError, camera_of_info, image_of
-from conformodal.odometry import Estimate, OdometryError, PaperOdometry, VisualOdometry, load_model, odometry_of
+from conformodal.odometry import Estimate, Odometry, OdometryError, load_model, odometry_of
 
 from . import messages as ros
 from .building import build
@@ -78,7 +78,7 @@ class PoseNode:
     def __init__(
         self,
         node: Any,
-        odometry: VisualOdometry | PaperOdometry,
+        odometry: Odometry,
         how: Conventions | None = None,
         *,
         compressed: bool = False,
