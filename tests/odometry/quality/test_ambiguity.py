@@ -105,3 +105,17 @@ def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
     (advice,) = record_next(quality, names)
     assert advice.startswith(f"{said} like frames 1050 to 1069: record the way")
     assert said_of_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
+
+
+def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other():
+    parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * 5
+    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    (one,) = found.stretches
+    # the known frames elsewhere, 50 to 69 of all, bear the numbers 10 to 29: those of the stretch itself
+    quality = SimpleNamespace(
+        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=np.arange(80) - 40
+    )
+    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
+    (advice,) = record_next(quality, names)
+    assert (one.first, one.last) == (20, 28)
+    assert advice.startswith("Frames 20 to 28 (around x=1.5, y=0.0) look like one another: record them again")

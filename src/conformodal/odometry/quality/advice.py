@@ -7,6 +7,7 @@ from math import isfinite
 import numpy as np
 
 from conformodal.core import FloatArray
+from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 
 from ..region_rules import EvidenceKind
@@ -86,15 +87,15 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
     if coverage is not None:
         n, n_thin = len(coverage.thin_frames), int(coverage.thin_frames.sum())
         gaps = sum(one.between for one in coverage.thin)
-        stretches = f", in {_count(len(coverage.thin) - gaps, 'stretch')}" if n_thin else ""
+        stretches = f", in {counted(len(coverage.thin) - gaps, 'stretch', 'stretches')}" if n_thin else ""
         said.append(
-            f"thinly covered: {n_thin or 'none'} of {_count(n, 'frame')}{stretches}; "
-            f"{_count(gaps, 'gap') if gaps else 'no gap'} between known frames (thin: the nearest known view "
+            f"thinly covered: {n_thin or 'none'} of {counted(n, 'frame')}{stretches}; "
+            f"{counted(gaps, 'gap') if gaps else 'no gap'} between known frames (thin: the nearest known view "
             f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
         )
         said.append(
             f"turning or moving fast (more than {100 * QUALITY.fast:.0f} % of the field of view from frame to frame): "
-            + (_count(len(coverage.fast), "stretch") if coverage.fast else "nowhere")
+            + (counted(len(coverage.fast), "stretch", "stretches") if coverage.fast else "nowhere")
         )
     if found.ambiguity is not None:
         said += _said_of_ambiguity(found)
@@ -119,7 +120,7 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
         if bounded.size
         else ""
     )
-    said = [f"ambiguous: {several} of {_count(n, 'frame')} that the model has not seen{held}"]
+    said = [f"ambiguous: {several} of {counted(n, 'frame')} that the model has not seen{held}"]
     if places.n_unknown:
         said[0] += f"; {places.n_unknown} show no place that is known"
     if found.errors_m is not None and found.coverage is not None:
@@ -138,9 +139,14 @@ def said_of_promise(promise: KindPromise) -> str:
     where = f"regions {WHERE[promise.evidence]}"
     if not promise.n_frames:
         return f"{where}: no frame calibrates them, they are the whole space"
-    units = "" if promise.n_units == promise.n_frames else f" of {_count(promise.n_units, 'stretch')} or recordings"
+    units = (
+        ""
+        if promise.n_units == promise.n_frames
+        else f" of {counted(promise.n_units, 'stretch', 'stretches')} or recordings"
+    )
     least = f"finite from alpha = {promise.least_alpha_shown:g}" if promise.least_alpha < 1 else "finite at no alpha"
-    said = f"{where}: {_count(promise.n_frames, 'frame')}{units} calibrate them, {least}"
+    calibrate = noun_for(promise.n_frames, "calibrates", "calibrate")
+    said = f"{where}: {counted(promise.n_frames, 'frame')}{units} {calibrate} them, {least}"
     if promise.band is not None and promise.finite:
         low, high = promise.band
         said += f"; of {N_NEW} new frames {low:.3f} to {high:.3f} are covered at alpha = {promise.alpha:g} (99 % band)"
@@ -149,10 +155,11 @@ def said_of_promise(promise: KindPromise) -> str:
 
 def _more_units(promise: KindPromise) -> str:
     unit = "frames" if promise.n_units == promise.n_frames else "stretches or recordings"
+    calibrate = noun_for(promise.n_units, "calibrates", "calibrate")
     return (
         f"Record more {unit} {WHERE[promise.evidence]}: regions are the whole space there, because "
-        f"{promise.n_units} calibrate them; alpha = {promise.alpha:g} needs at least {promise.n_needed}, none of them "
-        "beyond the training range."
+        f"{promise.n_units} {calibrate} them; alpha = {promise.alpha:g} needs at least {promise.n_needed}, none "
+        "of them beyond the training range."
     )
 
 
@@ -190,16 +197,14 @@ def _slower(one: FastStretch, names: Names) -> str:
 
 def _apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
     runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
-    named = [names.frames(a, b) for a, b in runs if 0 <= a <= b]
-    other = listed(named) if named else "other places"
+    runs = [(a, b) for a, b in runs if 0 <= a <= b]
+    apart = [names.frames(a, b) for a, b in runs if b < one.first or a > one.last]
+    stretch = f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)})"
+    tells = "with more in view of what tells them apart"
+    if runs and not apart:  # one stretch, in which views from several places look alike
+        return f"{stretch} look like one another: record them again {tells}."
     look = "looks" if one.first == one.last else "look"
     return (
-        f"F{names.frames(one.first, one.last)[1:]} (around {names.place(one.place_xyz)}) {look} like {other}: "
-        "record the way from one to the other in one piece, and record each with more in view of what tells them apart."
+        f"{stretch} {look} like {listed(apart) if apart else 'other places'}: record the way from one to the other in "
+        f"one piece, and record each {tells}."
     )
-
-
-def _count(n: int, what: str) -> str:
-    if n == 1:
-        return f"1 {what}"
-    return f"{n} {what}es" if what.endswith("ch") else f"{n} {what}s"
