@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from conformodal.core.words import counted, noun_for
-from conformodal.report.frames import PageFrame
+from conformodal.report.page_frames import PageFrame
 from conformodal.report.sentences import RunStatistics, frame_said, length_said, run_said, size_said
 
 HERE = [[-0.05, 0.05]]

@@ -7,7 +7,7 @@ from math import floor, log10, sqrt
 
 from conformodal.core.words import counted, noun_for
 
-from .frames import PageFrame, lengths
+from .page_frames import PageFrame, lengths
 
 
 def frame_said(frame: PageFrame) -> str:

@@ -17,7 +17,7 @@ from conformodal.odometry import iter_region_records
 from conformodal.odometry.results.records import REGIONS, TRAJECTORY, TRUTH
 from conformodal.poses import Trajectory, read_tum
 
-from .frames import Paths, page_frame
+from .page_frames import Paths, page_frame
 from .sentences import RunStatistics, frame_said, run_said
 
 MOST_FRAMES = 1000

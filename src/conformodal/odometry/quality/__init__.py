@@ -1,12 +1,12 @@
 """Whether a recording is good enough: where it is thin, fast or ambiguous, what it can promise, what to record next."""
 
 from .advice import WHERE, Names, plan_axes, record_next, said_of_promise, said_of_quality
-from .ambiguity import Ambiguity, AmbiguousStretch
-from .coverage import FastStretch, PoseCoverage, ThinStretch, pose_coverage
 from .examining import RecordingQuality, examine, examine_training
+from .place_ambiguity import Ambiguity, AmbiguousStretch
 from .promise import KindPromise, least_alpha, promises
 from .record import names_of, quality_record
 from .settings import QUALITY, QualitySettings
+from .view_coverage import FastStretch, PoseCoverage, ThinStretch, pose_coverage
 from .views import ViewScale
 
 __all__ = [

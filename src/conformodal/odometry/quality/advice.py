@@ -11,11 +11,11 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 
 from ..region_rules import EvidenceKind
-from .ambiguity import AmbiguousStretch
-from .coverage import TILTED, FastStretch, ThinStretch, listed
 from .examining import RecordingQuality
+from .place_ambiguity import AmbiguousStretch
 from .promise import N_NEW, KindPromise
 from .settings import QUALITY
+from .view_coverage import TILTED, FastStretch, ThinStretch, listed
 
 WHERE = {
     EvidenceKind.GLOBAL: "where local features are not matched",

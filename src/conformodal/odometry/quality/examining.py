@@ -18,10 +18,10 @@ from ..identity import identify
 from ..learning import TrainingData, measure_depths
 from ..model import PoseModel
 from ..sizing import depth_or_default
-from .ambiguity import Ambiguity, ambiguity, most_probable
-from .coverage import PoseCoverage, pose_coverage
+from .place_ambiguity import Ambiguity, ambiguity, most_probable
 from .promise import KindPromise, promises
 from .settings import QUALITY
+from .view_coverage import PoseCoverage, pose_coverage
 from .views import ViewScale
 
 

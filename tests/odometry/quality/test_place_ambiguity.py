@@ -8,7 +8,7 @@ import pytest
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.odometry import EvidenceKind
 from conformodal.odometry.quality import Names, ViewScale, record_next, said_of_quality
-from conformodal.odometry.quality.ambiguity import ambiguity
+from conformodal.odometry.quality.place_ambiguity import ambiguity
 from conformodal.poses import Trajectory
 
 SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)

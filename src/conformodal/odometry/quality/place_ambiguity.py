@@ -15,8 +15,8 @@ from conformodal.poses import Trajectory
 
 from ..model import Localization
 from ..region_rules import EvidenceKind
-from .coverage import runs_of
 from .settings import QUALITY
+from .view_coverage import runs_of
 from .views import KnownViews, ViewScale
 
 
