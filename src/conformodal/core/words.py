@@ -1,6 +1,8 @@
-"""Counts in sentences."""
+"""Counts and lists in sentences."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 def counted(n: int, noun: str, plural: str | None = None) -> str:
@@ -32,3 +34,14 @@ def noun_for(n: int, noun: str, plural: str | None = None) -> str:
         As for :func:`counted`.
     """
     return noun if n == 1 else plural or f"{noun}s"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them, at least one.
+
+    Examples
+    --------
+    >>> listed(["x"]), listed(["x", "y"]), listed(["x", "y", "z"])
+    ('x', 'x and y', 'x, y and z')
+    """
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

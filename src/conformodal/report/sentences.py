@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import floor, log10, sqrt
 
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted, listed, noun_for
 
 from .page_frames import PageFrame, lengths
 
@@ -34,7 +34,7 @@ def _region_said(frame: PageFrame) -> str:
         return "The region is empty: no place is likely enough."
     places = "one place" if frame.n_places == 1 else f"{frame.n_places} places"
     if frame.unbounded:
-        return f"The region names {places}, without bounds along {' and '.join(frame.unbounded)}."
+        return f"The region names {places}, without bounds along {listed(frame.unbounded)}."
     largest = size_said([max(lengths(parts)) for parts in frame.intervals])
     return f"The region names {places}, {'' if frame.n_places == 1 else 'the largest '}{largest}."
 
@@ -105,7 +105,7 @@ def run_said(statistics: RunStatistics) -> str:
     empty = statistics.n - statistics.n_one - statistics.n_several - statistics.n_whole
     if empty:
         regions.append(f"is empty in {empty}")
-    said = f"Of {counted(statistics.n, 'frame')}, the region {_listed(regions)}."
+    said = f"Of {counted(statistics.n, 'frame')}, the region {listed(regions)}."
     if statistics.n_true:
         rmse = length_said(sqrt(statistics.squares / statistics.n_true))
         said += f" It holds the true position in {statistics.n_held}; the chosen path is {rmse} from the truth (RMSE)."
@@ -158,8 +158,3 @@ def _number(value: float, digits: int) -> str:
     if value <= 0:
         return "0"
     return f"{value:.{max(0, digits - 1 - floor(log10(value)))}f}"
-
-
-def _listed(parts: list[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

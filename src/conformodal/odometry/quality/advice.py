@@ -7,7 +7,7 @@ from math import isfinite
 import numpy as np
 
 from conformodal.core import FloatArray
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted, listed, noun_for
 from conformodal.datasets import Sequence
 
 from ..region_rules import EvidenceKind
@@ -15,7 +15,7 @@ from .examining import RecordingQuality
 from .place_ambiguity import AmbiguousStretch
 from .promise import N_NEW, KindPromise
 from .settings import QUALITY
-from .view_coverage import TILTED, FastStretch, ThinStretch, listed
+from .view_coverage import TILTED, FastStretch, ThinStretch
 
 WHERE = {
     EvidenceKind.GLOBAL: "where local features are not matched",
@@ -178,7 +178,7 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
     other = f"known frame {number}" if number >= 0 else "the nearest known frame"
     how = [f"looking further {one.turned}"] if one.turned and one.turned != TILTED else []
     how += [f"from further {one.moved}"] if one.moved else []
-    ways = f", {' and '.join(how)} than {other}" if how else ""
+    ways = f", {listed(how)} than {other}" if how else ""
     if one.turned == TILTED:
         ways = f", tilted against {other}" + (f" and from further {one.moved}" if one.moved else "")
     return (

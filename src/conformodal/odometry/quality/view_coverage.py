@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformodal.core import BoolArray, FloatArray, IntArray
+from conformodal.core.words import listed
 from conformodal.poses import Trajectory, angle_between_quats, matrix_from_quat_wxyz
 
 from .settings import QUALITY
@@ -186,11 +187,6 @@ def _in_words(way: FloatArray) -> str:
         if largest > 0 and abs(part) > _SHARE * largest
     ]
     return listed(named)
-
-
-def listed(words: list[str]) -> str:
-    """As people list things."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[ThinStretch]) -> list[FastStretch]:
