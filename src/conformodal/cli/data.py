@@ -25,7 +25,7 @@ from conformodal.vision import default_cache_dir
 from .arguments import cache_folder
 from .console import console, kind_errors, print_where, progress_bars
 from .options import OptionError
-from .quality import FIGURES, PAGE, judge, say_quality, write_findings
+from .quality import FIGURES, PAGE, judge, require_figures, say_quality, write_findings
 from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
@@ -65,6 +65,7 @@ def _check(
 ) -> None:
     if out is not None:
         _check_out(out)
+        require_figures()
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
     known = None if model is None else load_model(model)
     if known is not None:

@@ -44,6 +44,17 @@ def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
         console.print(f"  {number}. {line}", soft_wrap=True)
 
 
+def require_figures() -> None:
+    """Refuse to begin where what draws the page is not installed.
+
+    Raises
+    ------
+    MissingPackageError
+        Names the extra.
+    """
+    import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
+
+
 def write_findings(
     out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
 ) -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
+from conformodal.core import needing
 from conformodal.core.files import replacing
 from conformodal.core.words import counted
+
+with needing("figures", "the picture of a diagnosis"):
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 

@@ -9,15 +9,18 @@ import io
 from collections.abc import Sequence
 from itertools import product
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
+from conformodal.core import needing
 from conformodal.odometry import OdometryRun
 from conformodal.poses import Trajectory
+
+with needing("figures", "a figure"):
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
 COLOURS = {
     "region": "#56B4E9",

@@ -6,17 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from conformodal.core import BoolArray, FloatArray
+from conformodal.core import BoolArray, FloatArray, needing
 from conformodal.core.files import write_whole
 from conformodal.datasets import Sequence
 from conformodal.odometry.quality import QUALITY, RecordingQuality, ThinStretch, names_of
 from conformodal.poses import Trajectory, matrix_from_quat_wxyz
 
-from .figures import as_svg
 from .templating import render_page
+
+with needing("figures", "the page of a recording"):
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from .figures import as_svg
 
 # Colours of Okabe and Ito; every kind has a mark of its own too, so that the plan is read without colour.
 GOOD, THIN, FAST, AMBIGUOUS, KNOWN = "#0072B2", "#D55E00", "#E69F00", "#CC79A7", "#888888"

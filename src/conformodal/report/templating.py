@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
-
+from conformodal.core import needing
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted
+
+with needing("run", "a page of results"):
+    from jinja2 import Environment, PackageLoader
 
 
 def render_page(path: Path, template: str, **content: Any) -> None:
