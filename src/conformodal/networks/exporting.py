@@ -17,7 +17,7 @@ from conformodal.vision.onnx_backbone import INPUT, OUTPUT
 
 from .torch_backbone import TorchBackbone
 
-_OPSET = 18
+OPSET = 18
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 
@@ -60,7 +60,7 @@ def _export(backbone: TorchBackbone) -> bytes:
                 backbone,
                 (two,),
                 dynamo=True,
-                opset_version=_OPSET,
+                opset_version=OPSET,
                 input_names=[INPUT],
                 output_names=[OUTPUT],
                 dynamic_shapes={"images": {0: torch.export.Dim("n")}},
