@@ -29,10 +29,7 @@ def main() -> None:
     command += ["--out", options.out, "--seeds", options.seeds, "--first-seed", options.first_seed]
     command += ["--workers", options.workers]
     command += ["--method", options.method, "--baselines", options.baselines]
-    tasks = options.out / "tasks"
-    before = len(list(tasks.glob("*.json")))
     subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
-    resumed = f"; {before} of {len(list(tasks.glob('*.json')))} tasks were there before it" if before else ""
     seconds = json.loads((options.out / "metrics.json").read_text(encoding="utf-8"))["seconds"]
     lines = (options.out / "table1.md").read_text(encoding="utf-8").splitlines()
     seeds = "" if options.seeds == 5 else f" --seeds {options.seeds}"
@@ -43,7 +40,7 @@ def main() -> None:
         "table1" if options.method == "all" else f"table1_{options.method}",
         lines[0].lstrip("# "),
         f"python benchmarks/table1.py{seeds}{method}{others}",
-        [*lines[2:], "", f"The run took {seconds / 60:.1f} minutes{resumed}."],
+        [*lines[2:], "", f"All runs together took {seconds / 60:.1f} minutes."],
     )
 
 
