@@ -5,18 +5,28 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEV := $(VENV)/.ready-dev
 DOCS := $(VENV)/.ready-docs
+OLDEST := .venv-oldest
 # The CPU build of torch: the default one brings gigabytes of CUDA. For a GPU set TORCH_INDEX to another index. The
 # version is one that every test has run with: where an index is not reached, a range could bring the CUDA build.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH ?= torch==2.13.0
 
-.PHONY: demo test lint check docs setup clean
+.PHONY: demo test test-oldest lint check docs setup clean
 
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
 
 test: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
+
+# tests with the oldest version of each package that pyproject.toml allows, in an environment of its own. Without the
+# extra view: its package needs NumPy 2. Without an index of CPU builds, torch brings gigabytes of CUDA.
+test-oldest:
+	$(PYTHON) -m venv $(OLDEST)
+	$(OLDEST)/bin/python scripts/oldest.py > $(OLDEST)/oldest.txt
+	$(OLDEST)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(OLDEST)/bin/python -m pip install --quiet --constraint $(OLDEST)/oldest.txt --editable '.[train,arrow,hub,networks,ray,ros]' --group dev --retries 1 --extra-index-url $(TORCH_INDEX)
+	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 lint: $(DEV)
 	$(BIN)/ruff check .
@@ -54,4 +64,4 @@ $(DOCS): pyproject.toml
 	@touch $(DOCS)
 
 clean:
-	rm -rf $(VENV) demo-out site
+	rm -rf $(VENV) $(OLDEST) demo-out site

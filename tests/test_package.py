@@ -12,9 +12,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SPEC = importlib.util.spec_from_file_location("release", ROOT / "scripts" / "release.py")
-release = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(release)
+
+
+def script(name):
+    """A script as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+release, oldest = script("release"), script("oldest")
 VERSION = release.PLACES["pyproject.toml"].findall((ROOT / "pyproject.toml").read_text())[0]
 
 
@@ -181,3 +189,13 @@ def test_the_project_s_own_files_agree_on_the_version():
 def test_the_command_says_why_in_a_line(capsys):
     assert release.main(["nonsense"]) == 2
     assert capsys.readouterr().err.startswith("error: 'nonsense' is no version")
+
+
+def test_the_oldest_versions_are_the_lower_bounds():
+    found = oldest.oldest((ROOT / "pyproject.toml").read_text())
+    assert "numpy==1.26" in found
+    assert not [line for line in found if line.startswith("conformodal")]
+    text = '[project]\nname = "x"\ndependencies = ["a-b>=1.2,<3"]\noptional-dependencies.c = ["x[d]", "e[f] == 4"]\n'
+    assert oldest.oldest(text) == ["a-b==1.2", "e==4"]
+    with pytest.raises(oldest.ConstraintError, match=r"'a-b' says no oldest version; expected NAME>=VERSION"):
+        oldest.oldest(text.replace(">=1.2,<3", ""))

@@ -9,6 +9,8 @@ from conformodal.core import FloatArray
 from conformodal.poses import PinholeCamera
 
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
+# In OpenCV 4 the function that takes a criterion has a name of its own; in OpenCV 5 there is one function.
+_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
 def undistort(pixels: FloatArray, camera: PinholeCamera) -> FloatArray:
@@ -16,5 +18,5 @@ def undistort(pixels: FloatArray, camera: PinholeCamera) -> FloatArray:
     if not camera.distortion or not len(pixels):
         return pixels
     matrix, lens = camera.matrix, np.array(camera.distortion)
-    ideal = cv2.undistortPoints(pixels[:, None], matrix, lens, R=np.eye(3), P=matrix, criteria=_UNTIL)
+    ideal = _undistort_points(pixels[:, None], matrix, lens, R=np.eye(3), P=matrix, criteria=_UNTIL)
     return np.asarray(ideal, dtype=np.float64)[:, 0]
