@@ -42,7 +42,9 @@ def test_help_of_every_verb_explains_every_option():
     for name, verb in verbs.items():
         assert invoke(*name.split(), "--help").exit_code == 0
         for parameter in verb.params:
-            assert getattr(parameter, "help", None), f"{name} does not explain {parameter.name}"
+            record = parameter.get_help_record(typer.Context(verb))
+            assert record, f"{name} hides {parameter.name}"
+            assert record[1], f"{name} does not explain {parameter.name}"
     assert invoke("--version").output.strip()[0].isdigit()
 
 

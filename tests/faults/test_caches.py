@@ -181,8 +181,10 @@ def test_a_damaged_vector_is_made_again(features, damage):
     else:
         DAMAGE[damage](path)
     found = extract_features(files, backbone, FeatureCache(folder))
-    np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(cache.load(key), expected[1].astype(np.float16))
+    # the image is in a batch of its own now, in which torch before 2.13 may round otherwise in half precision
+    np.testing.assert_allclose(found, expected, rtol=2**-10)
+    np.testing.assert_array_equal(found[[0, 2]], expected[[0, 2]])
+    np.testing.assert_array_equal(cache.load(key), found[1].astype(np.float16))
 
 
 def test_an_image_that_vanished_is_named(features, tmp_path):

@@ -44,7 +44,7 @@ RIGHT = {
     "16-bit grey png": (lambda: saved(Image.fromarray(RAMP), ".png"), THREE, 0),
     "16-bit grey tiff": (lambda: saved(Image.fromarray(RAMP), ".tif"), THREE, 0),
     "16-bit big-endian tiff": (lambda: saved(Image.fromarray(RAMP.astype(">u2")), ".tif"), THREE, 0),
-    "16-bit pgm": (lambda: saved(Image.fromarray(RAMP), ".pgm"), THREE, 1),
+    "16-bit pgm": (lambda: b"P5\n64 48\n65535\n" + RAMP.astype(">u2").tobytes(), THREE, 1),
     "rgb png": (lambda: saved(Image.fromarray(COLOURS), ".png"), COLOURS, 0),
     "rgb bmp": (lambda: saved(Image.fromarray(COLOURS), ".bmp"), COLOURS, 0),
     "rgb tiff": (lambda: saved(Image.fromarray(COLOURS), ".tif"), COLOURS, 0),

@@ -261,6 +261,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[npt.NDArray[Any], FloatArray]:
         """Features and values, by the checks of scikit-learn and those of this package."""
         needs = {} if y is _NO_TARGETS else {"y": y, "multi_output": True, "y_numeric": True}
+        if isinstance(X, np.ndarray) and not X.dtype.isnative:  # in which scikit-learn 1.6 finds no NaN
+            X = X.astype(X.dtype.newbyteorder("="))
         try:
             found = validate_data(self, X, reset=reset, **needs)
         except TypeError as exc:
