@@ -27,6 +27,16 @@ def test_the_list_says_what_the_verb_says_of_itself(name):
     assert inspect.cleandoc(loaded.help).split("\n\n")[0].replace("\n", " ") == VERBS[name].help
 
 
+@pytest.mark.parametrize("verb", ["train", "export", "run", "data"])
+def test_help_of_a_verb_imports_no_torch(verb):
+    script = (
+        f"import sys; from conformodal.cli.main import app\ntry:\n app(['{verb}', '--help'])\nexcept SystemExit: pass\n"
+    )
+    script += "print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "False"
+
+
 def test_help_imports_nothing_heavy():
     script = "import sys; from conformodal.cli.main import app\ntry:\n app(['--help'])\nexcept SystemExit: pass\n"
     script += "print([m for m in ('torch', 'scipy', 'sklearn', 'cv2', 'matplotlib') if m in sys.modules])"

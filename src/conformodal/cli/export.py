@@ -13,7 +13,6 @@ from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
 from conformodal.localization import TARGET_NAMES, HeadSource
-from conformodal.networks import TorchBackbone, exported
 from conformodal.networks.with_head import with_head
 from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
 from conformodal.odometry.results.folders import claimed
@@ -74,6 +73,8 @@ def _in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
     """The network of a model in ONNX."""
     if isinstance(model.backbone, OnnxBackbone):
         return model.backbone
+    from conformodal.networks import TorchBackbone, exported  # noqa: PLC0415 - torch takes a second to import
+
     assert isinstance(model.backbone, TorchBackbone)
     return exported(model.backbone, cache)
 

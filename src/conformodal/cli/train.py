@@ -14,7 +14,7 @@ from conformodal.core import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization import LandmarkSource
-from conformodal.networks import NETWORKS, TorchBackbone, find_network
+from conformodal.networks import NETWORKS, find_network
 from conformodal.odometry import (
     Calibration,
     Method,
@@ -50,10 +50,7 @@ from .options import was_given
 from .quality import quality_of_training, say_shortly
 from .sources import open_sequence
 
-_DEFAULT = ModelConfig()
 _DIGITS = 9
-
-
 # Settings whose options have other names.
 _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 
@@ -69,15 +66,15 @@ def train(
         typer.Option(
             help="conformodal, or paper: the paper's system; options that are left alone then have the paper's values."
         ),
-    ] = _DEFAULT.method,
+    ] = ModelConfig.method,
     split: Annotated[
         SplitKind,
         typer.Option(
             help="How frames are held out: at random, in stretches, in whole recordings, or by the data set's lists."
         ),
-    ] = _DEFAULT.split,
+    ] = ModelConfig.split,
     alpha: Annotated[float, typer.Option(help="Miscoverage rate: the region may miss this share of poses.")] = (
-        _DEFAULT.alpha
+        ModelConfig.alpha
     ),
     joint: Annotated[
         str,
@@ -85,21 +82,21 @@ def train(
             help="What alpha is for. max: the whole pose, with one threshold; bonferroni: the whole pose, alpha / 7 "
             "for each target; none: each target alone, as in the paper."
         ),
-    ] = (_DEFAULT.joint),
+    ] = (ModelConfig.joint),
     score: Annotated[
         str, typer.Option(help="Nonconformity score: hpd_mid, hpd, aps, density, linear_density, or the paper's, lac.")
-    ] = _DEFAULT.score,
-    bins: Annotated[int, typer.Option(help="Bins per target (K).")] = _DEFAULT.n_bins,
+    ] = ModelConfig.score,
+    bins: Annotated[int, typer.Option(help="Bins per target (K).")] = ModelConfig.n_bins,
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
-        _DEFAULT.sigma_bins
+        ModelConfig.sigma_bins
     ),
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.")] = _DEFAULT.training.epochs,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
     dropout: Annotated[float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.")] = (
-        _DEFAULT.training.dropout
+        TrainingConfig.dropout
     ),
     test: Annotated[
         float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
-    ] = _DEFAULT.test,
+    ] = ModelConfig.test,
     calibration: Annotated[
         Calibration,
         typer.Option(
@@ -107,21 +104,23 @@ def train(
             "recordings) of training and calibration part, each answered by sources that did not see it. auto: frames "
             "for --split interleaved, else stretches."
         ),
-    ] = _DEFAULT.calibrate_on,
+    ] = ModelConfig.calibrate_on,
     calibration_share: Annotated[
         float, typer.Option(help="Share of all frames (or recordings) held out to calibrate.")
-    ] = _DEFAULT.calibration,
+    ] = ModelConfig.calibration,
     novelty_level: Annotated[
         float | None,
         typer.Option(
             help="An image whose p-value of showing a known place is at most this gets the whole space as its region; "
             "0.015 by default where frames calibrate, 0.1 where stretches do."
         ),
-    ] = _DEFAULT.novelty_level,
+    ] = ModelConfig.novelty_level,
     used: Annotated[
         float | None, typer.Option(help="Share of all frames for training and calibration together; all the rest.")
     ] = None,
-    network: Annotated[str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.")] = _DEFAULT.network,
+    network: Annotated[str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.")] = (
+        ModelConfig.network
+    ),
     fine_tune: Annotated[
         str, typer.Option(help="Also train the network: its last blocks (a number), 'all', or 'none'.")
     ] = "none",
@@ -131,11 +130,11 @@ def train(
     sources: Annotated[
         str,
         typer.Option(help="Pose sources that the belief is made of, in order, separated by commas."),
-    ] = ",".join(_DEFAULT.sources),
-    device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = _DEFAULT.device,
+    ] = ",".join(ModelConfig.sources),
+    device: Annotated[str, typer.Option(help="Of the network: cpu, cuda, or auto.")] = ModelConfig.device,
     runtime: Annotated[
         Runtime, typer.Option(help="What runs the network: onnx, int8 (smaller, less exact), or torch.")
-    ] = _DEFAULT.runtime,
+    ] = ModelConfig.runtime,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
     follow_outside: FollowOutside = False,
     cache: Cache = None,
@@ -162,8 +161,8 @@ def train(
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
     if method is Method.PAPER:  # options that were left alone are the paper's then
-        said = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}
-        said |= {name for name, value in settings.items() if value != getattr(_DEFAULT, name)}
+        said, default = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}, ModelConfig()
+        said |= {name for name, value in settings.items() if value != getattr(default, name)}
         said -= {"calibrate_on"} if calibration is Calibration.AUTO else set()
         config = ModelConfig.paper(**{name: settings[name] for name in said})
     else:
@@ -203,6 +202,8 @@ def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
     block = find_network(network).block
     if tuning is None or tuning.blocks is None:
         return
+    from conformodal.networks import TorchBackbone  # noqa: PLC0415 - torch takes a second to import
+
     n_blocks = len(TorchBackbone(BackboneConfig(network, block)).blocks)
     if tuning.blocks > n_blocks:
         raise VisionError(

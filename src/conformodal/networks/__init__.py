@@ -1,18 +1,21 @@
-"""Networks and their training, in torch: what running a trained model does not need."""
+"""Networks and their training, in torch: what running a trained model does not need.
+
+Every name is imported when it is first used; the names of networks are known without torch.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 from conformodal.core import needing
+from conformodal.core.late import late
 
-with needing("train", "training"):
-    import efficientnet_lite_pytorch  # noqa: F401
-    import torch  # noqa: F401
-
-from .exporting import exported
-from .finetuning import fine_tune
-from .fitting import fit_head, mean_squared_error, soft_cross_entropy
-from .heads import Head, Loss, predict_values
-from .lite import NETWORKS, find_network
-from .quantising import quantised
-from .torch_backbone import TorchBackbone, backbone_config, pick_device
+if TYPE_CHECKING:
+    from .exporting import exported
+    from .finetuning import fine_tune
+    from .fitting import fit_head, mean_squared_error, soft_cross_entropy
+    from .heads import Head, Loss, predict_values
+    from .lite import NETWORKS, find_network
+    from .quantising import quantised
+    from .torch_backbone import TorchBackbone, backbone_config, pick_device
 
 __all__ = [
     "NETWORKS",
@@ -30,3 +33,21 @@ __all__ = [
     "quantised",
     "soft_cross_entropy",
 ]
+
+_find = late(
+    __name__,
+    {
+        "exported": ".exporting",
+        "fine_tune": ".finetuning",
+        **dict.fromkeys(("fit_head", "mean_squared_error", "soft_cross_entropy"), ".fitting"),
+        **dict.fromkeys(("Head", "Loss", "predict_values"), ".heads"),
+        **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),
+        "quantised": ".quantising",
+        **dict.fromkeys(("TorchBackbone", "backbone_config", "pick_device"), ".torch_backbone"),
+    },
+)
+
+
+def __getattr__(name: str) -> Any:
+    with needing("train", "training"):
+        return _find(name)

@@ -16,7 +16,8 @@ from torch import nn
 
 from conformodal.vision import VisionError
 
-PREFIX = "hf:"
+from .lite import PREFIX
+
 _STRIDE = 16
 
 

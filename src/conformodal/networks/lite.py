@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Protocol
-
-import torch
-from efficientnet_lite_pytorch import EfficientNet
-from torch import nn
+from typing import TYPE_CHECKING, Protocol
 
 from conformodal.vision import VisionError
 
-from .hub import PREFIX, HubNetwork
+if TYPE_CHECKING:
+    from torch import nn
 
+PREFIX = "hf:"  # of the names of models of transformers
 # The scaling that the Lite weights were trained with (EfficientNet-Lite, Google 2020).
 _PIXEL_MEAN, _PIXEL_SCALE = (127.0,), (128.0,)
 
@@ -53,6 +51,9 @@ class LiteNetwork:
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
         """See :class:`Network`."""
+        import torch  # noqa: PLC0415 - a second to import, and names of networks are asked for without it
+        from efficientnet_lite_pytorch import EfficientNet  # noqa: PLC0415
+
         file = self.weights()
         network = EfficientNet.from_name(self.name)
         # weights_only: tensors and nothing else, so the file cannot run code
@@ -100,6 +101,8 @@ def find_network(name: str) -> Network:
         If there is none.
     """
     if name.startswith(PREFIX):
+        from .hub import HubNetwork  # noqa: PLC0415 - needs torch
+
         return HubNetwork(name.removeprefix(PREFIX))
     if name not in NETWORKS:
         raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
