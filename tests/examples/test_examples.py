@@ -43,6 +43,17 @@ def test_a_table_of_ones_own_is_read_without_text_and_gaps(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "down side: " in done.stdout
     assert "59 test samples" in done.stdout  # a fifth of 299
+    said, numbers = next(line for line in done.stdout.splitlines() if ", down side: " in line).split(", down side: ")
+    row = lines[int(said.removeprefix("line ")) - 2].split(",")
+    assert float(numbers.split("(true: ")[1].rstrip(")")) == pytest.approx(float(row[3]), rel=1e-3)
+
+
+@pytest.mark.parametrize("targets", [[], ["upp"]])
+def test_a_table_without_its_targets_is_refused(tmp_path, targets):
+    (tmp_path / "own.csv").write_text("given,up\n1,2\n", encoding="utf-8")
+    done = run("table.py", tmp_path, "own.csv", *targets)
+    assert done.returncode == 1
+    assert "name targets among its columns, given, up" in done.stderr
 
 
 @pytest.mark.slow

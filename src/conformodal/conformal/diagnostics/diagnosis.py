@@ -25,10 +25,13 @@ from .strata import coverage_by_group, coverage_by_size
 from .uniformity import UniformityCheck, check_uniformity
 
 _ASSUMPTION = (
-    "Bands and p-values hold if the calibration and test samples are exchangeable (split at random, say), neither was "
-    "learnt from, and scores have no ties. Outside a band, one of these fails. For samples in a sequence, such as "
-    "frames of a video, coverage is an observation and no promise."
+    "The band of all samples and the p-values hold if the calibration and test samples are exchangeable (split at "
+    "random, say), neither was learnt from, and scores have no ties. Outside this band, one of these fails. Nothing is "
+    "promised for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
+    "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
+    "sequence, such as frames of a video, coverage is an observation and no promise."
 )
+_MARKS = {-1: "BELOW", 0: "within", 1: "above"}
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,8 @@ class Diagnosis:
             )
         for column in self.columns:
             lines += ["", *_table(column)]
-        if len(self.names) > 1:
-            promise = "" if self.joint == "none" else f" (promised: at least {1 - float(self.alpha):.4g})"
+        if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
+            promise = "" if self.joint == "none" else f" (promised on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
         return "\n".join([*lines, "", *textwrap.wrap(_ASSUMPTION, 110)])
 
@@ -132,8 +135,8 @@ def _table(column: ColumnDiagnosis) -> list[str]:
     level = f"{column.coverage.level:.0%}"
     lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {level} band"]
     for label, c in rows:
-        mark = "" if c.inside else ("  BELOW" if c.coverage < c.low else "  above")
-        lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]{mark}")
+        mark = _MARKS[0 if c.inside else -1 if c.coverage < c.low else 1]
+        lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
     u = column.uniformity
     lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}")
     return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import MethodType
 from typing import Any, Literal, Self, overload
 
@@ -236,7 +237,12 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return (calibrator if alpha is None else calibrator.at(alpha)).predict(proba)
 
     def diagnose(
-        self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None = None, level: float = 0.99
+        self,
+        X: npt.ArrayLike,
+        y: npt.ArrayLike,
+        groups: npt.ArrayLike | None = None,
+        level: float = 0.99,
+        names: Sequence[str] | None = None,
     ) -> Diagnosis:
         """Check coverage, sizes and p-values on test samples; print the result for a report.
 
@@ -248,6 +254,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n,) labels, to check group by group.
         level
             Probability of the bands beside which coverages are set.
+        names
+            Names of the targets, for the report.
 
         Raises
         ------
@@ -256,7 +264,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         proba = self.predict_bins(X)
         features, values = self._table(X, y, reset=False)
-        return diagnose(self._calibrated(), proba, values, features, groups, level=level)
+        return diagnose(self._calibrated(), proba, values, features, groups, names, level)
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[npt.NDArray[Any], FloatArray]:
         """Features and values, by the checks of scikit-learn and those of this package."""
