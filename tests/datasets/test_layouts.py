@@ -310,6 +310,10 @@ def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
     (tmp_path / "times.txt").write_text("1 2\n")
     with pytest.raises(DatasetError, match="2 times for 5 images"):
         read_sequence(tmp_path)
+    (tmp_path / "poses.txt").write_text("0 1 2 3 0 0 0 1\n" * N)
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    with pytest.raises(DatasetError, match=r"twelve numbers.*a file of time, position and quaternion is poses\.tum"):
+        read_sequence(tmp_path)
 
 
 @pytest.mark.parametrize(
