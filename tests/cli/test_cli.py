@@ -11,9 +11,10 @@ from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
 from conformodal.cli.main import app
-from conformodal.cli.model_notes import said_of_landmarks
+from conformodal.cli.model_notes import said_of_landmarks, said_of_repeated
 from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
+from conformodal.datasets import read_sequence
 from conformodal.odometry import Estimate, EvidenceKind, load_model, read_region_parquet, read_region_records
 from conformodal.poses import Trajectory, read_tum, write_tum
 
@@ -322,3 +323,23 @@ def test_fine_tuning_by_name():
     assert tuning_of("2", 5, 1) == FineTuning(2, 5, seed=1)
     with pytest.raises(VisionError, match="'some'"):
         tuning_of("some", 5, 0)
+
+
+def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
+    assert said_of_repeated(0, 5) == []
+    assert said_of_repeated(1, 5)[0].startswith("1 of 5 test frames shows the same picture as a training")
+    folder = tmp_path / "flight"
+    shutil.copytree(small_world.folder, folder)
+    pictures = sorted(folder.rglob("*.color.png"))
+    for before, path in zip(pictures[::2], pictures[1::2], strict=False):  # every second frame repeats the one before
+        shutil.copy(before, path)
+    out = tmp_path / "model"
+    arguments = ["train", folder, "--out", out, "--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
+    result = invoke(*arguments)
+    assert result.exit_code == 0, result.output
+    metrics, model = json.loads((out / "metrics.json").read_text()), load_model(out)
+    content = [path.read_bytes() for path in read_sequence(folder).image_paths]
+    known = {content[i] for i in np.concatenate((model.split.train, model.split.calibration))}
+    expected = sum(content[i] in known for i in model.split.test)
+    assert metrics["split"]["n_test_same_picture"] == expected > 0
+    assert f"{expected} of {len(model.split.test)} test frames show" in result.output.replace("\n", " ")

@@ -432,3 +432,16 @@ def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
     path = tmp_path / "sparse" / "0" / "images.txt"
     path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
     assert len(read_sequence(tmp_path, require_poses=False)) == N
+
+
+def test_pictures_without_a_camera_are_named(tmp_path):
+    place = tmp_path / "photos"
+    place.mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(place / name)
+    for folder in (place, tmp_path):
+        with pytest.raises(DatasetError, match=r"photos holds 2 pictures; put camera-intrinsics\.txt beside them"):
+            read_sequence(folder)
+    (place / "camera-intrinsics.txt").write_text("4 0 2\n0 4 2\n0 0 1\n")
+    with pytest.raises(DatasetError, match=r"photos holds 2 pictures; name that folder"):
+        read_sequence(tmp_path)

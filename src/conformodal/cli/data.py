@@ -86,7 +86,8 @@ def _check(
         table.add_row("poses", f"{found.n_poses}, all rigid motions; within {sides} m, path {found.path_m:.2f} m")
     console.print(table)
     for finding in found.findings:
-        console.print(f"{finding.count} x {finding.what}: {finding.first}", soft_wrap=True, markup=False)
+        where = finding.first if finding.count == 1 else f"first {finding.first}"
+        console.print(f"{finding.count} x {finding.what}: {where}", soft_wrap=True, markup=False)
     if not found.findings:
         console.print("nothing is wrong with it")
     if quality is not None:

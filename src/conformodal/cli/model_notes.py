@@ -67,6 +67,17 @@ def said_of_distances(split: Split, recording: IntArray) -> str:
     )
 
 
+def said_of_repeated(n_repeated: int, n_test: int) -> list[str]:
+    """Warning about test frames with the pixels of a known frame; nothing if there are none."""
+    if not n_repeated:
+        return []
+    shows, their = ("shows", "its") if n_repeated == 1 else ("show", "their")
+    return [
+        f"{n_repeated} of {counted(n_test, 'test frame')} {shows} the same picture as a training or calibration frame: "
+        f"{their} errors and regions say nothing of new pictures"
+    ]
+
+
 def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
     """Notes on the regions' calibration.
 

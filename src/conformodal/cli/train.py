@@ -44,6 +44,7 @@ from .model_notes import (
     said_of_calibration,
     said_of_distances,
     said_of_landmarks,
+    said_of_repeated,
     said_of_whole_space,
 )
 from .options import was_given
@@ -223,13 +224,20 @@ def train_on(
     quality = quality_of_training(data, model, config)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
+    used, frames = np.concatenate((split.train, split.calibration)), model.known_frames
+    repeated = int(frames.take(used).known(frames.take(split.test)).sum())
     metrics = {
         "command": "train",
         "model": model_digest(out),
         "provenance": provenance(),
         "configuration": model.configuration,
         "seed": config.seed,
-        "split": {"kind": str(split.kind), **parts, **distances(split, sequence.recording)},
+        "split": {
+            "kind": str(split.kind),
+            **parts,
+            **distances(split, sequence.recording),
+            "n_test_same_picture": repeated,
+        },
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "quality": None if quality is None else quality_record(quality, sequence, short=True),
         "seconds": round(time.perf_counter() - started, 2),
@@ -240,9 +248,10 @@ def train_on(
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
     say_line(said_of_distances(split, sequence.recording))
+    for line in said_of_repeated(repeated, len(split.test)):
+        say_strongly(line)
     if LandmarkSource.name in config.sources:
         console.print(said_of_landmarks(model.landmarks, model.camera))
-    used = np.concatenate((split.train, split.calibration))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
         say_line(line)
     for line in said_of_whole_space(model, config):

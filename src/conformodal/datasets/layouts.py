@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
+
+from conformodal.core.words import counted
 
 from .colmap import model_folder, read_colmap
 from .errors import DatasetError
@@ -100,7 +103,20 @@ def recognise(folder: Path) -> Layout:
     looked = "; ".join(f"{layout}: {reader.sign}" for layout, reader in _READERS.items())
     if found:
         raise DatasetError(f"{folder}: could be {' or '.join(found)}; name its format")
-    raise DatasetError(f"{folder}: is in no layout that is known. Looked for {looked}")
+    raise DatasetError(
+        f"{folder}: is in no layout that is known{_pictures_without_camera(folder)}. Looked for {looked}"
+    )
+
+
+def _pictures_without_camera(folder: Path) -> str:
+    """What a folder of pictures lacks, if it is one or has one in it."""
+    with suppress(OSError):
+        for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
+            if pictures := image_files(place):
+                lacks = not (place / "camera-intrinsics.txt").is_file()
+                what = "put camera-intrinsics.txt beside them" if lacks else "name that folder"
+                return f": {place} holds {counted(len(pictures), 'picture')}; {what}"
+    return ""
 
 
 def read_sequence(

@@ -59,6 +59,10 @@ class FrameIdentities:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def take(self, frames: npt.NDArray[np.int64]) -> FrameIdentities:
+        """Of some of the frames."""
+        return FrameIdentities(self.files[frames], self.pixels[frames], self.poses[frames])
+
     def known(self, others: FrameIdentities) -> npt.NDArray[np.bool_]:
         """Which of the `others` (m,) have the pixels of one of these frames."""
         mine = {row.tobytes() for row in self.pixels} - {_NOTHING}
