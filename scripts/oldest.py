@@ -1,7 +1,9 @@
 """Print the oldest release that the project allows of each package, as constraints for pip.
 
 python scripts/oldest.py > oldest.txt
-pip install --constraint oldest.txt --editable '.[all]' --group dev
+pip install --constraint oldest.txt --editable '.[train,arrow,hub,networks,ray,ros]' --group dev
+
+The extra view is left out: its package needs NumPy 2, and the oldest NumPy is 1.26.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from itertools import chain
 from pathlib import Path
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
-_LEAST = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?\s*(?:>=|==)\s*([^,;\s]+)")
+_NAME, _LEAST = re.compile(r"[A-Za-z0-9._-]+"), re.compile(r"(?:>=|==)\s*([^,;\s]+)")
 
 
 class ConstraintError(ValueError):
@@ -38,10 +40,10 @@ def oldest(pyproject: str) -> list[str]:
     for requirement in chain(project["dependencies"], *extras):
         if requirement.startswith(f"{project['name']}["):  # extras that an extra brings
             continue
-        least = _LEAST.fullmatch(requirement.split(",")[0].strip())
-        if least is None:
+        name, least = _NAME.match(requirement), _LEAST.search(requirement.partition(";")[0])
+        if name is None or least is None:
             raise ConstraintError(f"pyproject.toml: {requirement!r} says no oldest version; expected NAME>=VERSION")
-        found.add(f"{least[1]}=={least[2]}")
+        found.add(f"{name[0]}=={least[1]}")
     return sorted(found)
 
 

@@ -195,7 +195,8 @@ def test_the_oldest_versions_are_the_lower_bounds():
     found = oldest.oldest((ROOT / "pyproject.toml").read_text())
     assert "numpy==1.26" in found
     assert not [line for line in found if line.startswith("conformodal")]
-    text = '[project]\nname = "x"\ndependencies = ["a-b>=1.2,<3"]\noptional-dependencies.c = ["x[d]", "e[f] == 4"]\n'
+    text = '[project]\nname = "x"\ndependencies = ["a-b>=1.2,<3"]\noptional-dependencies.c = ["x[d]", "e[f] == 4; y"]\n'
     assert oldest.oldest(text) == ["a-b==1.2", "e==4"]
+    assert oldest.oldest(text.replace(">=1.2,<3", "<3,>=1.2")) == ["a-b==1.2", "e==4"]
     with pytest.raises(oldest.ConstraintError, match=r"'a-b' says no oldest version; expected NAME>=VERSION"):
         oldest.oldest(text.replace(">=1.2,<3", ""))

@@ -34,6 +34,7 @@ def test_help_of_a_verb_imports_no_torch(verb):
     )
     script += "print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert "Usage" in done.stdout
     assert done.stdout.splitlines()[-1] == "False"
 
 

@@ -1,7 +1,10 @@
+import sys
+
 import numpy as np
 import pytest
 import torch
 
+from conformodal.core import MissingPackageError
 from conformodal.networks import (
     NETWORKS,
     TorchBackbone,
@@ -69,3 +72,9 @@ def test_features_know_where_things_are(backbone):
 def test_unknown_networks_are_refused(config):
     with pytest.raises(VisionError, match=r"backbone must be|block must be"):
         TorchBackbone(config)
+
+
+def test_without_the_networks_package_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "efficientnet_lite_pytorch", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[train\]'"):
+        TorchBackbone(backbone_config(64, 48))

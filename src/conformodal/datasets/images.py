@@ -71,8 +71,8 @@ def _poses(
             try:
                 rows = kitti_table(path, damaged)
             except TrajectoryFileError as exc:
-                hint = f"{_KITTI[1]} holds a 3x4 matrix a line; a file of time, position and quaternion is {_TUM[0]}"
-                raise DatasetError(f"{exc} ({hint})") from exc
+                hint = f" ({path.name} holds a 3x4 matrix a line; a file of time, position and quaternion is {_TUM[0]})"
+                raise DatasetError(f"{exc}{hint if 'twelve numbers, got' in str(exc) else ''}") from exc
             if len(rows) != len(times):
                 raise DatasetError(f"{path}: holds {len(rows)} poses, but there are {len(times)} images")
             return rows

@@ -108,14 +108,18 @@ def recognise(folder: Path) -> Layout:
     )
 
 
+_FOLDERS = ("image_0", "image_2", "images", "rgb", "cam0", "data", "imgs")
+
+
 def _pictures_without_camera(folder: Path) -> str:
     """What a folder of pictures lacks, if it is one or has one in it."""
     with suppress(OSError):
         for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
-            if pictures := image_files(place):
+            # a part of another layout lacks something else
+            if place.name not in _FOLDERS and (pictures := image_files(place)):
                 lacks = not (place / "camera-intrinsics.txt").is_file()
                 what = "put camera-intrinsics.txt beside them" if lacks else "name that folder"
-                return f": {place} holds {counted(len(pictures), 'picture')}; {what}"
+                return f": {shown(str(place))} holds {counted(len(pictures), 'picture')}; {what}"
     return ""
 
 

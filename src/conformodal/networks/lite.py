@@ -7,6 +7,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from conformodal.core import needing
 from conformodal.vision import VisionError
 
 if TYPE_CHECKING:
@@ -51,8 +52,9 @@ class LiteNetwork:
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
         """See :class:`Network`."""
-        import torch  # noqa: PLC0415 - a second to import, and names of networks are asked for without it
-        from efficientnet_lite_pytorch import EfficientNet  # noqa: PLC0415
+        with needing("train", "a network"):  # here, because names of networks are asked for without torch
+            import torch  # noqa: PLC0415
+            from efficientnet_lite_pytorch import EfficientNet  # noqa: PLC0415
 
         file = self.weights()
         network = EfficientNet.from_name(self.name)
@@ -101,7 +103,8 @@ def find_network(name: str) -> Network:
         If there is none.
     """
     if name.startswith(PREFIX):
-        from .hub import HubNetwork  # noqa: PLC0415 - needs torch
+        with needing("train", "a network"):
+            from .hub import HubNetwork  # noqa: PLC0415
 
         return HubNetwork(name.removeprefix(PREFIX))
     if name not in NETWORKS:

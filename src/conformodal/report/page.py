@@ -10,13 +10,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
+from conformodal.core import needing
 from conformodal.core.files import write_whole
 from conformodal.odometry import Method
 
 from .templating import render_page
 from .viewer import Viewer
+
+with needing("run", "a page of results"):
+    from PIL import Image
 
 _LABELS = {
     "smoothed": "conformal: global search and smoothing (the answer)",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
+
+from conformodal.core import needing
+
+with needing("run", "a page of results"):
+    import cv2
 
 MOST, WIDTH, QUALITY = 1000, 200, 60
 
