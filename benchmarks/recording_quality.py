@@ -106,6 +106,8 @@ def chosen_by(row: list[str], results: list[dict[str, Any]], limit: float) -> li
     """The row of a limit, with what it was chosen by."""
     change = np.concatenate([result["change"] for result in results])
     large = np.concatenate([result["errors_m"][row[1]] for result in results]) > LARGE_M
+    if not large.any():
+        return [*row, ""]
     return [*row, f"{np.mean(change[large] > limit) - np.mean(change[~large] > limit):.2f}"]
 
 
@@ -132,7 +134,7 @@ def main() -> None:
     depths = [one["depth_m"] for one in chosen + reported]
     models = "models have no landmarks, and each frame is answered by itself" if options.quick else "models are whole"
     write_page(
-        "recording_quality",
+        "recording_quality_quick" if options.quick else "recording_quality",
         "Errors where a recording is called thin",
         f"python benchmarks/recording_quality.py{' --quick' if options.quick else ''}",
         [
