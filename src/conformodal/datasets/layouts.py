@@ -80,6 +80,8 @@ _READERS = {
 
 
 _LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
+# Folders of images inside other layouts, which lack something else than a camera.
+_INSIDE_LAYOUTS = ("image_0", "image_2", "images", "rgb", "cam0", "data", "imgs")
 
 
 def recognise(folder: Path) -> Layout:
@@ -108,15 +110,11 @@ def recognise(folder: Path) -> Layout:
     )
 
 
-_FOLDERS = ("image_0", "image_2", "images", "rgb", "cam0", "data", "imgs")
-
-
 def _pictures_without_camera(folder: Path) -> str:
     """What a folder of pictures lacks, if it is one or has one in it."""
     with suppress(OSError):
         for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
-            # a part of another layout lacks something else
-            if place.name not in _FOLDERS and (pictures := image_files(place)):
+            if place.name not in _INSIDE_LAYOUTS and (pictures := image_files(place)):
                 lacks = not (place / "camera-intrinsics.txt").is_file()
                 what = "put camera-intrinsics.txt beside them" if lacks else "name that folder"
                 return f": {shown(str(place))} holds {counted(len(pictures), 'picture')}; {what}"

@@ -60,7 +60,7 @@ class FrameIdentities:
         return len(self.pixels)
 
     def take(self, frames: npt.NDArray[np.int64]) -> FrameIdentities:
-        """Of some of the frames."""
+        """Return the identities of some of the frames, in the order of their indices (m,)."""
         return FrameIdentities(self.files[frames], self.pixels[frames], self.poses[frames])
 
     def known(self, others: FrameIdentities) -> npt.NDArray[np.bool_]:

@@ -31,7 +31,6 @@ _ASSUMPTION = (
     "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
     "sequence, such as frames of a video, coverage is an observation and no promise."
 )
-_MARKS = {-1: "BELOW", 0: "within", 1: "above"}
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ def _table(column: ColumnDiagnosis) -> list[str]:
     level = f"{column.coverage.level:.0%}"
     lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {level} band"]
     for label, c in rows:
-        mark = _MARKS[0 if c.inside else -1 if c.coverage < c.low else 1]
+        mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
     u = column.uniformity
     lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}")
