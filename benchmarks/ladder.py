@@ -50,11 +50,8 @@ def steps(models: Models, seen: Frames, ours: Paths) -> dict[str, list[float]]:
     )
     run = PaperOdometry(paper.model).process(models.sequence, seen.frames, cache=models.cache, motions=essential)
     found = {"the paper's system": seen.error(run.trajectories["greedy"])}
-    on_map = Paths(models.step("map", projected=False), seen)
+    on_map = Paths(models.step("map"), seen)
     found["a map of features instead of their average"] = seen.error(on_map.greedy(motions=essential))
-    if models.unprojected() is not None:
-        projected = Paths(models.step("projected", projected=True), seen)
-        found["projection on principal components"] = seen.error(projected.greedy(motions=essential))
     model, targets = (
         ours.trained.model,
         pose_targets(models.sequence.require_truth(), ours.trained.model.sign_reference),
@@ -138,7 +135,6 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
         retrained = {
             "order-aware labels": models.unlabelled(),
             "the map of features": models.averaged(),
-            "projection": models.unprojected(),
             "a small network (larger instead)": models.larger(),
             "frozen features (fine-tuned instead)": models.tuned() if tuned else None,
         }

@@ -4,12 +4,12 @@ from sklearn.linear_model import Ridge
 
 from conformodal.localization import LocalizationError
 from conformodal.localization.neighbours import LOCAL_CHOICES, LocalRegression, LocalSettings, fit_local
-from conformodal.vision import Projection
+from conformodal.localization.neighbours.components import PrincipalComponents
 
 
 def regression(x, y, settings, scale=None):
     k = x.shape[1]
-    through = Projection(np.zeros(k, np.float32), np.eye(k, dtype=np.float32))
+    through = PrincipalComponents(np.zeros(k, np.float32), np.eye(k, dtype=np.float32))
     scale = np.ones(y.shape[1]) if scale is None else scale
     return LocalRegression(through, x.astype(np.float32), y, scale, settings)
 
@@ -63,7 +63,7 @@ def test_references_of_a_querys_own_group_are_not_looked_at():
     spoilt = y.copy()
     spoilt[place == 1] = 1e9
     for radius in (None, 3.0):
-        found = regression(x, spoilt, LocalSettings(2, 10, 1e-6, radius)).predict_projected(
+        found = regression(x, spoilt, LocalSettings(2, 10, 1e-6, radius)).predict_components(
             np.array([[0.3, 0.0]], dtype=np.float32), (np.array([1]), place)
         )
         np.testing.assert_allclose(found.best, [[0.3]], atol=0.02)
@@ -127,7 +127,7 @@ def test_the_view_that_knows_is_chosen():
     settings = [LocalSettings(2, 12, 0.01, None)]
     views = [slice(0, 4), slice(4, 6), slice(6, 9)]
     found, left_out = fit_local(x, y, np.ones(2), np.arange(200), choices=settings, views=views)
-    assert np.flatnonzero(found.projection.components.any(axis=1)).tolist() == [4, 5]
+    assert np.flatnonzero(found.components.directions.any(axis=1)).tolist() == [4, 5]
     assert np.abs(left_out.answers.best - y[left_out.rows]).max() < 0.2
     np.testing.assert_allclose(found.predict(x).best, y, atol=0.2)
     x[:, 6:] = 1.0  # a view that says nothing is passed over

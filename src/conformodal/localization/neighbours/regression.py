@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray
-from conformodal.vision import Projection
 
 from ..errors import LocalizationError
 from ..settings import NEIGHBOURS
+from .components import PrincipalComponents
 
 _CHUNK = 256  # queries at once: their neighbours' features are copied
 
@@ -76,10 +76,10 @@ class LocalRegression:
 
     Attributes
     ----------
-    projection
-        Of features.
+    components
+        Principal components of features.
     references
-        (n, k) projected features.
+        (n, k) components of the reference samples.
     targets
         (n, d).
     target_scale
@@ -93,7 +93,7 @@ class LocalRegression:
         If shapes do not fit.
     """
 
-    projection: Projection
+    components: PrincipalComponents
     references: npt.NDArray[np.float32]
     targets: FloatArray
     target_scale: FloatArray
@@ -112,12 +112,12 @@ class LocalRegression:
 
     def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
         """Estimates for features (m, F)."""
-        return self.predict_projected(self.projection.apply(features))
+        return self.predict_components(self.components.apply(features))
 
-    def predict_projected(
+    def predict_components(
         self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     ) -> LocalAnswers:
-        """Estimates for projected features (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
+        """Estimates for components (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
         parts = []
         for a in range(0, len(queries), _CHUNK):
             hidden = None if groups is None else groups[0][a : a + _CHUNK, None] == groups[1][None, :]

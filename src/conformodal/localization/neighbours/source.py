@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core import FloatArray, IntArray, stage_of
 from conformodal.poses import angle_between_quats, normalise_quat
-from conformodal.vision import Projection, feature_views
+from conformodal.vision import feature_views
 
 from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
 from ..evidence import FrameEvidence
@@ -19,6 +19,7 @@ from ..settings import NEIGHBOURS
 from ..source import SourceAnswer, SourceState, register_source
 from ..source_data import SourceData
 from ..targets import target_scale
+from .components import PrincipalComponents
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 from .tuning import LeftOut, fit_local
 
@@ -127,8 +128,8 @@ class NeighbourSource:
         own = self.regression
         arrays: dict[str, npt.NDArray[Any]] = {
             "frames": self.frames,
-            "offset": own.projection.offset,
-            "components": own.projection.components,
+            "offset": own.components.offset,
+            "directions": own.components.directions,
             "references": own.references,
             "targets": own.targets,
             "target_scale": own.target_scale,
@@ -141,7 +142,7 @@ class NeighbourSource:
         """The source that was stored."""
         its, settings = state.arrays, state.settings
         regression = LocalRegression(
-            Projection(its["offset"], its["components"]),
+            PrincipalComponents(its["offset"], its["directions"]),
             its["references"],
             its["targets"],
             its["target_scale"],

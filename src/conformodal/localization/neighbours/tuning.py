@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray
-from conformodal.vision import fit_projection
 
 from ..errors import LocalizationError
 from ..settings import NEIGHBOURS
+from .components import fit_components
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 
 # Few components far from the references, many close to them.
@@ -82,15 +82,15 @@ def fit_local(
     )
     found: list[tuple[float, LocalRegression, LeftOut]] = []
     for view in views:
-        projection = fit_projection(features, max(how.components for how in choices), view)
-        if projection.components.ndim != 2:  # all the same in this view
+        components = fit_components(features, max(how.components for how in choices), view)
+        if components is None:
             continue
-        projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
+        references = components.apply(features)
         for how in choices:
             if progress is not None:
                 progress(len(found), len(choices) * len(views))
-            regression = LocalRegression(projection, projected, targets, target_scale, how)
-            answers = regression.predict_projected(projected[rows], (group[rows], group))
+            regression = LocalRegression(components, references, targets, target_scale, how)
+            answers = regression.predict_components(references[rows], (group[rows], group))
             found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
     if not found:
         raise LocalizationError("features are all the same")
@@ -102,10 +102,9 @@ def fit_local(
 
 def _slim(regression: LocalRegression) -> LocalRegression:
     """The same regression without the components that its settings leave out."""
-    projection, projected = regression.projection, regression.references
-    k = min(regression.settings.components, projected.shape[1])
-    slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
-    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k]))
+    k = regression.settings.components
+    references = np.ascontiguousarray(regression.references[:, :k])
+    return replace(regression, components=regression.components.leading(k), references=references)
 
 
 def _log_likelihood(answers: LocalAnswers, targets: FloatArray, scale: FloatArray) -> float:
