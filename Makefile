@@ -11,12 +11,16 @@ OLDEST := .venv-oldest
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH ?= torch==2.13.0
 
-.PHONY: demo test test-oldest lint check docs setup clean
+.PHONY: demo test coverage test-oldest lint check docs setup clean
 
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
 
 test: $(DEV)
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# the same with the lines that no test reaches; measuring them takes the tests much longer
+coverage: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 
 # quick tests with the oldest version of each package that pyproject.toml allows, in an environment of its own. Python
