@@ -54,7 +54,7 @@ class WrittenFrames:
 Finish = Callable[[Path, WrittenFrames, PinholeCamera], list[str]]
 
 
-def numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, IntArray, bool]:
+def _numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, IntArray, bool]:
     """Frame rate, number of every frame in its recording, and whether both say its time.
 
     Frames that are missing leave a gap in the numbers. Times that no rate fits are numbered one after the other.
@@ -78,9 +78,9 @@ def numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, Int
     return 1 / float(np.median(steps)), counted, False
 
 
-def finish_sevenscenes(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_sevenscenes(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Give images the numbers that say their times, poses beside them, camera and rate; says what was lost."""
-    rate, numbers, even = numbered_by_time(frames.times, frames.recording)
+    rate, numbers, even = _numbered_by_time(frames.times, frames.recording)
     names = list(frames.names)
     for i in reversed(range(len(names))):  # numbers only grow, so the place of the new name is free
         old = folder / names[i]
@@ -98,7 +98,7 @@ def finish_sevenscenes(folder: Path, frames: WrittenFrames, camera: PinholeCamer
     return [] if even else [f"7scenes has no timestamps: they are read back as even, {rate:.3f} Hz"]
 
 
-def finish_tum(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_tum(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write the list of images, the camera and the poses."""
     lines = [f"{time:.9f} rgb/{name}" for time, name in zip(frames.times.tolist(), frames.names, strict=True)]
     _write_lines(folder / "rgb.txt", ["# timestamp filename", *lines])
@@ -107,7 +107,7 @@ def finish_tum(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> li
     return []
 
 
-def finish_images(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_images(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write times, camera and poses."""
     _times(folder, frames)
     _camera_beside(folder, camera)
@@ -115,7 +115,7 @@ def finish_images(folder: Path, frames: WrittenFrames, camera: PinholeCamera) ->
     return []
 
 
-def finish_kitti(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_kitti(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write times, calibration and poses, which every frame has."""
     row = f"{camera.fx!r} 0 {camera.cx!r} 0 0 {camera.fy!r} {camera.cy!r} 0 0 0 1 0"
     _write_lines(folder / "calib.txt", [f"P{k}: {row}" for k in range(4)])
@@ -126,7 +126,7 @@ def finish_kitti(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> 
     return []
 
 
-def finish_nerf(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_nerf(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write camera and poses, which every frame has, and the times."""
     lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
     _, truth = frames.posed()
@@ -142,7 +142,7 @@ def finish_nerf(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> l
     return []
 
 
-def finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write the list of images, the calibration and the poses of the body, which the camera's frame is here."""
     root = folder / "mav0"
     stamps = [nanoseconds(time) for time in frames.times.tolist()]
@@ -155,7 +155,7 @@ def finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> 
         "  cols: 4",
         "  rows: 4",
         f"  data: {np.eye(4).ravel().tolist()}",
-        f"rate_hz: {numbered_by_time(frames.times, frames.recording)[0]:.6g}",
+        f"rate_hz: {_numbered_by_time(frames.times, frames.recording)[0]:.6g}",
         f"resolution: [{camera.width}, {camera.height}]",
         "camera_model: pinhole",
         f"intrinsics: {[float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)]}",
@@ -172,17 +172,17 @@ def finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> 
     return []
 
 
-def finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
+def _finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write a model as text, in which frames without a pose are not registered, and the times of all."""
-    return _finish_colmap(folder, frames, camera, binary=False)
+    return _write_model(folder, frames, camera, binary=False)
 
 
 def finish_colmap_binary(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
-    """As :func:`finish_colmap`, in COLMAP's binary files."""
-    return _finish_colmap(folder, frames, camera, binary=True)
+    """As :func:`_finish_colmap`, in COLMAP's binary files."""
+    return _write_model(folder, frames, camera, binary=True)
 
 
-def _finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera, *, binary: bool) -> list[str]:
+def _write_model(folder: Path, frames: WrittenFrames, camera: PinholeCamera, *, binary: bool) -> list[str]:
     at, truth = frames.posed()
     assert truth is not None
     write_colmap(folder / "sparse" / "0", [frames.names[i] for i in at], truth, camera, binary=binary)
@@ -221,11 +221,11 @@ def _write_lines(path: Path, lines: list[str]) -> None:
 
 # By layout; COLMAP's binary files are asked for.
 FINISH: dict[Layout, Finish] = {
-    Layout.SEVENSCENES: finish_sevenscenes,
-    Layout.TUM: finish_tum,
-    Layout.KITTI: finish_kitti,
-    Layout.IMAGES: finish_images,
-    Layout.NERF: finish_nerf,
-    Layout.COLMAP: finish_colmap,
-    Layout.EUROC: finish_euroc,
+    Layout.SEVENSCENES: _finish_sevenscenes,
+    Layout.TUM: _finish_tum,
+    Layout.KITTI: _finish_kitti,
+    Layout.IMAGES: _finish_images,
+    Layout.NERF: _finish_nerf,
+    Layout.COLMAP: _finish_colmap,
+    Layout.EUROC: _finish_euroc,
 }

@@ -20,7 +20,7 @@ from .conventions import Conventions, is_lost
 from .covariance import pose_covariance, weights_of
 
 
-def pose_message(estimate: Estimate, header: ros.Header, how: Conventions) -> ros.PoseWithCovarianceStamped:
+def _pose_message(estimate: Estimate, header: ros.Header, how: Conventions) -> ros.PoseWithCovarianceStamped:
     """The chosen pose and its covariance; the identity and a very large one where the frame is lost."""
     if is_lost(estimate) or estimate.pose is None:
         pose, covariance = ros.Pose(), np.eye(6) * how.lost_variance
@@ -29,7 +29,7 @@ def pose_message(estimate: Estimate, header: ros.Header, how: Conventions) -> ro
     return ros.PoseWithCovarianceStamped(header, ros.PoseWithCovariance(pose, covariance.ravel()))
 
 
-def candidate_messages(estimate: Estimate, header: ros.Header) -> tuple[ros.PoseArray, ros.Float64MultiArray]:
+def _candidate_messages(estimate: Estimate, header: ros.Header) -> tuple[ros.PoseArray, ros.Float64MultiArray]:
     """Candidate poses, most probable first, and their weights in the same order; none where the frame is lost."""
     found = None if is_lost(estimate) else estimate.candidates
     poses: list[ros.Pose] = []
@@ -43,7 +43,7 @@ def candidate_messages(estimate: Estimate, header: ros.Header) -> tuple[ros.Pose
     return ros.PoseArray(header, poses), ros.Float64MultiArray(layout, array("d", weights.tolist()))
 
 
-def status_message(estimate: Estimate, header: ros.Header, n_boxes: int, n_shown: int) -> ros.DiagnosticArray:
+def _status_message(estimate: Estimate, header: ros.Header, n_boxes: int, n_shown: int) -> ros.DiagnosticArray:
     """What the pose rests on: an error where the frame is lost, a warning where motion could not be used."""
     status = ros.DiagnosticStatus
     level = status.ERROR if is_lost(estimate) else status.OK if estimate.reliable else status.WARN
@@ -97,13 +97,13 @@ class Conversion:
         stamp_ns = ros.nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
         header = self._header(stamp_ns)
         boxes, shares, total = region_boxes(estimate, self.how)
-        poses, weights = candidate_messages(estimate, header)
+        poses, weights = _candidate_messages(estimate, header)
         found: dict[str, ros.RosMessage] = {
-            "pose": pose_message(estimate, header, self.how),
+            "pose": _pose_message(estimate, header, self.how),
             "candidates": poses,
             "candidate_weights": weights,
             "region": region_message(boxes, shares, header),
-            "status": status_message(estimate, header, total, len(boxes)),
+            "status": _status_message(estimate, header, total, len(boxes)),
         }
         if self._take(estimate):
             found["path"] = self.path(stamp_ns)

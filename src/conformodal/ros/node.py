@@ -193,7 +193,7 @@ def _lost(time_s: float, problem: str) -> Estimate:
     return Estimate(time_s, None, None, None, None, None, False, problem)
 
 
-def parameters_of(node: Any) -> Parameters:
+def _parameters_of(node: Any) -> Parameters:
     """Declare the parameters and read what was given.
 
     Raises
@@ -229,7 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
     rclpy.init(args=arguments)
     node = rclpy.create_node(_NAME)
     try:
-        said = parameters_of(node)
+        said = _parameters_of(node)
         how = Conventions(world_frame=said.world_frame, covariance=Covariance(said.covariance))
         odometry = odometry_of(load_model(said.model), said.match_every)
         PoseNode(node, odometry, how, compressed=said.compressed, silent_s=said.silent_s)

@@ -1,6 +1,6 @@
 """Whether a recording is good enough: where it is thin, fast or ambiguous, what it can promise, what to record next."""
 
-from .advice import WHERE, Names, plan_axes, record_next, said_of_promise, said_of_quality
+from .advice import WHERE, Names, record_next, said_of_promise, said_of_quality
 from .examining import RecordingQuality, examine, examine_training
 from .place_ambiguity import Ambiguity, AmbiguousStretch
 from .promise import KindPromise, least_alpha, promises
@@ -26,7 +26,6 @@ __all__ = [
     "examine_training",
     "least_alpha",
     "names_of",
-    "plan_axes",
     "pose_coverage",
     "promises",
     "quality_record",

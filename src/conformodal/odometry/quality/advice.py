@@ -39,7 +39,7 @@ class Names:
         self._sequence = sequence
         self._several = len(np.unique(sequence.recording)) > 1
         extent = np.zeros(3) if positions_xyz is None else np.ptp(positions_xyz, axis=0)
-        self.axes: tuple[int, int] = (0, 1) if positions_xyz is None else plan_axes(extent)
+        self.axes: tuple[int, int] = (0, 1) if positions_xyz is None else _plan_axes(extent)
 
     def frames(self, first: int, last: int) -> str:
         """A stretch."""
@@ -58,7 +58,7 @@ class Names:
         return f"{path.parent.name}/{path.name}"
 
 
-def plan_axes(extent: FloatArray) -> tuple[int, int]:
+def _plan_axes(extent: FloatArray) -> tuple[int, int]:
     """The two axes along which a path spreads most, in order."""
     first, second = sorted(np.argsort(-extent, kind="stable")[:2].tolist())
     return first, second

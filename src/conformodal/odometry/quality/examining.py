@@ -103,13 +103,13 @@ def examine(
     OdometryError
         If the camera is not the model's.
     """
-    posed, poses = frames_with_pose(sequence)
+    posed, poses = _frames_with_pose(sequence)
     if model is None:
         return _judged(sequence, posed, poses, np.arange(len(posed)), _depth(sequence))
     model.check_camera(sequence.camera)
     at = model.known_frames.find(identify(sequence, model.known_frames)).at[model.localizer.frames]
     unseen = np.setdiff1d(np.arange(len(sequence)), at)
-    held = look_at(sequence, model, unseen, cache or FeatureCache(None), progress)
+    held = _look_at(sequence, model, unseen, cache or FeatureCache(None), progress)
     return _judged(sequence, posed, poses, at, model.prior.depth_m, model, held)
 
 
@@ -130,12 +130,12 @@ def examine_training(
     unseen = np.setdiff1d(np.arange(len(data.sequence)), model.localizer.frames)
     frames = _spread(unseen, QUALITY.most_after_training)
     local = local_features(frames) if model.looks_at_local_features else ()
-    posed, poses = frames_with_pose(data.sequence)
+    posed, poses = _frames_with_pose(data.sequence)
     held = HeldOut(frames, FrameEvidence(data.features[frames], local))
     return _judged(data.sequence, posed, poses, model.localizer.frames, model.prior.depth_m, model, held)
 
 
-def frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
+def _frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
     """Numbers of the frames that have a pose, and the poses."""
     if sequence.truth is not None:
         return np.arange(len(sequence)), sequence.truth
@@ -150,7 +150,7 @@ def _spread(frames: IntArray, most: int) -> IntArray:
     return frames[chosen.round().astype(np.int64)]
 
 
-def look_at(
+def _look_at(
     sequence: Sequence, model: PoseModel, held_out: IntArray, cache: FeatureCache, progress: StageProgress | None
 ) -> HeldOut:
     """Features of some of the frames that are held out; those that cannot be read are left out."""
