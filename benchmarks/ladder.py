@@ -128,8 +128,8 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
     cv2.setNumThreads(1)
     models = Models(place, seed, runs)
     ours = models.ours()
-    views = () if quick else ("network", "thumbnail")
-    others = {view: its for view in views if (its := models.neighbours(view)) is not None}
+    views = ("network", "thumbnail")
+    others = {} if quick else {view: its for view in views if (its := models.neighbours(view)) is not None}
     retrained: dict[str, Trained | None] = {}
     if not quick:
         retrained = {
@@ -149,7 +149,7 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
         frames = spaced(models.sequence.timestamps_s, test, interval) if interval else test
         seen = Frames(models.sequence, frames, measure_motions(models.sequence, frames))
         paths = Paths(ours, seen, others)
-        removed = {part: parts for part, parts in REMOVED.items() if not quick or parts.neighbours in ("both", "none")}
+        removed = {part: parts for part, parts in REMOVED.items() if not quick or parts.neighbours not in views}
         here = {
             "frames": len(frames),
             "ours": seen.error(paths.path(ALL)),

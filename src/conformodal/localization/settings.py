@@ -85,7 +85,7 @@ class _NeighbourSettings:
     Attributes
     ----------
     places
-        Answers at most, one a place.
+        Answers at most, one a place: as many as the landmarks' retrieval clusters. The corridor has five rooms alike.
     retrieved
         Frames that are clustered by place, in units of the frames of one regression.
     decay
@@ -102,7 +102,7 @@ class _NeighbourSettings:
         Frames that settings are chosen on, at most.
     """
 
-    places: int = 4
+    places: int = 8
     retrieved: int = 4
     decay: float = 2.0
     least_weight: float = 0.02

@@ -8,7 +8,7 @@ never in between.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,12 +38,16 @@ class LocalSettings:
     radius
         Samples this near to each other are one place, in units of the targets' spread; None takes all neighbours for
         one place.
+    sharpness
+        Power of the places' weights that makes them probabilities: an inverse temperature (Guo et al. 2017). Answers
+        have the weights as they are.
     """
 
     components: int
     neighbours: int
     ridge: float
     radius: float | None
+    sharpness: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,12 @@ class LocalAnswers:
     def best(self) -> FloatArray:
         """(m, d) targets of the heaviest place."""
         return np.asarray(self.values[np.arange(len(self.values)), self.weights.argmax(axis=1)])
+
+    def sharpened(self, power: FloatArray | float) -> LocalAnswers:
+        """The same with weights to a power, one for all or (m, 1); they sum to one again."""
+        raised = self.weights**power
+        total = raised.sum(axis=1, keepdims=True)
+        return replace(self, weights=raised / np.where(total > 0, total, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +155,13 @@ class LocalRegression:
         kernel = np.where(there, np.exp(-NEIGHBOURS.decay * np.where(there, square, 0) / np.maximum(reach, 1e-12)), 0)
         place = np.zeros_like(near) if how.radius is None else self._places(near, there, how.radius)
         n_places = 1 if how.radius is None else NEIGHBOURS.places
-        values = np.empty((len(queries), n_places, self.targets.shape[1]))
+        values = np.zeros((len(queries), n_places, self.targets.shape[1]))
         weights = np.zeros((len(queries), n_places))
         novelty = np.zeros(len(queries))
         for p in range(n_places):
             mine = np.where(place == p, kernel, 0)
+            if not mine.any():  # then there is no further place
+                break
             mine[np.cumsum(mine > 0, axis=1) > how.neighbours] = 0
             weights[:, p] = mine.sum(axis=1)
             first = np.argsort(mine == 0, axis=1, kind="stable")[:, : how.neighbours]
@@ -167,6 +179,8 @@ class LocalRegression:
         where = self.targets[near] / self.target_scale
         place = np.where(there, -1, -2)
         for p in range(NEIGHBOURS.places):
+            if not (place == -1).any():
+                break
             leader = np.argmax(place == -1, axis=1)
             far = np.linalg.norm(where - np.take_along_axis(where, leader[:, None, None], axis=1), axis=2)
             place[(far < radius) & (place == -1)] = p

@@ -97,13 +97,21 @@ class NeighbourSource:
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate for each place that the nearest frames come from."""
-        found = self.regression.predict(evidence.features)
-        novelty = _relative(found, self.typical)
-        rows = zip(found.values, found.weights, novelty.tolist(), strict=True)
-        return SourceAnswer(measurements=[self._measurements(*row) for row in rows])
+        return SourceAnswer(measurements=self._measured(self.regression.predict(evidence.features)))
 
-    def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
-        found, beyond = [], max(novelty * self.typical / self.limit, 1.0)
+    def _measured(self, found: LocalAnswers) -> list[list[PoseMeasurement]]:
+        """The estimates of images (m,) from the regression's answers."""
+        novelty = _relative(found, self.typical)
+        beyond = np.maximum(novelty * self.typical / self.limit, 1.0)
+        # what is known of the weights is known of usual novelty: beyond it the temperature grows as sigma does
+        sharp = found.sharpened(self.regression.settings.sharpness / beyond[:, None])
+        rows = zip(sharp.values, sharp.weights, novelty.tolist(), beyond.tolist(), strict=True)
+        return [self._measurements(*row) for row in rows]
+
+    def _measurements(
+        self, values: FloatArray, weights: FloatArray, novelty: float, beyond: float
+    ) -> list[PoseMeasurement]:
+        found = []
         for k in np.flatnonzero(weights >= NEIGHBOURS.least_weight):
             raw = PoseMeasurement(
                 values[k, :3], normalise_quat(values[k, 3:]), novelty, novelty, self.regression.settings.neighbours

@@ -16,6 +16,8 @@ from ..settings import NEIGHBOURS
 from .components import fit_components
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 
+# Of the weights of places, from the kernel's own on.
+SHARPNESS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # Few components far from the references, many close to them.
 LOCAL_CHOICES = tuple(
     LocalSettings(components, neighbours, ridge, radius)
@@ -91,7 +93,10 @@ def fit_local(
                 progress(len(found), len(choices) * len(views))
             regression = LocalRegression(components, references, targets, target_scale, how)
             answers = regression.predict_components(references[rows], (group[rows], group))
-            found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
+            for sharpness in SHARPNESS if how.radius is not None else SHARPNESS[:1]:
+                sharper, its = answers.sharpened(sharpness), replace(how, sharpness=sharpness)
+                likelihood = _log_likelihood(sharper, targets[rows], target_scale)
+                found.append((likelihood, replace(regression, settings=its), LeftOut(rows, sharper)))
     if not found:
         raise LocalizationError("features are all the same")
     if progress is not None:
