@@ -189,6 +189,6 @@ class Paths:
 
 
 def _by_kernel(source: NeighbourSource) -> NeighbourSource:
-    """Neighbours whose places weigh what their kernel weights say."""
+    """The same neighbours with a sharpness of one."""
     regression = source.regression
     return replace(source, regression=replace(regression, settings=replace(regression.settings, sharpness=1.0)))

@@ -38,3 +38,8 @@ def test_there_are_no_more_components_than_samples_or_features_allow(n, size):
     x = np.random.default_rng(0).normal(size=(n, 6)).astype(np.float32)
     assert np.isfinite(fit_components(x, 256, ALL).apply(x)).all()
     assert fit_components(x, 256, ALL).directions.shape == (6, size)
+
+
+@pytest.mark.parametrize("value", [0.1, 0.37, 117 / 255])
+def test_equal_features_have_no_components_though_their_mean_is_rounded(value):
+    assert fit_components(np.full((37, 9), value, dtype=np.float32), 4, ALL) is None

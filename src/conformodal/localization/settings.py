@@ -85,7 +85,8 @@ class _NeighbourSettings:
     Attributes
     ----------
     places
-        Answers at most, one a place: as many as the landmarks' retrieval clusters. The corridor has five rooms alike.
+        At most so many places are answered, as many as the landmarks' retrieval has clusters; five rooms of the
+        corridor look alike.
     retrieved
         Frames that are clustered by place, in units of the frames of one regression.
     decay

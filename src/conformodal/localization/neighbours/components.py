@@ -55,10 +55,10 @@ def fit_components(features: FloatArray, n_components: int, view: slice) -> Prin
     PrincipalComponents or None
         None where features in the view are all the same.
     """
+    if not np.ptp(features[:, view], axis=0).any():  # the rounded mean of equal numbers may differ from them
+        return None
     offset, scale = feature_scaling(features)
     standard = (features[:, view] - offset[view]) / scale[view]
-    if not standard.any():
-        return None
     from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
 
     n, n_features = standard.shape

@@ -39,8 +39,8 @@ class LocalSettings:
         Samples this near to each other are one place, in units of the targets' spread; None takes all neighbours for
         one place.
     sharpness
-        Power of the places' weights that makes them probabilities: an inverse temperature (Guo et al. 2017). Answers
-        have the weights as they are.
+        Exponent (an inverse temperature, Guo et al. 2017) that turns kernel weights into probabilities of places; 1
+        leaves them. :meth:`LocalRegression.predict` gives kernel weights.
     """
 
     components: int

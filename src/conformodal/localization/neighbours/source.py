@@ -103,7 +103,7 @@ class NeighbourSource:
         """The estimates of images (m,) from the regression's answers."""
         novelty = _relative(found, self.typical)
         beyond = np.maximum(novelty * self.typical / self.limit, 1.0)
-        # what is known of the weights is known of usual novelty: beyond it the temperature grows as sigma does
+        # the sharpness was fitted at usual novelty; beyond, the temperature grows as sigma does, with the novelty
         sharp = found.sharpened(self.regression.settings.sharpness / beyond[:, None])
         rows = zip(sharp.values, sharp.weights, novelty.tolist(), beyond.tolist(), strict=True)
         return [self._measurements(*row) for row in rows]

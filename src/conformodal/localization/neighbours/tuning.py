@@ -16,7 +16,7 @@ from ..settings import NEIGHBOURS
 from .components import fit_components
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 
-# Of the weights of places, from the kernel's own on.
+# Exponents tried on the weights of places; 1 leaves those of the kernel.
 SHARPNESS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # Few components far from the references, many close to them.
 LOCAL_CHOICES = tuple(
@@ -34,7 +34,7 @@ class LeftOut:
     rows
         (m,) the samples that were asked.
     answers
-        To them.
+        To them; the weights are sharpened as the settings say, unlike those of :meth:`LocalRegression.predict`.
     """
 
     rows: npt.NDArray[np.int64]
@@ -83,6 +83,7 @@ def fit_local(
         np.linspace(0, len(features) - 1, min(len(features), NEIGHBOURS.left_out)).round().astype(np.int64)
     )
     found: list[tuple[float, LocalRegression, LeftOut]] = []
+    done, total = 0, len(choices) * len(views)
     for view in views:
         components = fit_components(features, max(how.components for how in choices), view)
         if components is None:
@@ -90,7 +91,8 @@ def fit_local(
         references = components.apply(features)
         for how in choices:
             if progress is not None:
-                progress(len(found), len(choices) * len(views))
+                progress(done, total)
+            done += 1
             regression = LocalRegression(components, references, targets, target_scale, how)
             answers = regression.predict_components(references[rows], (group[rows], group))
             for sharpness in SHARPNESS if how.radius is not None else SHARPNESS[:1]:
@@ -100,7 +102,7 @@ def fit_local(
     if not found:
         raise LocalizationError("features are all the same")
     if progress is not None:
-        progress(len(found), len(found))
+        progress(total, total)
     _, regression, left_out = max(found, key=lambda each: each[0])
     return _slim(regression), left_out
 
