@@ -50,8 +50,11 @@ def steps(models: Models, seen: Frames, ours: Paths) -> dict[str, list[float]]:
     )
     run = PaperOdometry(paper.model).process(models.sequence, seen.frames, cache=models.cache, motions=essential)
     found = {"the paper's system": seen.error(run.trajectories["greedy"])}
-    on_map = Paths(models.step("map"), seen)
+    on_map = Paths(models.step("map", projected=False), seen)
     found["a map of features instead of their average"] = seen.error(on_map.greedy(motions=essential))
+    if models.unprojected() is not None:
+        projected = Paths(models.step("projected", projected=True), seen)
+        found["projection on principal components"] = seen.error(projected.greedy(motions=essential))
     model, targets = (
         ours.trained.model,
         pose_targets(models.sequence.require_truth(), ours.trained.model.sign_reference),
@@ -128,13 +131,14 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
     cv2.setNumThreads(1)
     models = Models(place, seed, runs)
     ours = models.ours()
-    views = ("network", "thumbnail")
-    others = {} if quick else {view: its for view in views if (its := models.neighbours(view)) is not None}
+    views = () if quick else ("network", "thumbnail")
+    others = {view: its for view in views if (its := models.neighbours(view)) is not None}
     retrained: dict[str, Trained | None] = {}
     if not quick:
         retrained = {
             "order-aware labels": models.unlabelled(),
             "the map of features": models.averaged(),
+            "projection": models.unprojected(),
             "a small network (larger instead)": models.larger(),
             "frozen features (fine-tuned instead)": models.tuned() if tuned else None,
         }
@@ -149,7 +153,7 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
         frames = spaced(models.sequence.timestamps_s, test, interval) if interval else test
         seen = Frames(models.sequence, frames, measure_motions(models.sequence, frames))
         paths = Paths(ours, seen, others)
-        removed = {part: parts for part, parts in REMOVED.items() if not quick or parts.neighbours not in views}
+        removed = {part: parts for part, parts in REMOVED.items() if not quick or parts.neighbours in ("both", "none")}
         here = {
             "frames": len(frames),
             "ours": seen.error(paths.path(ALL)),

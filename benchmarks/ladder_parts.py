@@ -12,7 +12,7 @@ from ladder_runs import Trained
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import Sequence
-from conformodal.localization import FrameEvidence, Localizer, NeighbourSource, PoseSource, recognised_only
+from conformodal.localization import FrameEvidence, Localizer, PoseSource, recognised_only
 from conformodal.odometry import Localization, MotionRecord
 from conformodal.poses import RelativeMotion, Trajectory, trajectory_errors
 from conformodal.reasoning import (
@@ -33,7 +33,7 @@ from conformodal.reasoning import (
 class Parts:
     """What is in. All is ours."""
 
-    neighbours: str = "both"  # "both", "network", "thumbnail", "kernel weights" or "none"
+    neighbours: str = "both"  # "both", "network", "thumbnail" or "none"
     landmarks: bool = True
     submaps: bool = True
     rotations: bool = True
@@ -47,7 +47,6 @@ ALL = Parts()
 BARE = Parts(neighbours="none", landmarks=False, submaps=False, bridging=False, smoother=False)
 REMOVED = {
     "neighbours": replace(ALL, neighbours="none"),
-    "sharpness of the neighbours' places": replace(ALL, neighbours="kernel weights"),
     "neighbours by the network's map": replace(ALL, neighbours="thumbnail"),
     "neighbours by global descriptor": replace(ALL, neighbours="network"),
     "landmarks": replace(ALL, landmarks=False),
@@ -182,13 +181,5 @@ class Paths:
         out = {"neighbours"} if parts.neighbours == "none" else set()
         out |= set() if parts.landmarks else {"landmarks"}
         other = self.others.get(parts.neighbours)
-        if parts.neighbours == "kernel weights":
-            other = next((_by_kernel(s) for s in sources if isinstance(s, NeighbourSource)), None)
         kept = (other if s.name == "neighbours" and other is not None else s for s in sources if s.name not in out)
         return tuple(kept)
-
-
-def _by_kernel(source: NeighbourSource) -> NeighbourSource:
-    """The same neighbours with a sharpness of one."""
-    regression = source.regression
-    return replace(source, regression=replace(regression, settings=replace(regression.settings, sharpness=1.0)))

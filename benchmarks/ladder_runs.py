@@ -135,6 +135,13 @@ class Models:
         """Ours with features averaged over the image."""
         return self._kept("averaged", config_of(self.place, self.seed), averaged)
 
+    def unprojected(self) -> Trained | None:
+        """Ours with all features; None where ours has them anyway."""
+        config = config_of(self.place, self.seed)
+        if config.training.components is None:
+            return None
+        return self._kept("unprojected", replace(config, training=replace(config.training, components=None)))
+
     def larger(self) -> Trained | None:
         """Ours with a larger network; on the real video only."""
         if self.place not in REDKITCHEN:
@@ -153,11 +160,12 @@ class Models:
         config = ModelConfig.paper(seed=self.seed, split=ours.split, alpha=ALPHA, training=ours.training)
         return self._kept("paper", config)
 
-    def step(self, name: str) -> Trained:
+    def step(self, name: str, *, projected: bool) -> Trained:
         """The paper's labels, bins and score on the map of features."""
         ours = config_of(self.place, self.seed)
+        training = ours.training if projected else replace(ours.training, components=None)
         bare = {"margin": 0.0, "sigma_bins": 0.0, "score": "lac", "joint": "none", "novelty_level": 0.0}
-        return self._kept(name, replace(ours, **bare, sources=("head",)))
+        return self._kept(name, replace(ours, training=training, **bare, sources=("head",)))
 
     def neighbours(self, view: str) -> PoseSource | None:
         """Neighbours by one kind of features alone: ``network`` or ``thumbnail``, the global descriptor."""

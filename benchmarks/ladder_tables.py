@@ -28,6 +28,7 @@ FILES = {
     "Viterbi (each frame's most probable candidate)": ["reasoning/viterbi.py"],
     "bridging of unknown frames": ["reasoning/bridging.py"],
     "smoother": ["reasoning/smoother.py", "reasoning/orientations.py"],
+    "projection": ["vision/projection.py"],
     "frozen features (fine-tuned instead)": ["vision/finetuning.py", "vision/tuning_loop.py"],
 }
 # Stages of training, and times of a frame, that are there for a part alone.

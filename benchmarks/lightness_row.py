@@ -77,7 +77,7 @@ def dropped(model: PoseModel, features: np.ndarray, rng: np.random.Generator) ->
         kept = rng.random((PASSES, x.shape[1]), dtype=np.float32) >= share
         return x * kept * np.float32(1 / (1 - share))
 
-    x = drop(head.standardise(features), input_share) @ ours["trunk.1.weight"].T + ours["trunk.1.bias"]
+    x = drop(head.projection.apply(features), input_share) @ ours["trunk.1.weight"].T + ours["trunk.1.bias"]
     x = x - x.mean(axis=1, keepdims=True)
     x /= np.sqrt((x**2).mean(axis=1, keepdims=True) + np.float32(1e-5))
     x = x * ours["trunk.2.weight"] + ours["trunk.2.bias"]

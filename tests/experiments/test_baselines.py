@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,7 +31,7 @@ from conformodal.experiments.plain import fit_values, known_frames, scaling
 from conformodal.experiments.table1 import METHODS
 from conformodal.networks import predict_values
 from conformodal.odometry import TrainingData
-from conformodal.vision import TrainingConfig, feature_views
+from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
 CONFIG = TrainingConfig(epochs=25, hidden=32, dropout=0.05, batch_size=64, seed=1)
 
@@ -61,18 +60,18 @@ def trained():
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_a_regressor_knows_the_features_and_rows_that_it_may_see_and_no_others(whole):
+def test_projections_are_of_the_rows_asked_for_and_fitted_once(whole):
     data = make_data(n=200)
     views = feature_views(data.features.shape[1])
-    rows, seen = data.split.train, views.both if whole else views.network
-    fit = partial(fit_values, standard=data.targets, rows=rows, config=replace(CONFIG, epochs=1), whole=whole)
-    head = fit(data)
-    np.testing.assert_allclose(head.offset.numpy(), data.features[rows, seen].mean(axis=0), atol=1e-5)
-    spoilt = np.full_like(data.features, 9)
-    spoilt[rows, seen] = data.features[rows, seen]
-    features = data.features[data.split.test]
-    again = fit(replace(data, features=spoilt))
-    np.testing.assert_array_equal(predict_values(again, features), predict_values(head, features))
+    for rows in (data.split.train, data.split.calibration):
+        found = data.projection(rows, 4, whole=whole)
+        true = fit_projection(data.features[rows], 4, views.both if whole else views.network)
+        np.testing.assert_array_equal(found.components, true.components)
+        np.testing.assert_array_equal(found.offset, true.offset)
+        assert data.projection(rows.copy(), 4, whole=whole) is found
+        assert data.projection(rows, 3, whole=whole) is not found
+    other = replace(data, features=2 * data.features)
+    assert not np.array_equal(other.projection(rows, 4).offset, data.projection(rows, 4).offset)
 
 
 def rmse(values, data):
@@ -166,7 +165,14 @@ def test_dropout_is_averaged_the_same_way_every_time_and_switched_off_again(trai
 
 def test_a_mixture_answers_with_one_of_two_values_where_a_mean_lies_between():
     data = make_data(two_answers=True)
-    classical = SimpleNamespace(training=CONFIG, mean=data.targets.mean(axis=0), scale=data.targets.std(axis=0))
+    known = np.concatenate((data.split.train, data.split.calibration))
+    through = fit_projection(data.features[known], CONFIG.components)
+    classical = SimpleNamespace(
+        training=CONFIG,
+        mean=data.targets.mean(axis=0),
+        scale=data.targets.std(axis=0),
+        head=SimpleNamespace(projection=through),
+    )
     answers = mixture_density(Problem(data, classical)).answer(data.features[data.split.test])
     assert np.median(np.abs(np.abs(answers) - 1)) < 0.1
 
@@ -185,7 +191,7 @@ def test_mixture_loss_is_the_likelihood():
 
 
 def test_learnt_variances_settle_at_the_mean_squares():
-    head = WeightedHead(np.zeros(2, np.float32), np.ones(2, np.float32), [1] * 7)
+    head = WeightedHead(Projection(np.zeros(2, np.float32), np.ones(2, np.float32)), [1] * 7)
     raw, y = torch.zeros(100, 7), torch.ones(100, 7)
     y[:, :3] = 3.0
     optimiser = torch.optim.Adam([head.log_variance], lr=0.1)

@@ -20,7 +20,7 @@ def made_up(n=300):
 
 
 def test_it_learns_from_training_and_calibration_part_and_from_no_test_frame():
-    data, config = made_up(), TrainingConfig(epochs=60, hidden=32, dropout=0.0, input_dropout=0.0)
+    data, config = made_up(), TrainingConfig(epochs=15, hidden=32, dropout=0.0, input_dropout=0.0, components=None)
     regressor = train_plain(data, config)
     known = np.concatenate((data.split.train, data.split.calibration))
     np.testing.assert_allclose(regressor.mean, data.targets[known].mean(axis=0))
@@ -33,7 +33,7 @@ def test_it_learns_from_training_and_calibration_part_and_from_no_test_frame():
 
 
 def test_a_target_that_does_not_vary_and_unnormalised_quaternions_make_a_trajectory():
-    data, config = made_up(60), TrainingConfig(epochs=2, hidden=8)
+    data, config = made_up(60), TrainingConfig(epochs=2, hidden=8, components=None)
     regressor = train_plain(data, config)
     path = regressor.trajectory(data.features, np.arange(60.0))
     np.testing.assert_allclose(regressor.predict(data.features)[:, 6], 4, atol=1e-4)

@@ -40,7 +40,7 @@ def make_data(n=240, seed=0, n_recordings=1, **settings):
         CAMERA,
         Trajectory(times, targets[:, :3], normalise_quat(targets[:, 3:])),
     )
-    training = TrainingConfig(epochs=2, hidden=16)
+    training = TrainingConfig(epochs=2, hidden=16, components=6)
     return SourceData(sequence, features_of(x), targets, SIGN, **{"n_bins": 12, "training": training, **settings})
 
 

@@ -4,12 +4,12 @@ from sklearn.linear_model import Ridge
 
 from conformodal.localization import LocalizationError
 from conformodal.localization.neighbours import LOCAL_CHOICES, LocalRegression, LocalSettings, fit_local
-from conformodal.localization.neighbours.components import PrincipalComponents
+from conformodal.vision import Projection
 
 
 def regression(x, y, settings, scale=None):
     k = x.shape[1]
-    through = PrincipalComponents(np.zeros(k, np.float32), np.eye(k, dtype=np.float32))
+    through = Projection(np.zeros(k, np.float32), np.eye(k, dtype=np.float32))
     scale = np.ones(y.shape[1]) if scale is None else scale
     return LocalRegression(through, x.astype(np.float32), y, scale, settings)
 
@@ -63,7 +63,7 @@ def test_references_of_a_querys_own_group_are_not_looked_at():
     spoilt = y.copy()
     spoilt[place == 1] = 1e9
     for radius in (None, 3.0):
-        found = regression(x, spoilt, LocalSettings(2, 10, 1e-6, radius)).predict_components(
+        found = regression(x, spoilt, LocalSettings(2, 10, 1e-6, radius)).predict_projected(
             np.array([[0.3, 0.0]], dtype=np.float32), (np.array([1]), place)
         )
         np.testing.assert_allclose(found.best, [[0.3]], atol=0.02)
@@ -110,28 +110,6 @@ def test_a_world_of_copies_is_told_apart_when_settings_are_chosen():
     assert np.abs(left_out.answers.values - y[left_out.rows][:, None]).min(axis=1).max() < 0.2
 
 
-def test_weights_of_places_are_as_sharp_as_the_nearest_place_is_right():
-    where = np.linspace(0, 1, 40)
-    x = np.column_stack((where, where**2)).astype(np.float32)  # no two places look alike, and there are few samples
-    choices = [LocalSettings(2, 10, 0.03, 0.5)]
-    sure, left_out = fit_local(x, where[:, None], where.std(keepdims=True), np.arange(40), choices=choices)
-    nearest = np.abs(left_out.answers.values[:, 0, 0] - where[left_out.rows])
-    assert (nearest < 0.1).all()
-    assert sure.settings.sharpness > 2
-    copies, y, _ = two_places(300)
-    unsure, _ = fit_local(copies.astype(np.float32), y, y.std(axis=0), np.arange(300), choices=choices)
-    assert unsure.settings.sharpness < 2
-
-
-def test_sharper_weights_are_powers_that_sum_to_one():
-    x, y, _ = two_places()
-    query = np.array([[0.3, 0.0]], dtype=np.float32)
-    plain = regression(x, y, LocalSettings(2, 10, 1e-6, 3.0)).predict(query)
-    sharp = plain.sharpened(3.0).weights
-    np.testing.assert_allclose(sharp, plain.weights**3 / (plain.weights**3).sum())
-    np.testing.assert_allclose(plain.sharpened(np.array([[1.0]])).weights, plain.weights)
-
-
 def test_a_group_that_is_left_out_sees_nothing_of_itself():
     """Copies of one sample in one group would answer for each other."""
     rng = np.random.default_rng(5)
@@ -149,7 +127,7 @@ def test_the_view_that_knows_is_chosen():
     settings = [LocalSettings(2, 12, 0.01, None)]
     views = [slice(0, 4), slice(4, 6), slice(6, 9)]
     found, left_out = fit_local(x, y, np.ones(2), np.arange(200), choices=settings, views=views)
-    assert np.flatnonzero(found.components.directions.any(axis=1)).tolist() == [4, 5]
+    assert np.flatnonzero(found.projection.components.any(axis=1)).tolist() == [4, 5]
     assert np.abs(left_out.answers.best - y[left_out.rows]).max() < 0.2
     np.testing.assert_allclose(found.predict(x).best, y, atol=0.2)
     x[:, 6:] = 1.0  # a view that says nothing is passed over

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,10 @@ def world():
 
 def answered(source, answers, novelty):
     """The source's estimates where its regression answers so, at a novelty in units of features."""
-    return source._measured(replace(answers, novelty=np.full(len(answers.values), novelty)))
+    told = LocalAnswers(answers.values, answers.weights, np.full(len(answers.values), novelty))
+    relative = np.full(len(answers.values), novelty / source.typical)
+    rows = zip(told.values, told.weights, relative.tolist(), strict=True)
+    return [source._measurements(*row) for row in rows]
 
 
 def test_errors_are_as_large_as_the_standard_deviations(world):
@@ -70,16 +71,6 @@ def test_every_place_that_looks_alike_has_an_estimate_with_its_share_of_the_odds
     single = LocalAnswers(values, np.array([[1.0, 0.0, 0.0]]), np.ones(1))
     alone = answered(source, single, source.typical)[0][0]
     assert sum(odds) == pytest.approx(alone.inlier_probability / (1 - alone.inlier_probability))
-
-
-def test_sharpness_fades_where_images_are_novel(world):
-    source, _, y = world
-    regression = source.regression
-    sharp = replace(source, regression=replace(regression, settings=replace(regression.settings, sharpness=3.0)))
-    shares = LocalAnswers(np.stack((y[0], y[1]))[None], np.array([[0.25, 0.75]]), np.ones(1))
-    for novelty, power in ((source.limit, 3.0), (3 * source.limit, 1.0), (30 * source.limit, 0.1)):
-        odds = [one.inlier_probability / (1 - one.inlier_probability) for one in answered(sharp, shares, novelty)[0]]
-        assert odds[1] / odds[0] == pytest.approx(3**power, rel=1e-6)
 
 
 def test_what_is_typical_comes_from_samples_left_out(world):

@@ -7,7 +7,7 @@ from conformodal.datasets import ImageError
 from conformodal.localization import TARGET_NAMES
 from conformodal.networks import TorchBackbone, exported, fit_head, quantised, quantising, soft_cross_entropy
 from conformodal.networks.with_head import with_head
-from conformodal.vision import BackboneConfig, FeatureCache, TrainingConfig
+from conformodal.vision import BackboneConfig, FeatureCache, TrainingConfig, fit_projection
 from conformodal.vision.backbone import feature_views
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
@@ -56,13 +56,14 @@ def test_an_unreadable_image_is_named(onnx, files, tmp_path):
         quantised(onnx, [*files, missing], FeatureCache(None))
 
 
-def test_the_file_with_the_head_gives_the_probabilities_of_the_model(onnx, images):
+@pytest.mark.parametrize("components", [4, None])
+def test_the_file_with_the_head_gives_the_probabilities_of_the_model(onnx, images, components):
     features = onnx.describe(images).astype(np.float32)
     sizes = [3, 2, 4, 2, 3, 2, 5]
     labels = np.concatenate([np.random.default_rng(k).dirichlet(np.ones(k), len(images)) for k in sizes], axis=1)
-    seen = features[:, feature_views(features.shape[1]).network]
+    through = fit_projection(features, components, feature_views(features.shape[1]).network)
     config = TrainingConfig(epochs=3, hidden=16, batch_size=4)
-    head = fit_head(seen, labels, sizes, soft_cross_entropy, config).trained()
+    head = fit_head(features, labels, sizes, soft_cross_entropy, config, projection=through).trained()
     session = onnxruntime.InferenceSession(with_head(onnx, head, TARGET_NAMES), providers=["CPUExecutionProvider"])
     assert [node.name for node in session.get_outputs()] == ["map", *TARGET_NAMES]
     batch = session.run(list(TARGET_NAMES), {"images": images})  # of any number of images

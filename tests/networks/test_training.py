@@ -12,9 +12,12 @@ from conformodal.networks import (
     predict_values,
     soft_cross_entropy,
 )
-from conformodal.vision import TrainingConfig, VisionError, feature_scaling
-
-AS_THEY_ARE = np.zeros(4, np.float32), np.ones(4, np.float32)  # offset and scale of features
+from conformodal.vision import (
+    Projection,
+    TrainingConfig,
+    VisionError,
+    fit_projection,
+)
 
 
 def toy(n=120, seed=0):
@@ -38,7 +41,7 @@ def test_training_learns_and_is_seeded():
 def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes():
     rng = np.random.default_rng(0)
     for sizes in ([3, 3], [2, 4]):
-        head = Head(*AS_THEY_ARE, sizes)
+        head = Head(fit_projection(rng.normal(size=(20, 5)).astype(np.float32), None), sizes)
         raw = torch.from_numpy(rng.normal(size=(8, 6)))
         labels = torch.cat([torch.from_numpy(rng.dirichlet(np.ones(k), 8)) for k in sizes], dim=1)
         each = [
@@ -49,7 +52,8 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes(
 
 
 def test_dropout_drops_its_share_keeps_the_mean_and_rests_outside_training():
-    head = Head(*AS_THEY_ARE, [1], hidden=8, dropout=0.25, input_dropout=0.4)
+    through = Projection(np.zeros(4, np.float32), np.ones(4, np.float32))
+    head = Head(through, [1], hidden=8, dropout=0.25, input_dropout=0.4)
     x = torch.ones(500, 200)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -62,7 +66,7 @@ def test_dropout_drops_its_share_keeps_the_mean_and_rests_outside_training():
     assert (head.trunk[0](x) == x).all()
     for share in (-0.1, 1.0, float("nan")):
         with pytest.raises(VisionError, match="dropout must be at least 0 and less than 1"):
-            Head(*AS_THEY_ARE, [1], dropout=share)
+            Head(through, [1], dropout=share)
 
 
 def test_regression_shares_the_trunk():
@@ -110,7 +114,7 @@ def test_state_of_other_data_is_not_taken_up(tmp_path):
 
 
 def test_head_splits_its_outputs_by_target():
-    head = Head(*AS_THEY_ARE, [2, 3])
+    head = Head(Projection(np.zeros(4, np.float32), np.ones(4, np.float32)), [2, 3])
     blocks = head.split(head(torch.zeros(5, 4)))
     assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
 
@@ -131,34 +135,12 @@ def test_too_little_data_is_refused():
             fit_head(np.zeros((8, 3), np.float32), np.zeros((8, 1)), [2], loss, CONFIG)
 
 
-def test_features_are_standardised_and_dead_ones_stay_small():
-    x = np.random.default_rng(0).normal(5, 3, size=(50, 4)).astype(np.float32)
-    x[:, 2] = 1.0
-    head = Head(*feature_scaling(x), [2])
-    z = head.standardise(torch.from_numpy(x)).numpy()
-    np.testing.assert_allclose(z.mean(axis=0), 0, atol=1e-5)
-    np.testing.assert_allclose(z.std(axis=0), [1, 1, 0, 1], rtol=2e-3)
-    np.testing.assert_allclose(head.trained().standardise(x), z, rtol=1e-5, atol=1e-6)
-    assert np.abs(head.trained().standardise(x + np.float32(0.01))[:, 2]).max() < 11  # a hundredth, not infinity
-
-
-def test_features_after_those_that_a_head_sees_change_nothing_and_fewer_are_refused():
-    x, y = toy()
-    head = fit_head(x, y, [2], soft_cross_entropy, CONFIG)
-    longer = np.concatenate((x, x), axis=1)
-    np.testing.assert_array_equal(predict_values(head, longer), predict_values(head, x))
-    trained = head.trained()
-    assert trained.n_features == 6
-    np.testing.assert_array_equal(trained.predict_proba(longer)[0], trained.predict_proba(x)[0])
-    with pytest.raises(VisionError, match="sees 6 features, got 5"):
-        trained.predict_proba(x[:, :5])
-
-
-def test_a_trained_head_answers_as_torch_does():
+@pytest.mark.parametrize("components", [4, None])
+def test_a_trained_head_answers_as_torch_does(components):
     rng = np.random.default_rng(1)
     x = rng.normal(size=(300, 12)).astype(np.float32)
     y = np.concatenate([rng.dirichlet(np.ones(k), 300) for k in (5, 9, 2)], axis=1)
-    head = fit_head(x, y, [5, 9, 2], soft_cross_entropy, CONFIG)
+    head = fit_head(x, y, [5, 9, 2], soft_cross_entropy, replace(CONFIG, components=components))
     trained = head.trained()
     with torch.inference_mode():
         expected = [torch.softmax(block.double(), dim=1).numpy() for block in head.split(head(torch.from_numpy(x)))]

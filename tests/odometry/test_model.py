@@ -98,7 +98,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-13'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-12'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -243,7 +243,9 @@ def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
 
 def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
     tuning = FineTuning(blocks=1, epochs=1)
-    config = ModelConfig(fine_tuning=tuning, training=TrainingConfig(epochs=2), sources=("head",), used=0.3)
+    config = ModelConfig(
+        fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), sources=("head",), used=0.3
+    )
     data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
     trained = train_model(data, config)
     save_model(trained, tmp_path / "model")

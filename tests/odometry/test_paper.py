@@ -50,7 +50,7 @@ def test_it_is_what_section_2_and_3_say():
     config = ModelConfig.paper()
     assert (config.n_bins, config.margin, config.sigma_bins) == (50, 0, 0)
     assert (config.score, config.joint, config.alpha) == ("lac", "none", 0.1)
-    assert config.sources == ("head",)
+    assert (config.sources, config.training.components) == (("head",), None)
     assert ModelConfig.paper(n_bins=10, seed=3).n_bins == 10
 
 
@@ -73,7 +73,8 @@ def test_what_the_paper_does_not_have_is_refused(settings):
 
 def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
     assert data.features.shape == (len(data.sequence), 1280 + 32 * 24)
-    assert head_of(model).n_features == 1280  # the head does not see the thumbnail
+    assert not head_of(model).projection.components[1280:].any()  # the thumbnail counts nothing
+    assert head_of(model).projection.components.ndim == 1  # no projection: standardised features
 
 
 def test_nothing_else_is_in_the_model(model):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from conformodal.core import FloatArray
 from conformodal.odometry import TrainingData
-from conformodal.vision import TrainingConfig
+from conformodal.vision import Projection, TrainingConfig
 
 from .classical import ClassicalRegressor
 from .errors import ExperimentError
@@ -45,7 +45,7 @@ class Baseline:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What baselines learn from: the classical regressor's data, settings and scaling.
+    """What baselines learn from: the classical regressor's data, settings, scaling and projection of features.
 
     Attributes
     ----------
@@ -65,6 +65,11 @@ class Problem:
     def config(self) -> TrainingConfig:
         """The settings that the classical regressor's search chose."""
         return self.classical.training
+
+    @property
+    def projection(self) -> Projection:
+        """Of the features of training and calibration frames."""
+        return self.classical.head.projection
 
     @property
     def known(self) -> npt.NDArray[np.int64]:

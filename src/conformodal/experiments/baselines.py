@@ -101,7 +101,7 @@ def deep_ensemble(problem: Problem) -> Baseline:
     """The mean of five classical regressors from different starts (Lakshminarayanan, Pritzel and Blundell 2017)."""
     plain = HeadKind(mean_squared_error, [1] * _D, predict_values)
     starts = (replace(problem.config, seed=problem.config.seed + 1000 * k) for k in range(1, _N_MEMBERS))
-    others = [plain.fit(problem, problem.known, settings) for settings in starts]
+    others = [plain.fit(problem, problem.known, settings, problem.projection) for settings in starts]
     heads = [problem.classical.head, *others]
 
     def answer(features: Features) -> FloatArray:

@@ -1,9 +1,9 @@
 """The tuned baseline: a regressor that shares everything with the conformal network but its outputs.
 
 Same features, trunk, optimiser and epochs; seven numbers and mean squared error instead of seven softmaxes. It needs
-no calibration, so it is trained on the calibration frames too. Its learning rate and dropout are searched:
-trained on the training part, judged on the calibration part, then trained once more on both. Rates are searched with
-and without dropout: without, squared errors bear a rate three times as high, and do best there.
+no calibration, so it is trained on the calibration frames too. Its learning rate, dropout and number of components are
+searched: trained on the training part, judged on the calibration part, then trained once more on both. Rates are
+searched with and without dropout: without, squared errors bear a rate three times as high, and do best there.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ _START_RATES = (1e-3, 3e-3)
 START_DROPOUT = 0.1
 _FEW_RATES = (3e-4, 1e-3, 3e-3)
 _BATCH_SIZE = 32  # at 64, the conformal network's, errors rose on most splits that were tried
+_COMPONENTS = (64, 256)  # besides what the conformal model has; a model of all features has a reason for it
 
 
 @dataclass(eq=False)
@@ -75,18 +76,18 @@ def train_classical(
     whole: bool = False,
     thorough: bool = True,
 ) -> ClassicalRegressor:
-    """Search learning rate and dropout, then train on training and calibration parts together.
+    """Search learning rate, dropout and number of components, then train on training and calibration parts together.
 
     The search starts with little dropout, and none of inputs, which squared errors bear badly. It walks down and up
     from two rates in factors of about three until the best rate has a worse one on either side, then again without
-    dropout; then more dropout is tried with the best settings.
+    dropout; then more dropout and the other numbers of components are tried with the best settings.
 
     Parameters
     ----------
     data
         What the conformal model was trained on.
     config
-        Settings; only learning rate and dropout change.
+        Settings; only learning rate, dropout and components change.
     progress
         Called with stage, trainings done and trainings in all (as far as known).
     whole
@@ -134,13 +135,15 @@ def train_classical(
 
 
 def _try_settings(search: SettingsSearch, config: TrainingConfig) -> None:
-    """Rates with little dropout and without; then more dropout."""
+    """Rates with little dropout and without; then more dropout, and other numbers of components."""
     little = replace(config, dropout=START_DROPOUT, input_dropout=0.0)
     search.walk(*(replace(little, learning_rate=rate) for rate in _START_RATES))
     search.walk(replace(search.best, dropout=0.0))
+    choices = () if config.components is None else _COMPONENTS
     search.try_out(
         replace(search.best, dropout=config.dropout),
         replace(search.best, dropout=config.dropout, input_dropout=config.input_dropout),
+        *(replace(search.best, components=k) for k in choices),
     )
 
 

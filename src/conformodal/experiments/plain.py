@@ -15,7 +15,7 @@ from conformodal.core import FloatArray, IntArray
 from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
 from conformodal.odometry import TrainingData
 from conformodal.poses import Trajectory, normalise_quat
-from conformodal.vision import TrainingConfig, feature_views
+from conformodal.vision import TrainingConfig
 
 _LEAST_SCALE = 1e-6  # of a target that does not vary
 
@@ -93,6 +93,6 @@ def fit_values(
     whole
         Whether it sees the global descriptor too.
     """
-    views = feature_views(data.features.shape[1])
-    features = data.features[rows, views.both if whole else views.network]
-    return fit_head(features, standard[rows], [1] * standard.shape[1], mean_squared_error, config)
+    through = data.projection(rows, config.components, whole=whole)
+    outputs = [1] * standard.shape[1]
+    return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, config, projection=through)

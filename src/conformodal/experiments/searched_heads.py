@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core import FloatArray
 from conformodal.networks import Head, Loss, fit_head
-from conformodal.vision import TrainingConfig, feature_views
+from conformodal.vision import Projection, TrainingConfig
 
 from .baseline_kinds import Baseline, Features, Problem
 from .classical import START_DROPOUT, root_mean_square
@@ -38,11 +38,14 @@ class HeadKind:
     head_type: type[Head] = Head
     least_dropout: float = 0.0
 
-    def fit(self, problem: Problem, rows: npt.NDArray[np.int64], settings: TrainingConfig) -> Head:
-        """Train on some rows."""
-        features = problem.data.features
-        seen = features[rows, feature_views(features.shape[1]).network]
-        return fit_head(seen, problem.standard(rows), self.outputs, self.loss, settings, head_type=self.head_type)
+    def fit(
+        self, problem: Problem, rows: npt.NDArray[np.int64], settings: TrainingConfig, projection: Projection
+    ) -> Head:
+        """Train on some rows; the projection may know these and no others."""
+        features, targets = problem.data.features[rows], problem.standard(rows)
+        return fit_head(
+            features, targets, self.outputs, self.loss, settings, head_type=self.head_type, projection=projection
+        )
 
     def searched(
         self,
@@ -52,17 +55,18 @@ class HeadKind:
         everything: npt.NDArray[np.int64],
     ) -> Head:
         """Trained on everything, with the rate and dropout that did best on `judge` when trained on `rows`."""
-        data = problem.data
+        data, components = problem.data, problem.config.components
+        part, whole = (data.projection(at, components) for at in (rows, everything))
 
         def error(head: Head) -> float:
             miss = problem.metric(self.answer(head, data.features[judge])) - data.targets[judge]
             return root_mean_square(miss[:, :N_POSITION])
 
-        search = SettingsSearch(lambda settings: error(self.fit(problem, rows, settings)))
+        search = SettingsSearch(lambda settings: error(self.fit(problem, rows, settings, part)))
         search.walk(replace(problem.config, dropout=max(problem.config.dropout, self.least_dropout)))
         others = {max(dropout, self.least_dropout) for dropout in (0.0, START_DROPOUT)}
         search.try_out(*(replace(search.best, dropout=dropout) for dropout in sorted(others)))
-        _, head = search.once_more(lambda settings: self.fit(problem, everything, settings), error)
+        _, head = search.once_more(lambda settings: self.fit(problem, everything, settings, whole), error)
         return head
 
     def judged(self, problem: Problem) -> Head:

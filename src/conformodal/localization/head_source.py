@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from conformodal.core import IntArray, needing, stage_of
-from conformodal.vision import SoftmaxHead, feature_views
+from conformodal.vision import SoftmaxHead
 
 from .evidence import FrameEvidence
 from .source import SourceAnswer, SourceState, register_source
@@ -41,13 +41,13 @@ class HeadSource:
             from conformodal.networks import fit_head, soft_cross_entropy  # noqa: PLC0415
 
         bins = data.bins_of(frames)
-        seen = feature_views(data.features.shape[1]).network  # the first features: the global descriptor follows
         head = fit_head(
-            data.features[frames, seen],
+            data.features[frames],
             np.concatenate(bins.soft_targets(data.targets[frames], data.sigma_bins), axis=1),
             bins.sizes,
             soft_cross_entropy,
             data.training,
+            projection=data.projection(frames, data.training.components),
             checkpoint_dir=data.checkpoint_dir,
             progress=stage_of(data.progress, "training"),
         )

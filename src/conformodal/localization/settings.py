@@ -85,8 +85,7 @@ class _NeighbourSettings:
     Attributes
     ----------
     places
-        At most so many places are answered, as many as the landmarks' retrieval has clusters; five rooms of the
-        corridor look alike.
+        Answers at most, one a place.
     retrieved
         Frames that are clustered by place, in units of the frames of one regression.
     decay
@@ -103,7 +102,7 @@ class _NeighbourSettings:
         Frames that settings are chosen on, at most.
     """
 
-    places: int = 8
+    places: int = 4
     retrieved: int = 4
     decay: float = 2.0
     least_weight: float = 0.02

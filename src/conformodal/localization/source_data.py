@@ -13,7 +13,7 @@ import numpy.typing as npt
 from conformodal.conformal import QuantileBins
 from conformodal.core import IntArray, StageProgress, stage_of
 from conformodal.datasets import Sequence, SplitKind, held_out_together
-from conformodal.vision import TrainingConfig
+from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
 from .local_features import LocalFeatures, Matcher, extract_local_features
 
@@ -60,6 +60,7 @@ class SourceData:
     progress: StageProgress | None = None
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+    _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict)
 
     def bins_of(self, frames: IntArray) -> QuantileBins:
         """Bins of the targets of some frames."""
@@ -74,6 +75,25 @@ class SourceData:
     def stretches(self) -> IntArray:
         """(n,) labels of contiguous stretches."""
         return held_out_together(self.sequence.recording, SplitKind.BLOCKS)
+
+    def projection(self, frames: IntArray, components: int | None, *, whole: bool = False) -> Projection:
+        """Principal components of some frames' features, fitted once.
+
+        Parameters
+        ----------
+        frames
+            Frames that it may know.
+        components
+            See :func:`~conformodal.vision.fit_projection`.
+        whole
+            Whether the global descriptor that features end in counts too, beside the network's map.
+        """
+        key = (frames.tobytes(), components, whole)
+        if key not in self._projections:
+            views = feature_views(self.features.shape[1])
+            view = views.both if whole else views.network
+            self._projections[key] = fit_projection(self.features[frames], components, view)
+        return self._projections[key]
 
     def local_features(self, frames: IntArray) -> list[LocalFeatures]:
         """Local features of some frames, extracted once.

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 
 from conformodal.core import Progress
-from conformodal.vision import TrainingConfig, VisionError, feature_scaling
+from conformodal.vision import Projection, TrainingConfig, VisionError, fit_projection
 
 from .heads import Head, Loss
 
@@ -44,6 +44,7 @@ def fit_head(
     config: TrainingConfig,
     *,
     head_type: type[Head] = Head,
+    projection: Projection | None = None,
     checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Head:
@@ -61,6 +62,8 @@ def fit_head(
         See :class:`~conformodal.vision.TrainingConfig`.
     head_type
         A subclass, for losses with parameters of their own.
+    projection
+        Of these features; fitted by default. Several heads for the same samples can share one.
     checkpoint_dir
         Where to keep the state while training. A run that was stopped goes on from there if data and settings are
         the same; when training ends, its state is removed.
@@ -78,9 +81,10 @@ def fit_head(
         raise VisionError(f"training needs two samples or more, as many as targets; got {x.shape}, {y.shape}")
     from .loop import run_loop  # noqa: PLC0415 - Lightning takes seconds to import; running a model needs none of it
 
+    through = projection or fit_projection(x.numpy(), config.components)
     input_dropout = config.dropout if config.input_dropout is None else config.input_dropout
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        head = head_type(*feature_scaling(x.numpy()), outputs, config.hidden, config.dropout, input_dropout)
-        run_loop(head, head.standardise(x), y, loss, config, checkpoint_dir, progress)
+        head = head_type(through, outputs, config.hidden, config.dropout, input_dropout)
+        run_loop(head, head.project(x), y, loss, config, checkpoint_dir, progress)
     return head.eval()

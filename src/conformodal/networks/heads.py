@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from conformodal.vision import SoftmaxHead, VisionError
+from conformodal.vision import Projection, SoftmaxHead, VisionError
 
 
 class _Dropout(nn.Module):
@@ -29,21 +29,21 @@ class _Dropout(nn.Module):
 
 
 class Head(nn.Module):
-    """Standardised features, dropout, one hidden layer, and a linear output for every target.
+    """Projected features, dropout, one hidden layer, and a linear output for every target.
 
     The conformal network has one softmax of K bins a target; the classical regressor has one number a target and
     shares all else.
 
     Parameters
     ----------
-    offset, scale
-        (F,) of the features, see :func:`~conformodal.vision.feature_scaling`; they stay as they are in training.
+    projection
+        From features to what is learnt from; it stays as it is in training.
     outputs
         Outputs of each target: ``[K_1, ..., K_d]``, or ones.
     hidden
         Units of the hidden layer.
     dropout, input_dropout
-        Share of hidden units, and of features, dropped in training.
+        Share of hidden units, and of projected features, dropped in training.
 
     Raises
     ------
@@ -52,12 +52,11 @@ class Head(nn.Module):
     """
 
     offset: torch.Tensor
-    scale: torch.Tensor
+    components: torch.Tensor
 
     def __init__(
         self,
-        offset: npt.NDArray[np.float32],
-        scale: npt.NDArray[np.float32],
+        projection: Projection,
         outputs: list[int],
         hidden: int = 256,
         dropout: float = 0.3,
@@ -65,29 +64,35 @@ class Head(nn.Module):
     ) -> None:
         super().__init__()
         self.outputs = list(outputs)
-        self.register_buffer("offset", torch.from_numpy(offset))
-        self.register_buffer("scale", torch.from_numpy(scale))
+        self.register_buffer("offset", torch.from_numpy(projection.offset))
+        self.register_buffer("components", torch.from_numpy(projection.components))
         self.trunk = nn.Sequential(
             _Dropout(input_dropout),
-            nn.Linear(len(offset), hidden),
+            nn.Linear(projection.size, hidden),
             nn.LayerNorm(hidden),
             nn.GELU(),
             _Dropout(dropout),
         )
         self.output = nn.Linear(hidden, sum(outputs))
 
-    def standardise(self, features: torch.Tensor) -> torch.Tensor:
-        """What the trunk sees, (n, F), of features (n, F or more): the first F, standardised."""
-        return (features[:, : len(self.offset)] - self.offset) / self.scale
+    @property
+    def projection(self) -> Projection:
+        """The projection that this head was made with."""
+        return Projection(self.offset.numpy(), self.components.numpy())
 
-    def answer(self, standard: torch.Tensor) -> torch.Tensor:
-        """Raw outputs (n, sum of outputs) of standardised features (n, F)."""
-        result: torch.Tensor = self.output(self.trunk(standard))
+    def project(self, features: torch.Tensor) -> torch.Tensor:
+        """Projected features (n, k) of features (n, F)."""
+        centred = features - self.offset
+        return centred @ self.components if self.components.ndim == 2 else centred * self.components
+
+    def answer(self, projected: torch.Tensor) -> torch.Tensor:
+        """Raw outputs (n, sum of outputs) of projected features (n, k)."""
+        result: torch.Tensor = self.output(self.trunk(projected))
         return result
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Raw outputs (n, sum of outputs) of features (n, F or more)."""
-        return self.answer(self.standardise(features))
+        """Raw outputs (n, sum of outputs) of features (n, F)."""
+        return self.answer(self.project(features))
 
     def trained(self) -> SoftmaxHead:
         """The same head in NumPy, which predicts without torch."""

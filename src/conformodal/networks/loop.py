@@ -83,7 +83,7 @@ def run_loop(
     checkpoint_dir: Path | None,
     progress: Progress | None,
 ) -> None:
-    """Fit `head` in place to standardised samples (n, F) and targets; see :func:`~.fitting.fit_head`."""
+    """Fit `head` in place to projected samples (n, k) and targets; see :func:`~.fitting.fit_head`."""
     loader: DataLoader[Any] = DataLoader(TensorDataset(torch.zeros(1)))  # epochs; the module holds the samples
     module = _Module(head, x, y, loss, config)
     folder = None if checkpoint_dir is None else checkpoint_dir / _digest(head, x, y, loss, config)

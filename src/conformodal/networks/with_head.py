@@ -32,7 +32,12 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
 
     model = onnx.load_model_from_string(backbone.content)
     graph = model.graph
+    n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
     ours = {name: np.asarray(value) for name, value in head.weights.items()}
+    # the head does not see the global descriptor, in which features end
+    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]
+    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, and those of the descriptor are 0
+        ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
     for name in ("trunk.1.weight", "output.weight"):
         ours[name] = np.ascontiguousarray(ours[name].T)
     ours |= {k: np.array(v, np.float32) for k, v in (("half", 0.5), ("one", 1), ("root", np.sqrt(0.5)))}
@@ -45,7 +50,7 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
     last = add("Cast", [OUTPUT], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
     last = add("Cast", [last], "features", to=onnx.TensorProto.FLOAT)
     last = add("Sub", [last, "head.offset"], "centred")
-    last = add("Div", [last, "head.scale"], "standardised")
+    last = add("MatMul" if ours["components"].ndim == 2 else "Mul", [last, "head.components"], "projected")
     last = add("MatMul", [last, "head.trunk.1.weight"], "hidden")
     last = add("Add", [last, "head.trunk.1.bias"], "shifted")
     normalised = [last, "head.trunk.2.weight", "head.trunk.2.bias"]

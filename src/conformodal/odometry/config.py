@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, Self
 
@@ -145,8 +145,8 @@ class ModelConfig:
             find_source(name)
         if self.method is Method.PAPER:
             wrong = {k: getattr(self, k) for k, v in _PAPER.items() if getattr(self, k) != v}
-            if wrong:
-                raise OdometryError(f"the paper's system has no settings {wrong}")
+            if wrong or self.training.components is not None:
+                raise OdometryError(f"the paper's system has no settings {wrong or 'training.components'}")
 
     @classmethod
     def paper(cls, **settings: Any) -> Self:
@@ -162,7 +162,8 @@ class ModelConfig:
         OdometryError
             If a setting is one that the paper's system does not have.
         """
-        return cls(**{**_PAPER, **settings, "method": Method.PAPER})
+        training = replace(settings.pop("training", TrainingConfig()), components=None)
+        return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
 
 
 # What the paper's system is: other values of these are not the paper's.

@@ -36,7 +36,7 @@ from .radius import PoseRadius, Promise
 from .region_rules import RegionRules
 from .sizing import Sizing
 
-_FORMAT = "conformodal-model-13"
+_FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2

@@ -120,9 +120,9 @@ def table1_notes(
         + ("Ours: the smoothed answer; features are the network's map. " if ours else "")
         + "The regressors see the same features as the system that they stand beside, and are trained on the "
         "calibration frames too. Plain: the same epochs, optimiser and settings; nothing is searched. Tuned: learning "
-        "rate and dropout are searched for each training, in batches of 32 where the system has 64. Regions are of "
-        "single frames; each target at alpha = 0.1, so that set length (in standard deviations) and intervals are "
-        "those of one target."
+        "rate, dropout and number of components (where there is one) are searched for each training, in batches of 32 "
+        "where the system has 64. Regions are of single frames; each target at alpha = 0.1, so that set length (in "
+        "standard deviations) and intervals are those of one target."
     )
     if ours:
         notes.append(
@@ -135,8 +135,9 @@ def table1_notes(
     notes.append(
         f"Costs: wall time with --workers {workers} on this machine, searches for settings included"
         + (
-            "; the other networks but ours start from the tuned regressor's, whose search is counted once, as its "
-            "own; locally linear regression is the part of our search that is one, alone"
+            "; a projection of the features that several share counts with the first of them, mostly ours; the other "
+            "networks but ours start from the tuned regressor's, whose search is counted once, as its own; locally "
+            "linear regression is the part of our search that is one, alone"
             if ours
             else ""
         )

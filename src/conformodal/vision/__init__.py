@@ -10,8 +10,9 @@ with needing("run", "features of images"):
 from .backbone import Backbone, BackboneConfig, coarse_features, feature_views
 from .errors import VisionError
 from .features import FeatureCache, extract_features
-from .head import SoftmaxHead, feature_scaling
+from .head import SoftmaxHead
 from .onnx_backbone import OnnxBackbone
+from .projection import Projection, fit_projection
 from .settings import FineTuning, TrainingConfig
 
 __all__ = [
@@ -20,12 +21,13 @@ __all__ = [
     "FeatureCache",
     "FineTuning",
     "OnnxBackbone",
+    "Projection",
     "SoftmaxHead",
     "TrainingConfig",
     "VisionError",
     "coarse_features",
     "default_cache_dir",
     "extract_features",
-    "feature_scaling",
     "feature_views",
+    "fit_projection",
 ]

@@ -17,6 +17,8 @@ class TrainingConfig:
         Of AdamW with a one-cycle schedule.
     hidden, dropout, input_dropout
         Of the :class:`~conformodal.networks.Head`; `input_dropout` is `dropout` where it is None.
+    components
+        Of the projection, see :func:`~conformodal.vision.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
     """
@@ -28,6 +30,7 @@ class TrainingConfig:
     hidden: int = 256
     dropout: float = 0.3
     input_dropout: float | None = None
+    components: int | None = 256
     seed: int = 0
 
 

@@ -8,17 +8,17 @@ never in between.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray
+from conformodal.vision import Projection
 
 from ..errors import LocalizationError
 from ..settings import NEIGHBOURS
-from .components import PrincipalComponents
 
 _CHUNK = 256  # queries at once: their neighbours' features are copied
 
@@ -38,16 +38,12 @@ class LocalSettings:
     radius
         Samples this near to each other are one place, in units of the targets' spread; None takes all neighbours for
         one place.
-    sharpness
-        Exponent (an inverse temperature, Guo et al. 2017) that turns kernel weights into probabilities of places; 1
-        leaves them. :meth:`LocalRegression.predict` gives kernel weights.
     """
 
     components: int
     neighbours: int
     ridge: float
     radius: float | None
-    sharpness: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +69,6 @@ class LocalAnswers:
         """(m, d) targets of the heaviest place."""
         return np.asarray(self.values[np.arange(len(self.values)), self.weights.argmax(axis=1)])
 
-    def sharpened(self, power: FloatArray | float) -> LocalAnswers:
-        """The same with weights to a power, one for all or (m, 1); they sum to one again."""
-        raised = self.weights**power
-        total = raised.sum(axis=1, keepdims=True)
-        return replace(self, weights=raised / np.where(total > 0, total, 1))
-
 
 @dataclass(frozen=True, eq=False)
 class LocalRegression:
@@ -86,10 +76,10 @@ class LocalRegression:
 
     Attributes
     ----------
-    components
-        Principal components of features.
+    projection
+        Of features.
     references
-        (n, k) components of the reference samples.
+        (n, k) projected features.
     targets
         (n, d).
     target_scale
@@ -103,7 +93,7 @@ class LocalRegression:
         If shapes do not fit.
     """
 
-    components: PrincipalComponents
+    projection: Projection
     references: npt.NDArray[np.float32]
     targets: FloatArray
     target_scale: FloatArray
@@ -122,12 +112,12 @@ class LocalRegression:
 
     def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
         """Estimates for features (m, F)."""
-        return self.predict_components(self.components.apply(features))
+        return self.predict_projected(self.projection.apply(features))
 
-    def predict_components(
+    def predict_projected(
         self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     ) -> LocalAnswers:
-        """Estimates for components (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
+        """Estimates for projected features (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
         parts = []
         for a in range(0, len(queries), _CHUNK):
             hidden = None if groups is None else groups[0][a : a + _CHUNK, None] == groups[1][None, :]
@@ -155,13 +145,11 @@ class LocalRegression:
         kernel = np.where(there, np.exp(-NEIGHBOURS.decay * np.where(there, square, 0) / np.maximum(reach, 1e-12)), 0)
         place = np.zeros_like(near) if how.radius is None else self._places(near, there, how.radius)
         n_places = 1 if how.radius is None else NEIGHBOURS.places
-        values = np.zeros((len(queries), n_places, self.targets.shape[1]))
+        values = np.empty((len(queries), n_places, self.targets.shape[1]))
         weights = np.zeros((len(queries), n_places))
         novelty = np.zeros(len(queries))
         for p in range(n_places):
             mine = np.where(place == p, kernel, 0)
-            if not mine.any():  # then there is no further place
-                break
             mine[np.cumsum(mine > 0, axis=1) > how.neighbours] = 0
             weights[:, p] = mine.sum(axis=1)
             first = np.argsort(mine == 0, axis=1, kind="stable")[:, : how.neighbours]
@@ -179,8 +167,6 @@ class LocalRegression:
         where = self.targets[near] / self.target_scale
         place = np.where(there, -1, -2)
         for p in range(NEIGHBOURS.places):
-            if not (place == -1).any():
-                break
             leader = np.argmax(place == -1, axis=1)
             far = np.linalg.norm(where - np.take_along_axis(where, leader[:, None, None], axis=1), axis=2)
             place[(far < radius) & (place == -1)] = p

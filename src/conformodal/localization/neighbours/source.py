@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core import FloatArray, IntArray, stage_of
 from conformodal.poses import angle_between_quats, normalise_quat
-from conformodal.vision import feature_views
+from conformodal.vision import Projection, feature_views
 
 from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
 from ..evidence import FrameEvidence
@@ -19,7 +19,6 @@ from ..settings import NEIGHBOURS
 from ..source import SourceAnswer, SourceState, register_source
 from ..source_data import SourceData
 from ..targets import target_scale
-from .components import PrincipalComponents
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 from .tuning import LeftOut, fit_local
 
@@ -97,21 +96,13 @@ class NeighbourSource:
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate for each place that the nearest frames come from."""
-        return SourceAnswer(measurements=self._measured(self.regression.predict(evidence.features)))
-
-    def _measured(self, found: LocalAnswers) -> list[list[PoseMeasurement]]:
-        """The estimates of images (m,) from the regression's answers."""
+        found = self.regression.predict(evidence.features)
         novelty = _relative(found, self.typical)
-        beyond = np.maximum(novelty * self.typical / self.limit, 1.0)
-        # the sharpness was fitted at usual novelty; beyond, the temperature grows as sigma does, with the novelty
-        sharp = found.sharpened(self.regression.settings.sharpness / beyond[:, None])
-        rows = zip(sharp.values, sharp.weights, novelty.tolist(), beyond.tolist(), strict=True)
-        return [self._measurements(*row) for row in rows]
+        rows = zip(found.values, found.weights, novelty.tolist(), strict=True)
+        return SourceAnswer(measurements=[self._measurements(*row) for row in rows])
 
-    def _measurements(
-        self, values: FloatArray, weights: FloatArray, novelty: float, beyond: float
-    ) -> list[PoseMeasurement]:
-        found = []
+    def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
+        found, beyond = [], max(novelty * self.typical / self.limit, 1.0)
         for k in np.flatnonzero(weights >= NEIGHBOURS.least_weight):
             raw = PoseMeasurement(
                 values[k, :3], normalise_quat(values[k, 3:]), novelty, novelty, self.regression.settings.neighbours
@@ -136,8 +127,8 @@ class NeighbourSource:
         own = self.regression
         arrays: dict[str, npt.NDArray[Any]] = {
             "frames": self.frames,
-            "offset": own.components.offset,
-            "directions": own.components.directions,
+            "offset": own.projection.offset,
+            "components": own.projection.components,
             "references": own.references,
             "targets": own.targets,
             "target_scale": own.target_scale,
@@ -150,7 +141,7 @@ class NeighbourSource:
         """The source that was stored."""
         its, settings = state.arrays, state.settings
         regression = LocalRegression(
-            PrincipalComponents(its["offset"], its["directions"]),
+            Projection(its["offset"], its["components"]),
             its["references"],
             its["targets"],
             its["target_scale"],

@@ -10,14 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray
+from conformodal.vision import fit_projection
 
 from ..errors import LocalizationError
 from ..settings import NEIGHBOURS
-from .components import fit_components
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 
-# Exponents tried on the weights of places; 1 leaves those of the kernel.
-SHARPNESS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # Few components far from the references, many close to them.
 LOCAL_CHOICES = tuple(
     LocalSettings(components, neighbours, ridge, radius)
@@ -34,7 +32,7 @@ class LeftOut:
     rows
         (m,) the samples that were asked.
     answers
-        To them; the weights are sharpened as the settings say, unlike those of :meth:`LocalRegression.predict`.
+        To them.
     """
 
     rows: npt.NDArray[np.int64]
@@ -83,35 +81,31 @@ def fit_local(
         np.linspace(0, len(features) - 1, min(len(features), NEIGHBOURS.left_out)).round().astype(np.int64)
     )
     found: list[tuple[float, LocalRegression, LeftOut]] = []
-    done, total = 0, len(choices) * len(views)
     for view in views:
-        components = fit_components(features, max(how.components for how in choices), view)
-        if components is None:
+        projection = fit_projection(features, max(how.components for how in choices), view)
+        if projection.components.ndim != 2:  # all the same in this view
             continue
-        references = components.apply(features)
+        projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
         for how in choices:
             if progress is not None:
-                progress(done, total)
-            done += 1
-            regression = LocalRegression(components, references, targets, target_scale, how)
-            answers = regression.predict_components(references[rows], (group[rows], group))
-            for sharpness in SHARPNESS if how.radius is not None else SHARPNESS[:1]:
-                sharper, its = answers.sharpened(sharpness), replace(how, sharpness=sharpness)
-                likelihood = _log_likelihood(sharper, targets[rows], target_scale)
-                found.append((likelihood, replace(regression, settings=its), LeftOut(rows, sharper)))
+                progress(len(found), len(choices) * len(views))
+            regression = LocalRegression(projection, projected, targets, target_scale, how)
+            answers = regression.predict_projected(projected[rows], (group[rows], group))
+            found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
     if not found:
         raise LocalizationError("features are all the same")
     if progress is not None:
-        progress(total, total)
+        progress(len(found), len(found))
     _, regression, left_out = max(found, key=lambda each: each[0])
     return _slim(regression), left_out
 
 
 def _slim(regression: LocalRegression) -> LocalRegression:
     """The same regression without the components that its settings leave out."""
-    k = regression.settings.components
-    references = np.ascontiguousarray(regression.references[:, :k])
-    return replace(regression, components=regression.components.leading(k), references=references)
+    projection, projected = regression.projection, regression.references
+    k = min(regression.settings.components, projected.shape[1])
+    slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
+    return replace(regression, projection=slim, references=np.ascontiguousarray(projected[:, :k]))
 
 
 def _log_likelihood(answers: LocalAnswers, targets: FloatArray, scale: FloatArray) -> float:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from conformodal.core import StageProgress
 from conformodal.datasets import Sequence, Split
 from conformodal.localization import SourceData
-from conformodal.vision import Backbone
+from conformodal.vision import Backbone, Projection
 
 from ..config import ModelConfig
 from .depths import measure_depths
@@ -50,7 +50,7 @@ class TrainingData:
     def for_sources(
         self, config: ModelConfig, checkpoint_dir: Path | None = None, progress: StageProgress | None = None
     ) -> SourceData:
-        """The data as pose sources see them; local features are kept for the next call."""
+        """The data as pose sources see them; local features and projections are kept for the next call."""
         return replace(
             self._shared,
             depth_m=self.depths[0],
@@ -61,3 +61,7 @@ class TrainingData:
             checkpoint_dir=checkpoint_dir,
             progress=progress,
         )
+
+    def projection(self, rows: npt.NDArray[np.int64], components: int | None, *, whole: bool = False) -> Projection:
+        """Principal components of some frames, see :meth:`SourceData.projection`."""
+        return self._shared.projection(rows, components, whole=whole)

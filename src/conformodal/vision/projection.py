@@ -1,0 +1,75 @@
+"""Principal components: from thousands of features to a few hundred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A linear map of features, learnt without targets.
+
+    Attributes
+    ----------
+    offset
+        (F,) mean of the training features.
+    components
+        (F, k) directions with their scale in them; or (F,), which scales every feature and keeps them all.
+    """
+
+    offset: FloatArray
+    components: FloatArray
+
+    @property
+    def size(self) -> int:
+        """How many components there are, k."""
+        return int(self.components.shape[-1])
+
+    def apply(self, features: FloatArray) -> FloatArray:
+        """Projected features (n, k) of features (n, F)."""
+        centred = features - self.offset
+        found = centred @ self.components if self.components.ndim == 2 else centred * self.components
+        return np.asarray(found, dtype=np.float32)
+
+
+def fit_projection(features: FloatArray, n_components: int | None, view: slice = slice(None)) -> Projection:
+    """Principal components of standardised features, all on one scale: their mean variance is one.
+
+    They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
+    features: benchmarks/ladder.py.
+
+    Parameters
+    ----------
+    features
+        (n, F) of the training part only.
+    n_components
+        Number of directions, at most n - 1 and F are there; None standardises and keeps all features.
+    view
+        Features that are looked at; the others count nothing.
+    """
+    offset = features.mean(axis=0)
+    if view != slice(None):
+        part = fit_projection(features[:, view], n_components)
+        shape = (features.shape[1], *part.components.shape[1:])
+        components = np.zeros(shape, dtype=np.float32)
+        components[view] = part.components
+        return Projection(offset, components)
+    # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
+    scale = features.std(axis=0) + 1e-3
+    n, n_features = features.shape
+    standard = (features - offset) / scale
+    if n_components is None or not standard.any():  # features that are all the same have no directions
+        return Projection(offset, 1 / scale)
+    from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
+
+    # exact solvers: the last of a few hundred directions are where a randomised one is poor
+    solver = "full" if n <= n_features else "covariance_eigh"
+    pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit(standard)
+    gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
+    components = np.ascontiguousarray((pca.components_ / gain).T / scale[:, None], dtype=np.float32)
+    return Projection(offset, components)
