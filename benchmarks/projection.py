@@ -75,6 +75,7 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as scratch:
         cache = FeatureCache(asked.cache or Path(scratch))
+        head_seconds(64, 8, 0)  # what is imported and allocated once
         for n in SIZES:
             of = {k: [head_seconds(n, c, seed) for seed in asked.seeds] for k, c in COMPONENTS.items()}
             row(f"one head, {n} frames", "s", of, 1)

@@ -47,3 +47,10 @@ def test_a_projection_has_no_more_directions_than_samples_or_features_allow(n, c
     if components is None:
         np.testing.assert_allclose(z.std(axis=0), 1, rtol=2e-3)
     np.testing.assert_array_equal(head.projection.components, through.components)
+
+
+@pytest.mark.parametrize("value", [0.1, 0.37, 117 / 255])
+def test_equal_features_have_no_directions_though_their_mean_is_rounded(value):
+    through = fit_projection(np.full((37, 9), value, dtype=np.float32), 4)
+    assert through.components.shape == (9,)
+    assert np.abs(through.apply(np.full((1, 9), value, dtype=np.float32))).max() < 1e-3

@@ -63,7 +63,8 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     scale = features.std(axis=0) + 1e-3
     n, n_features = features.shape
     standard = (features - offset) / scale
-    if n_components is None or not standard.any():  # features that are all the same have no directions
+    # features that are all the same have no directions; their rounded mean may differ from them
+    if n_components is None or not np.ptp(features, axis=0).any():
         return Projection(offset, 1 / scale)
     from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
 
