@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, Layout, read_sequence
 from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
-from conformodal.datasets.files import staged
+from conformodal.datasets.staging import staged
 from conformodal.datasets.streams import Frame, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import PinholeCamera, Trajectory, write_tum

@@ -15,7 +15,7 @@ from conformodal.core.files import LOCK, writing_in
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.files import MAX_TIME_DIFFERENCE_S, Remark
+from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Remark
 from conformodal.datasets.streams import FrameStream, SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.odometry import load_model, model_digest, provenance

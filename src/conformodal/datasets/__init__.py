@@ -11,12 +11,12 @@ from .colmap import read_colmap
 from .decoding import read_image
 from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .euroc import read_euroc_mav
-from .files import Remark
 from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .layouts import Layout, read_sequence, recognise
 from .nerf import read_nerf
 from .noise import PixelNoise
+from .reading import Remark
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import read_sevenscenes

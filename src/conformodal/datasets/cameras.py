@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.poses import PinholeCamera, PoseError
 
 from .errors import DatasetError
-from .files import Remark, read_numbers
+from .reading import Remark, read_numbers
 
 Size = tuple[int, int]
 

@@ -20,8 +20,8 @@ from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import Inside, Remark, frame_times, image_files, read_lines, reader
 from .fisheye import Fisheye, fisheye_of, undistorted
+from .reading import Inside, Remark, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name

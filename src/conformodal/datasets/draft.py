@@ -19,7 +19,7 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFi
 
 from .decoding import image_fault
 from .errors import DatasetError, DatasetWarning
-from .files import Remark, read_lines, readable, shown
+from .reading import Remark, read_lines, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]

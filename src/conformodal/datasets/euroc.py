@@ -20,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size
 from .draft import Draft, listed, paired_by_time
 from .errors import DatasetError
-from .files import Inside, Remark, read_lines, reader
+from .reading import Inside, Remark, read_lines, reader
 from .sequence import Sequence
 
 # Ground truth comes at 200 Hz.

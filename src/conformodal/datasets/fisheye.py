@@ -27,7 +27,7 @@ from conformodal.poses import PinholeCamera
 from .cameras import MOST_BENT, Size, camera_of
 from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
-from .files import Remark
+from .reading import Remark
 
 _WIDEST_RAD = np.pi  # no lens sees more than all around
 _STEPS = 4096

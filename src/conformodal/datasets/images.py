@@ -16,7 +16,7 @@ from .cameras import camera_beside
 from .decoding import common_size
 from .draft import Damaged, Draft, paired_by_time
 from .errors import DatasetError
-from .files import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, frame_times, image_files, reader
+from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, frame_times, image_files, reader
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")

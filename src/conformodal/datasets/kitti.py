@@ -19,7 +19,7 @@ from .cameras import camera_of, check_matrix
 from .decoding import common_size
 from .draft import Damaged, Draft, rows_of
 from .errors import DatasetError
-from .files import Remark, image_files, read_lines, read_numbers, reader
+from .reading import Remark, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 10.0

@@ -178,7 +178,7 @@ def _finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -
 
 
 def finish_colmap_binary(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
-    """As :func:`_finish_colmap`, in COLMAP's binary files."""
+    """Write the same model in COLMAP's binary files."""
     return _write_model(folder, frames, camera, binary=True)
 
 

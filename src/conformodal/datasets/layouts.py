@@ -13,10 +13,10 @@ from conformodal.core.words import counted
 from .colmap import model_folder, read_colmap
 from .errors import DatasetError
 from .euroc import read_euroc_mav
-from .files import image_files, readable, shown
 from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .nerf import FILE, read_nerf
+from .reading import image_files, readable, shown
 from .rgbd_scenes import looks_like_scenes, read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import looks_like_scene, read_sevenscenes

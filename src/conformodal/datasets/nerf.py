@@ -20,8 +20,8 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .draft import Draft
 from .errors import DatasetError
-from .files import Inside, Remark, frame_times, read_lines, reader
 from .fisheye import Fisheye, fisheye_of, undistorted
+from .reading import Inside, Remark, frame_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"

@@ -18,7 +18,7 @@ from .cameras import camera_beside
 from .decoding import common_size, natural_key
 from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import Remark, reader
+from .reading import Remark, reader
 from .sequence import Sequence
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)

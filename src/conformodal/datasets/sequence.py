@@ -13,8 +13,8 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .decoding import read_image
 from .errors import DatasetError
-from .files import Remark
 from .noise import PixelNoise
+from .reading import Remark
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from .cameras import camera_beside
 from .decoding import common_size, natural_key
 from .draft import Damaged, Draft
 from .errors import DatasetError
-from .files import Remark, read_frame_rate, read_lines, read_numbers, reader
+from .reading import Remark, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0

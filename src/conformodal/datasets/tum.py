@@ -14,7 +14,7 @@ from conformodal.poses.tum import tum_table
 from .cameras import camera_beside
 from .decoding import common_size
 from .draft import Draft, listed, paired_by_time
-from .files import MAX_TIME_DIFFERENCE_S, Inside, Remark, reader
+from .reading import MAX_TIME_DIFFERENCE_S, Inside, Remark, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.

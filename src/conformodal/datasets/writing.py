@@ -17,9 +17,10 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 
 from .errors import DatasetError
 from .euroc import MAX_TIME_DIFFERENCE_S as EUROC_TIME_DIFFERENCE_S
-from .files import MAX_TIME_DIFFERENCE_S, staged
 from .layout_files import FINISH, WrittenFrames, finish_colmap_binary, nanoseconds
 from .layouts import Layout
+from .reading import MAX_TIME_DIFFERENCE_S
+from .staging import staged
 from .streams import Frame, FrameStream, SequenceStream
 
 # Where images go, and how they are named: by number, or time in seconds or nanoseconds.

@@ -16,10 +16,10 @@ from conformodal.odometry import Estimate
 from conformodal.poses import Trajectory
 
 from . import messages as ros
-from .building import build
 from .conventions import IMAGE, TOPICS, TRUTH, Conventions
 from .conversion import Conversion
 from .errors import RosError
+from .foreign_messages import build
 
 _VERSION = 8  # of the format: Humble reads it too
 _JPEG_QUALITY = 80

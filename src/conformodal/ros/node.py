@@ -21,10 +21,10 @@ from conformodal.datasets.streams import COMPRESSED, INFO, RAW, SourceError, cam
 from conformodal.odometry import Estimate, Odometry, OdometryError, load_model, odometry_of
 
 from . import messages as ros
-from .building import build
 from .conventions import TOPICS, Conventions, Covariance
 from .conversion import Conversion
 from .errors import RosError
+from .foreign_messages import build
 
 _NAME, _DEPTH = "conformodal", 10
 _JUMP_BACK_S = 1.0  # a clock that goes back by more was set anew: a recording is played again

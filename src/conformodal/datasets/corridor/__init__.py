@@ -5,10 +5,10 @@ from conformodal.core import needing
 with needing("train", "the corridor world"):
     import trimesh  # noqa: F401
 
-from .ambiguity import same_views
 from .building import half_turn
 from .path import drone_path, visiting_path
 from .render import CAMERA, Renderer
+from .repeated_views import same_views
 from .turned_rooms import TurnedRooms
 from .world import CorridorWorld
 from .writer import write_corridor, write_flight
