@@ -62,15 +62,14 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
     scale = features.std(axis=0) + 1e-3
     n, n_features = features.shape
-    standard = (features - offset) / scale
-    # features that are all the same have no directions; their rounded mean may differ from them
+    # features that are all the same have no directions, even where their rounded mean differs from them
     if n_components is None or not np.ptp(features, axis=0).any():
         return Projection(offset, 1 / scale)
     from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
 
     # exact solvers: the last of a few hundred directions are where a randomised one is poor
     solver = "full" if n <= n_features else "covariance_eigh"
-    pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit(standard)
+    pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit((features - offset) / scale)
     gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
     components = np.ascontiguousarray((pca.components_ / gain).T / scale[:, None], dtype=np.float32)
     return Projection(offset, components)
