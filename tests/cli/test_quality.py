@@ -72,8 +72,7 @@ def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
     assert f"from frame {first} to frame {first + 1}" in result.output
 
 
-def test_without_poses_and_model_there_is_nothing_to_say_and_nothing_to_draw(small_world, tmp_path, monkeypatch):
-    monkeypatch.setattr("conformodal.cli.data.require_figures", pytest.fail)
+def test_without_poses_and_model_there_is_nothing_to_say(small_world, tmp_path):
     shutil.copytree(
         small_world.folder / "seq-01", tmp_path / "a" / "seq-01", ignore=shutil.ignore_patterns("*.pose.txt")
     )

@@ -65,9 +65,8 @@ def _check(
 ) -> None:
     if out is not None:
         _check_out(out)
-    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
-    if out is not None and (model is not None or sequence.poses is not None):
         require_figures()
+    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)

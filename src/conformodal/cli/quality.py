@@ -59,13 +59,13 @@ def write_findings(
     out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
 ) -> None:
     """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
+
     if found is None:
         write_metrics(out, record)
-        for earlier in (out / PAGE, *(out / FIGURES).glob("*.svg")):
-            earlier.unlink(missing_ok=True)
+        (out / PAGE).unlink(missing_ok=True)  # of an earlier check
+        (out / FIGURES / PLAN).unlink(missing_ok=True)
         return
-    from conformodal.report.quality import write_quality_page  # noqa: PLC0415 - what draws takes time to import
-
     whole = {**record, "quality": quality_record(found, sequence)}
     write_metrics(out, whole)
     findings = [f"{finding.count} x {finding.what}: {finding.first}" for finding in check.findings]
