@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from .errors import ImageError
+from .pillow_warnings import ignore_pillow_warnings
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
 # A small file that claims more pixels than this, and so many a byte, was made to fill the memory.
@@ -116,8 +116,7 @@ def decode(source: Path | bytes, name: str, size: tuple[int, int] | None = None)
                 f"{name}: image is {image.width}x{image.height} pixels, the camera's are {size[0]}x{size[1]}"
             )
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+            with ignore_pillow_warnings():
                 return _rgb(image)
         except Exception as exc:  # decoders raise whatever damaged bytes lead them to
             raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
@@ -127,8 +126,7 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
     if isinstance(source, Path) and not os.path.isfile(source):
         raise ImageError(f"{name}: {'is no file' if os.path.exists(source) else 'image is missing'}")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of sizes, which are checked below
+        with ignore_pillow_warnings():  # of sizes, which are checked below
             image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
             fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
     except Exception as exc:  # as above
