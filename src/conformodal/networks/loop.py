@@ -14,10 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback
 from torch.utils.data import DataLoader, TensorDataset
 
 from conformodal.core import Progress
@@ -25,6 +23,7 @@ from conformodal.core.files import FolderInUseError, locked
 from conformodal.vision import TrainingConfig
 
 from .heads import Head, Loss
+from .quiet_lightning import Callback, lightning
 from .states import KeepState, kept_state
 
 _CHECKPOINT_EVERY_EPOCHS = 10

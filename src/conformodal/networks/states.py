@@ -6,11 +6,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import lightning
 import torch
-from lightning.pytorch.callbacks import Callback
 
 from conformodal.core.files import replacing
+
+from .quiet_lightning import Callback, lightning
 
 FILE = "last.ckpt"
 _RANDOM = "random_states"

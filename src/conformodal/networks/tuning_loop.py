@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import lightning
 import torch
 from torch import nn
 from torch.utils.data import DataLoader, Dataset
@@ -15,6 +14,7 @@ from conformodal.vision import FineTuning
 
 from .augmentation import augment
 from .loop import fit_module
+from .quiet_lightning import lightning
 from .shares import Order, SharedBatches
 from .torch_backbone import TorchBackbone
 
