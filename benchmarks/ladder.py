@@ -1,10 +1,10 @@
 """From the paper's system to ours, one change at a time; and ours with one part left out at a time.
 
-python benchmarks/ladder.py [--seeds 10 11 12 13 14] [--places ...] [--runs FOLDER] [--workers 2] [--tuned] [--quick]
+python benchmarks/ladder.py [--seeds 10 11 12 13 14] [--places ...] [--runs FOLDER] [--workers 2] [--quick]
 
 Models are kept in the folder of runs, numbers in benchmarks/results/ladder: what is there is not worked out again.
-`--tuned` also trains models with fine-tuned networks, minutes each. `--quick` trains ours alone: a tenth of the time,
-and no row that needs another model; a later run without it works these numbers out anew.
+`--quick` trains ours alone: a tenth of the time, and no row that needs another model; a later run without it works
+these numbers out anew.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def milliseconds(trained: Trained, models: Models, seen: Frames) -> dict[str, fl
     }
 
 
-def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> dict[str, Any]:
+def measured(place: str, seed: int, runs: Path, *, quick: bool) -> dict[str, Any]:
     """All numbers of a place and a seed."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -140,7 +140,6 @@ def measured(place: str, seed: int, runs: Path, *, tuned: bool, quick: bool) -> 
             "the map of features": models.averaged(),
             "projection": models.unprojected(),
             "a small network (larger instead)": models.larger(),
-            "frozen features (fine-tuned instead)": models.tuned() if tuned else None,
         }
     test = ours.model.split.test
     found: dict[str, Any] = {
@@ -185,7 +184,6 @@ def main() -> None:
     parser.add_argument("--places", nargs="+", default=list(PLACES), choices=PLACES)
     parser.add_argument("--runs", type=Path, default=ROOT / "ladder-out")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--tuned", action="store_true", help="also with fine-tuned networks, minutes each")
     parser.add_argument("--quick", action="store_true", help="ours alone")
     asked = parser.parse_args()
     numbers = RESULTS / "ladder"
@@ -197,7 +195,7 @@ def main() -> None:
     }
     with ProcessPoolExecutor(asked.workers, get_context("spawn"), watch_parent) as pool:
         jobs = {
-            pool.submit(measured, place, seed, asked.runs, tuned=asked.tuned, quick=asked.quick): (place, seed)
+            pool.submit(measured, place, seed, asked.runs, quick=asked.quick): (place, seed)
             for (place, seed), file in wanted.items()
             if not is_there(file, quick=asked.quick)
         }

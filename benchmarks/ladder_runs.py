@@ -42,7 +42,6 @@ from conformodal.odometry.config import Calibration
 from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
-    FineTuning,
     TrainingConfig,
     default_cache_dir,
     feature_views,
@@ -147,12 +146,6 @@ class Models:
         if self.place not in REDKITCHEN:
             return None
         return self._kept("larger", config_of(self.place, self.seed, network=LARGER))
-
-    def tuned(self) -> Trained | None:
-        """Ours with its last blocks fine-tuned, if that was asked for or done before."""
-        if self.place not in REDKITCHEN:
-            return None
-        return self._kept("tuned", config_of(self.place, self.seed, fine_tuning=FineTuning(seed=self.seed)))
 
     def paper(self) -> Trained:
         """The paper's system."""

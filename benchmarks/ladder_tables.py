@@ -29,7 +29,6 @@ FILES = {
     "bridging of unknown frames": ["reasoning/bridging.py"],
     "smoother": ["reasoning/smoother.py", "reasoning/orientations.py"],
     "projection": ["vision/projection.py"],
-    "frozen features (fine-tuned instead)": ["vision/finetuning.py", "vision/tuning_loop.py"],
 }
 # Stages of training, and times of a frame, that are there for a part alone.
 STAGES = {"neighbours": ("neighbours",), "landmarks": ("local features", "landmarks")}

@@ -316,17 +316,6 @@ def test_the_status_line_says_whether_a_place_is_known():
     assert state_of(replace(seen, region=None, problem="no image")) == "no answer: no image"
 
 
-def test_fine_tuning_by_name():
-    from conformodal.cli.train import tuning_of
-    from conformodal.vision import FineTuning, VisionError
-
-    assert tuning_of("none", 5, 0) is None
-    assert tuning_of("all", 5, 1) == FineTuning(None, 5, seed=1)
-    assert tuning_of("2", 5, 1) == FineTuning(2, 5, seed=1)
-    with pytest.raises(VisionError, match="'some'"):
-        tuning_of("some", 5, 0)
-
-
 def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
     assert said_of_repeated(0, 5) == []
     assert said_of_repeated(1, 5)[0].startswith("1 of 5 test frames shows the same picture as a training")

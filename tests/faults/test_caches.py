@@ -16,13 +16,12 @@ from conformodal.networks import (
     Head,
     TorchBackbone,
     backbone_config,
-    fine_tune,
     fit_head,
     mean_squared_error,
     soft_cross_entropy,
 )
 from conformodal.networks.states import FILE, kept_state
-from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, extract_features
+from conformodal.vision import FeatureCache, TrainingConfig, extract_features
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 
 
@@ -191,32 +190,6 @@ def test_an_image_that_vanished_is_named(features, tmp_path):
     _, backbone, _, _ = features
     with pytest.raises(ImageError, match=r"gone\.png"):
         extract_features([tmp_path / "gone.png"], backbone, FeatureCache(None))
-    tuning = FineTuning(1, 1)
-    with pytest.raises(ImageError, match=r"gone\.png"):
-        fine_tune(backbone, [tmp_path / "gone.png"] * 2, np.ones((2, 1)), [1], tuning, FeatureCache(None))
-
-
-@pytest.fixture(scope="module")
-def tuned(features):
-    files, backbone, _, _ = features
-    return lambda cache, progress=None: fine_tune(
-        backbone, files, np.eye(3, dtype=np.float32), [3], FineTuning(1, 3, 2), cache, progress
-    )
-
-
-def test_fine_tuning_taken_up_again_ends_as_the_uninterrupted_one(tuned, tmp_path):
-    def stop(done, _):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    expected = tuned(FeatureCache(None)).tuned
-    with pytest.raises(KeyboardInterrupt):
-        tuned(FeatureCache(tmp_path), stop)
-    assert tuned(FeatureCache(tmp_path)).tuned == expected
-    (kept,) = (tmp_path / "backbones").iterdir()
-    for damage in ("bit in the middle", "cut in half", "other arrays"):
-        DAMAGE[damage](kept)
-        assert tuned(FeatureCache(tmp_path)).tuned == expected
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

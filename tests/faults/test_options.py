@@ -39,7 +39,6 @@ NUMBERS = {
     "used": ["0", "2", "nan", "0.1", "0.9"],
     "novelty-level": ["1", "-0.1", "nan", "inf"],
     "seed": ["-1", "99999999999999999999"],
-    "fine-tune-epochs": ["1000000000"],
     "metres-per-radian": ["inf", "0"],
     "seeds": ["1000000"],
     "first-seed": ["-1", "99999999999999999999"],
@@ -90,12 +89,6 @@ def test_every_number_has_a_range():
 
 
 WRONG = {
-    "fine-tune too many": (["train", "--fine-tune", "999"], "at most"),
-    "fine-tune none of them": (["train", "--fine-tune", "0"], "at least one block"),
-    "fine-tune less than nothing": (["train", "--fine-tune=-1"], "--fine-tune must be"),
-    "fine-tune words": (["train", "--fine-tune", "some"], "--fine-tune must be"),
-    "fine-tune a long number": (["train", "--fine-tune", "9" * 5000], "--fine-tune must be"),
-    "epochs of no fine-tuning": (["train", "--fine-tune-epochs", "3"], "needs --fine-tune, got --fine-tune none"),
     "a network": (["train", "--network", "resnet"], "backbone must be one of"),
     "a device": (["train", "--device", "tpu"], "device must be"),
     "a score": (["train", "--score", "best"], "score"),
@@ -115,7 +108,6 @@ WRONG = {
     "run: no model": (["run"], "no saved model"),
     "run: a recording that is a folder": (["run", "--save", "."], "--save must be a file"),
     "run: a recording over a picture": (["run", "--save", "file"], "--save must name a file .rrd"),
-    "fine-tune digits of another script": (["train", "--fine-tune", "\u0663"], "--fine-tune must be"),
     **{
         f"the paper has no {options[0]}": (["train", "--method", "paper", *options], "the paper's system has no")
         for options in [  # our own values, given all the same
@@ -132,7 +124,6 @@ WRONG = {
         "a small, a middle and a large",
     ),
     "reproduce: a network": (["reproduce table1", "--networks", "a,b,c"], "backbone must be"),
-    "reproduce: blocks": (["reproduce figures", "--fine-tune", "999"], "at most"),
     "reproduce: an address": (["reproduce table1", "--address", "x"], "needs --engine ray"),
     "reproduce: workers": (["reproduce table1", "--workers", "2", "--engine", "ray"], "needs --engine local"),
     "reproduce: a file": (["reproduce table1", "--out", "file"], "is a file"),

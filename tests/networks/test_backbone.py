@@ -9,6 +9,7 @@ from conformodal.networks import (
     NETWORKS,
     TorchBackbone,
     backbone_config,
+    pick_device,
 )
 from conformodal.networks.lite import LiteNetwork
 from conformodal.vision import (
@@ -78,3 +79,13 @@ def test_without_the_networks_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite_pytorch", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[train\]'"):
         TorchBackbone(backbone_config(64, 48))
+
+
+def test_devices_by_name():
+    assert pick_device("cpu").type == "cpu"
+    assert pick_device("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
+    with pytest.raises(VisionError, match="tpu"):
+        pick_device("tpu")
+    if not torch.cuda.is_available():
+        with pytest.raises(VisionError, match="no graphics card"):
+            pick_device("cuda")

@@ -26,7 +26,7 @@ from conformodal.odometry import (
     train_model,
 )
 from conformodal.poses import PinholeCamera
-from conformodal.vision import FeatureCache, FineTuning, TrainingConfig, extract_features
+from conformodal.vision import FeatureCache, TrainingConfig, extract_features
 
 
 @pytest.fixture(scope="module")
@@ -239,20 +239,3 @@ def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
     run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
     assert run.regions.unbounded.all()
     assert np.isfinite(run.trajectory.positions_xyz).all()
-
-
-def test_a_fine_tuned_model_keeps_its_own_weights(sequence, small_world, tmp_path):
-    tuning = FineTuning(blocks=1, epochs=1)
-    config = ModelConfig(
-        fine_tuning=tuning, training=TrainingConfig(epochs=2, components=64), sources=("head",), used=0.3
-    )
-    data = prepare_training_data(sequence, config, FeatureCache(tmp_path / "cache"))
-    trained = train_model(data, config)
-    save_model(trained, tmp_path / "model")
-    back = load_model(tmp_path / "model")
-    assert back.backbone.fingerprint == trained.backbone.fingerprint
-    image = back.backbone.prepare(sequence.image(3))[None]
-    np.testing.assert_array_equal(back.backbone.describe(image), trained.backbone.describe(image))
-    frozen = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache)).backbone
-    assert np.abs(frozen.describe(image).astype(float) - back.backbone.describe(image)).max() > 0
-    assert back.configuration["fine_tuning"]["blocks"] == 1

@@ -52,7 +52,6 @@ RANGES = {
     "bins": _Range(1, 10_000),
     "sigma": _Range(0, 10_000),
     "epochs": _Range(1, _MANY),
-    "fine_tune_epochs": _Range(1, _MANY),
     "dropout": _Range(0, 0.95),
     "test": _SHARE,
     "calibration_share": _SHARE,
@@ -69,7 +68,6 @@ RANGES = {
 }
 # Options that have an effect only where another option has a certain value.
 _NEED: dict[str, tuple[str, Any, str]] = {
-    "fine_tune_epochs": ("fine_tune", lambda value: value != "none", "--fine-tune"),
     "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
     "workers": ("engine", lambda value: str(value) == "local", "--engine local"),
 }

@@ -30,15 +30,15 @@ from conformodal.experiments.table1 import (
     write_json,
     write_parquet,
 )
+from conformodal.networks import find_network
 from conformodal.odometry import Method, ResultsError, data_digest, provenance, read_metrics, write_metrics
 from conformodal.report import table1_markdown, table1_notes, table1_sections, write_comparison
-from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
+from conformodal.vision import FeatureCache, TrainingConfig
 
 from .arguments import Cache, Data, DataLayout, cache_folder, results_folder
 from .console import kind_errors, print_where, progress_bars, say_line
 from .figures import FigureWriter
 from .sources import open_sequence
-from .train import check_fine_tuning, tuning_of
 
 app = typer.Typer(help="The paper's results on a data set of your own.", no_args_is_help=True)
 
@@ -95,7 +95,6 @@ _Baselines = Annotated[
 ]
 _Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
 _Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
-_FineTune = Annotated[str, typer.Option(help="Also train the networks: last blocks (a number), 'all', or 'none'.")]
 _EngineOption = Annotated[EngineKind, typer.Option("--engine", help="This machine, or a Ray cluster (extra 'ray').")]
 _Workers = Annotated[
     int | None,
@@ -122,7 +121,6 @@ def table1(
     networks: _Networks = _NETWORKS,
     epochs: _Epochs = _EPOCHS,
     baselines: _Baselines = WhichBaselines.DEFAULT,
-    fine_tune: _FineTune = "none",
     cache: Cache = None,
     engine: _EngineOption = EngineKind.LOCAL,
     workers: _Workers = None,
@@ -131,25 +129,25 @@ def table1(
     """Less data, other networks, noise: the paper's system, ours and baselines. Writes OUT/table1.md and .html."""
     workers = workers or _workers(method)
     where = _engine(engine, workers, address)
-    rows = _rows(networks, fine_tune)
+    rows = _rows(networks)
     with _opened(data, layout, out, cache) as (sequence, features):
         splits = [SplitKind.INTERLEAVED, SplitKind.BLOCKS] if split is None else [split]
         repeats = list(range(first_seed, first_seed + seeds))
         settings: dict[str, Any] = {"data": sequence.name, "seeds": seeds, "epochs": epochs, "splits": splits}
-        settings |= {"method": method, "networks": networks, "fine_tune": fine_tune}
+        settings |= {"method": method, "networks": networks}
         settings |= {"first_seed": first_seed, "baselines": baselines, "engine": engine, "workers": workers}
         # a run that only goes on does not hide what those before it took, if they came to their end
         earlier = _earlier(out)
         before = earlier.get("seconds", 0.0) if earlier.get("configuration") == settings else 0.0
         started = time.perf_counter()
-        plan = _Plan(rows, method, splits, repeats, epochs, fine_tune, baselines)
+        plan = _Plan(rows, method, splits, repeats, epochs, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         records = tidy(rows, tasks, results)
         write_json(records, out / "table1.json")
         if find_spec("pyarrow"):  # an extra
             write_parquet(records, out / "table1.parquet")
         title = f"The paper's table 1 on {sequence.name}"
-        notes = table1_notes(method.methods, repeats, epochs, networks, workers, fine_tune)
+        notes = table1_notes(method.methods, repeats, epochs, networks, workers)
         sections = table1_sections(rows, tasks, results, records, [str(kind) for kind in splits])
         text = table1_markdown(title, notes, sections)
         write_whole(out / "table1.md", text)
@@ -173,7 +171,6 @@ def draw(
     networks: _Networks = _NETWORKS,
     epochs: _Epochs = _EPOCHS,
     baselines: _Baselines = WhichBaselines.DEFAULT,
-    fine_tune: _FineTune = "none",
     cache: Cache = None,
     engine: _EngineOption = EngineKind.LOCAL,
     workers: _Workers = None,
@@ -181,9 +178,9 @@ def draw(
 ) -> None:
     """The paper's figures from the runs of seed 0 under OUT, as SVG and PNG; what is not there yet is run first."""
     where = _engine(engine, workers or _workers(method), address)
-    rows = _rows(networks, fine_tune)
+    rows = _rows(networks)
     with _opened(data, layout, out, cache) as (sequence, features):
-        plan = _Plan(rows, method, [split], [0], epochs, fine_tune, baselines)
+        plan = _Plan(rows, method, [split], [0], epochs, baselines)
         tasks, results = plan.carry_out(sequence, out, features, where)
         figures = FigureWriter(sequence, out, split, rows)
         figures.flow()
@@ -203,11 +200,11 @@ def draw(
     print_where(out / "figures")
 
 
-def _rows(networks: str, fine_tune: str) -> tuple[Row, ...]:
-    """Rows with networks that are there, and that have as many blocks as are to be trained."""
+def _rows(networks: str) -> tuple[Row, ...]:
+    """Rows with networks that are there."""
     names = networks.split(",")
     for name in names:
-        check_fine_tuning(name, tuning_of(fine_tune, FineTuning().epochs, 0))
+        _ = find_network(name).block
     return rows_of(names)
 
 
@@ -235,17 +232,15 @@ class _Plan:
     splits: list[SplitKind]
     seeds: list[int]
     epochs: int
-    fine_tune: str
     baselines: WhichBaselines
 
     def carry_out(
         self, sequence: Sequence, out: Path, features: FeatureCache, engine: Engine
     ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
         """The tasks, and the result of each; those that have one already are not run again."""
-        tuning = tuning_of(self.fine_tune, FineTuning().epochs, 0)
         digest = data_digest(sequence)
         systems, others = self.systems.methods, self.baselines.names
-        tasks = tasks_of(self.rows, self.splits, self.seeds, self.epochs, digest, tuning, systems, others)
+        tasks = tasks_of(self.rows, self.splits, self.seeds, self.epochs, digest, systems, others)
         worker = Table1Worker(sequence, features, out / "runs")
         with progress_bars() as report:
             return tasks, run_tasks(tasks, worker, out / "tasks", report, engine)

@@ -30,11 +30,8 @@ from conformodal.odometry import (
 )
 from conformodal.odometry.quality import quality_record
 from conformodal.vision import (
-    BackboneConfig,
     FeatureCache,
-    FineTuning,
     TrainingConfig,
-    VisionError,
 )
 
 from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder, results_folder
@@ -51,7 +48,6 @@ from .options import was_given
 from .quality import quality_of_training, say_shortly
 from .sources import open_sequence
 
-_DIGITS = 9
 # Settings whose options have other names.
 _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 
@@ -122,12 +118,6 @@ def train(
     network: Annotated[str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.")] = (
         ModelConfig.network
     ),
-    fine_tune: Annotated[
-        str, typer.Option(help="Also train the network: its last blocks (a number), 'all', or 'none'.")
-    ] = "none",
-    fine_tune_epochs: Annotated[int, typer.Option(min=1, help="Passes over the training images.")] = (
-        FineTuning().epochs
-    ),
     sources: Annotated[
         str,
         typer.Option(help="Pose sources that the belief is made of, in order, separated by commas."),
@@ -155,7 +145,6 @@ def train(
         "used": used,
         "network": network,
         "sources": tuple(name.strip() for name in sources.split(",")),
-        "fine_tuning": tuning_of(fine_tune, fine_tune_epochs, seed),
         "device": device,
         "runtime": runtime,
         "seed": seed,
@@ -168,48 +157,13 @@ def train(
         config = ModelConfig.paper(**{name: settings[name] for name in said})
     else:
         config = ModelConfig(**settings)
-    check_fine_tuning(network, config.fine_tuning)
+    _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
     with results_folder(out, "train", apart=[data]):
         cache_dir = cache_folder(cache)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
             train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)
-
-
-def tuning_of(choice: str, epochs: int, seed: int) -> FineTuning | None:
-    """What ``--fine-tune`` asks for.
-
-    Raises
-    ------
-    VisionError
-        If it is neither a number of blocks, nor ``all`` or ``none``.
-    """
-    if choice == "none":
-        return None
-    if choice == "all" or (choice.isascii() and choice.isdecimal() and len(choice) <= _DIGITS):
-        return FineTuning(None if choice == "all" else int(choice), epochs, seed=seed)
-    raise VisionError(f"--fine-tune must be a number of blocks, 'all' or 'none', got {choice!r}")
-
-
-def check_fine_tuning(network: str, tuning: FineTuning | None) -> None:
-    """Refuse a network that is not there, or has fewer blocks than are to be trained, before any image is read.
-
-    Raises
-    ------
-    VisionError
-        Naming what there is.
-    """
-    block = find_network(network).block
-    if tuning is None or tuning.blocks is None:
-        return
-    from conformodal.networks import TorchBackbone  # noqa: PLC0415 - torch takes a second to import
-
-    n_blocks = len(TorchBackbone(BackboneConfig(network, block)).blocks)
-    if tuning.blocks > n_blocks:
-        raise VisionError(
-            f"--fine-tune must be at most {n_blocks}, the blocks of {network} that are used, got {tuning.blocks}"
-        )
 
 
 def train_on(

@@ -10,7 +10,6 @@ from conformodal.core.late import late
 
 if TYPE_CHECKING:
     from .exporting import exported
-    from .finetuning import fine_tune
     from .fitting import fit_head, mean_squared_error, soft_cross_entropy
     from .heads import Head, Loss, predict_values
     from .lite import NETWORKS, find_network
@@ -25,7 +24,6 @@ __all__ = [
     "backbone_config",
     "exported",
     "find_network",
-    "fine_tune",
     "fit_head",
     "mean_squared_error",
     "pick_device",
@@ -38,7 +36,6 @@ _find = late(
     __name__,
     {
         "exported": ".exporting",
-        "fine_tune": ".finetuning",
         **dict.fromkeys(("fit_head", "mean_squared_error", "soft_cross_entropy"), ".fitting"),
         **dict.fromkeys(("Head", "Loss", "predict_values"), ".heads"),
         **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),

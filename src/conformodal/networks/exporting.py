@@ -34,7 +34,7 @@ def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
 
     def make() -> bytes:
         content = _export(backbone)
-        _check_same(backbone, OnnxBackbone(backbone.config, content, backbone.tuned))
+        _check_same(backbone, OnnxBackbone(backbone.config, content))
         return content
 
     return kept_network(backbone, backbone.fingerprint, cache, make)
@@ -47,7 +47,7 @@ def kept_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callab
     content = make() if found is None else found["onnx"].tobytes()
     if path is not None and found is None:
         keep_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
-    return OnnxBackbone(backbone.config, content, backbone.tuned)
+    return OnnxBackbone(backbone.config, content)
 
 
 def _export(backbone: TorchBackbone) -> bytes:

@@ -61,12 +61,6 @@ class _HiddenState(nn.Module):
         super().__init__()
         self.model, self.block = model, block
 
-    @property
-    def blocks(self) -> list[nn.Module]:
-        """What runs before the hidden state, first to last, as far as the model has a list of it."""
-        lists = [list(m.children()) for m in self.model.modules() if isinstance(m, nn.ModuleList)]
-        return max(lists, key=len)[: self.block] if lists else [self.model]
-
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Map (n, channels, h, w) of images (n, 3, H, W)."""
         if self.block is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
@@ -57,7 +56,7 @@ def pick_device(name: str) -> torch.device:
 
 
 class TorchBackbone(Backbone, nn.Module):
-    """A feature extractor in torch, frozen but for fine-tuning.
+    """A feature extractor in torch, frozen.
 
     Raises
     ------
@@ -73,7 +72,6 @@ class TorchBackbone(Backbone, nn.Module):
         self.config = config
         layers, mean, scale, identity = find_network(config.name).load(config.block)
         self._identity = hashlib.sha256(identity).digest()
-        self.tuned = None  # digest of weights other than the package's
         self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
         self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
         self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
@@ -86,44 +84,12 @@ class TorchBackbone(Backbone, nn.Module):
         return self.pixel_mean.device
 
     @property
-    def blocks(self) -> list[nn.Module]:
-        """Its parts that hold weights, first to last."""
-        found: list[nn.Module] = []
-        for layer in self.layers:
-            if next(layer.parameters(), None) is not None:
-                found += getattr(layer, "blocks", [layer])
-        return found
-
-    @property
     def fingerprint(self) -> str:
         """Digest of the weights, the configuration and the versions that decide the features."""
         digest = hashlib.sha256(self._identity)
         digest.update(repr(THUMBNAIL).encode())
         digest.update(repr(sorted(asdict(self.config).items())).encode())
-        if self.tuned is not None:
-            digest.update(self.tuned.encode())
         return digest.hexdigest()
-
-    def weights(self) -> dict[str, npt.NDArray[np.generic]]:
-        """All weights, by name."""
-        return {k: np.ascontiguousarray(v.cpu().numpy()) for k, v in self.layers.state_dict().items()}
-
-    def take_weights(self, weights: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Replace the packaged weights, as after fine-tuning.
-
-        Raises
-        ------
-        VisionError
-            If they are not this network's.
-        """
-        try:
-            self.layers.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in weights.items()})
-        except (RuntimeError, TypeError) as exc:
-            raise VisionError(f"weights do not fit {self.config.name}: {exc}") from exc
-        digest = hashlib.sha256()
-        for name, value in sorted(weights.items()):
-            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
-        self.tuned = digest.hexdigest()
 
     def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""

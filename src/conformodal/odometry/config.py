@@ -14,7 +14,7 @@ from conformodal.conformal.scores import resolve_score
 from conformodal.core import needing
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
-from conformodal.vision import FineTuning, TrainingConfig
+from conformodal.vision import TrainingConfig
 
 from .errors import OdometryError
 
@@ -87,8 +87,6 @@ class ModelConfig:
         Names of pose sources, in the order in which they are fused, see :class:`~conformodal.localization.PoseSource`.
     network
         Of :data:`~conformodal.networks.NETWORKS`, or ``hf:NAME``.
-    fine_tuning
-        Trains the network too, on the training part; None leaves it frozen.
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     runtime
@@ -120,7 +118,6 @@ class ModelConfig:
     novelty_level: float | None = None
     sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
     network: str = "efficientnet_lite0"
-    fine_tuning: FineTuning | None = None
     device: str = "auto"
     runtime: Runtime = Runtime.ONNX
     seed: int = 0
@@ -200,6 +197,5 @@ def config_of(record: Mapping[str, Any]) -> ModelConfig:
         "runtime": Runtime,
         "sources": tuple,
         "training": lambda its: TrainingConfig(**its),
-        "fine_tuning": lambda its: None if its is None else FineTuning(**its),
     }
     return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in kept.items()})

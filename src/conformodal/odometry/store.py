@@ -64,8 +64,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
         f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
     }
     network = model.backbone.content if isinstance(model.backbone, OnnxBackbone) else None
-    if model.backbone.tuned is not None and network is None:  # otherwise its package has them
-        arrays |= {f"backbone.{k}": v for k, v in model.backbone.weights().items()}
     arrays |= {f"bins.{j}": e for j, e in enumerate(localizer.bins.edges_)}
     arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
@@ -103,7 +101,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "network": None,
     }
     if network is not None:
-        record["network"] = {"sha256": hashlib.sha256(network).hexdigest(), "tuned": model.backbone.tuned}
+        record["network"] = {"sha256": hashlib.sha256(network).hexdigest()}
     record["sha256"] = _digest(record)
     # whole at any time: the new files are beside the old ones until the record of the new ones is there
     if network is not None:
@@ -177,19 +175,14 @@ def _named(paths: Sequence[Path], sha256: str) -> bytes:
     raise ModelFileError(f"{paths[-1]}: {problem}")
 
 
-def _backbone(
-    record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
-) -> Backbone:
+def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Backbone:
     config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
     if network is not None:
-        return OnnxBackbone(config, network, record["network"]["tuned"])
+        return OnnxBackbone(config, network)
     with needing("train", f"{folder}: a model that runs its network in torch"):
         from conformodal.networks import TorchBackbone  # noqa: PLC0415
 
     backbone = TorchBackbone(config)
-    tuned = {k.removeprefix("backbone."): v for k, v in arrays.items() if k.startswith("backbone.")}
-    if tuned:
-        backbone.take_weights(tuned)
     if backbone.fingerprint != record["backbone_fingerprint"]:
         raise ModelFileError(
             f"{folder / _WEIGHTS}: was trained on features of {config.name} in another version; install the one that "
@@ -201,7 +194,7 @@ def _backbone(
 def _assemble(
     record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
 ) -> PoseModel:
-    backbone = _backbone(record, arrays, network, folder)
+    backbone = _backbone(record, network, folder)
     bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
     sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
     how, split = record["calibration"], record["split"]

@@ -91,7 +91,7 @@ def _errors(rows: Sequence[Row], records: Sequence[Record], split: str) -> dict[
 
 
 def table1_notes(
-    methods: Sequence[Method], seeds: Sequence[int], epochs: int, networks: str, workers: int, fine_tune: str
+    methods: Sequence[Method], seeds: Sequence[int], epochs: int, networks: str, workers: int
 ) -> list[str]:
     """How to read the tables.
 
@@ -99,15 +99,14 @@ def table1_notes(
     ----------
     methods
         Systems that were trained.
-    seeds, epochs, networks, workers, fine_tune
+    seeds, epochs, networks, workers
         As they were asked for.
     """
     over = f"{counted(len(seeds), 'seed')} ({', '.join(map(str, seeds))})"
     passes = f"{counted(epochs, 'epoch')}"
-    features = "Frozen" if fine_tune == "none" else f"Fine-tuned (--fine-tune {fine_tune}, on the training part)"
     ours = Method.CONFORMODAL in methods
     notes = [
-        f"Mean ± standard deviation over {over} of split and training, {passes}. {features} features of "
+        f"Mean ± standard deviation over {over} of split and training, {passes}. Frozen features of "
         f"{networks.replace(',', ', ')}. The test frames, a fifth unless recordings or lists decide, are the same for "
         "every row; a fifth of the used frames calibrates. Noise is on the camera's pixels, in [0, 1], at test time "
         "only, for network and tracker alike. Ratio: the regressor's RMSE over the system's, seed by seed; above 1 the "

@@ -13,13 +13,12 @@ from .features import FeatureCache, extract_features
 from .head import SoftmaxHead
 from .onnx_backbone import OnnxBackbone
 from .projection import Projection, fit_projection
-from .settings import FineTuning, TrainingConfig
+from .settings import TrainingConfig
 
 __all__ = [
     "Backbone",
     "BackboneConfig",
     "FeatureCache",
-    "FineTuning",
     "OnnxBackbone",
     "Projection",
     "SoftmaxHead",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,10 +46,7 @@ def feature_views(n_features: int) -> FeatureViews:
 
 
 def coarse_features(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """The network's map (n, F) averaged over two by two cells: a global descriptor.
-
-    The training images have no part in it, unless the network was fine-tuned on them.
-    """
+    """The network's map (n, F) averaged over two by two cells, a descriptor that training images have no part in."""
     rows, columns = BackboneConfig.grid
     network = features[:, feature_views(features.shape[1]).network]
     cells = network.reshape(len(features), -1, rows // 2, 2, columns // 2, 2)
@@ -94,12 +91,9 @@ class Backbone(ABC):
     ----------
     config
         See :class:`BackboneConfig`.
-    tuned
-        Digest of weights other than the package's, or None.
     """
 
     config: BackboneConfig
-    tuned: str | None
 
     @property
     @abstractmethod
@@ -109,10 +103,6 @@ class Backbone(ABC):
     @abstractmethod
     def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
-
-    def weights(self) -> dict[str, npt.NDArray[Any]]:
-        """All weights, by name."""
-        raise VisionError(f"{type(self).__name__} does not tell its weights")
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""

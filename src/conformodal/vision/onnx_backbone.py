@@ -27,8 +27,6 @@ class OnnxBackbone(Backbone):
     content
         The ONNX file: input ``images`` (n, height, width, 3) uint8, output ``map`` (n, channels * rows * columns)
         float32.
-    tuned
-        Digest of weights other than the package's, or None.
 
     Raises
     ------
@@ -38,10 +36,10 @@ class OnnxBackbone(Backbone):
         If ONNX Runtime is not installed.
     """
 
-    def __init__(self, config: BackboneConfig, content: bytes, tuned: str | None = None) -> None:
+    def __init__(self, config: BackboneConfig, content: bytes) -> None:
         with needing("run", "running a model"):
             import onnxruntime  # noqa: PLC0415 - only where a network is run
-        self.config, self.content, self.tuned = config, content, tuned
+        self.config, self.content = config, content
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = thread_limit()
         # idle threads that spin take the cores from tracking and search

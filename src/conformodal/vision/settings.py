@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .errors import VisionError
-
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -32,37 +30,3 @@ class TrainingConfig:
     input_dropout: float | None = None
     components: int | None = 256
     seed: int = 0
-
-
-@dataclass(frozen=True)
-class FineTuning:
-    """How a network is fine-tuned.
-
-    Attributes
-    ----------
-    blocks
-        Last blocks to train; None for the whole network.
-    epochs, batch_size
-        Passes over the training images, and images a step.
-    learning_rate
-        Of the network; its temporary head learns ten times as fast.
-    seed
-        Of the head, the order of images and their augmentation.
-
-    Raises
-    ------
-    VisionError
-        If a number is out of range.
-    """
-
-    blocks: int | None = 3
-    epochs: int = 10
-    batch_size: int = 16
-    learning_rate: float = 3e-4
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if (self.blocks is not None and self.blocks < 1) or min(self.epochs, self.batch_size) < 1:
-            raise VisionError(f"fine-tuning needs at least one block, epoch and image a step, got {self}")
-        if not self.learning_rate > 0:
-            raise VisionError(f"learning_rate must be positive, got {self.learning_rate}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from conformodal.datasets import SplitKind
 from conformodal.odometry import Method, ModelConfig
-from conformodal.vision import FineTuning, TrainingConfig
+from conformodal.vision import TrainingConfig
 
 from ..errors import ExperimentError
 
@@ -103,8 +103,6 @@ class TrainingTask:
         Of every training.
     data
         Digest of the data set.
-    fine_tuning
-        Settings of fine-tuning, or None for frozen features.
     baselines
         Names of the baselines beside this project's system, in the order of ``BASELINES``.
     """
@@ -117,7 +115,6 @@ class TrainingTask:
     sigmas: tuple[float, ...]
     epochs: int
     data: str
-    fine_tuning: FineTuning | None = None
     baselines: tuple[str, ...] = ()
 
     @property
@@ -133,10 +130,9 @@ class TrainingTask:
     @property
     def settings(self) -> dict[str, object]:
         """All that decides the result, as JSON."""
-        tuning = None if self.fine_tuning is None else asdict(self.fine_tuning)
         names = {"method": str(self.method), "split": str(self.split)}
         lists = {"sigmas": list(self.sigmas), "baselines": list(self.baselines)}
-        return {**vars(self), **names, **lists, "fine_tuning": tuning, "results": _RESULTS}
+        return {**vars(self), **names, **lists, "results": _RESULTS}
 
 
 def tasks_of(
@@ -145,7 +141,6 @@ def tasks_of(
     seeds: Sequence[int],
     epochs: int,
     data: str,
-    fine_tuning: FineTuning | None = None,
     methods: Sequence[Method] = (Method.PAPER, Method.CONFORMODAL),
     baselines: Sequence[str] = (),
 ) -> list[TrainingTask]:
@@ -161,7 +156,6 @@ def tasks_of(
             tuple(dict.fromkeys(r.sigma for r in rows if (r.used, r.network) == (used, network))),
             epochs,
             data,
-            None if fine_tuning is None else replace(fine_tuning, seed=seed),
             () if method is Method.PAPER else tuple(baselines),
         )
         for method in methods
@@ -180,7 +174,6 @@ def config_of(task: TrainingTask) -> ModelConfig:
         "calibration": CALIBRATION_SHARE * task.used,
         "used": task.used,
         "network": task.network,
-        "fine_tuning": task.fine_tuning,
         "seed": task.seed,
         "training": TrainingConfig(epochs=task.epochs, seed=task.seed),
     }

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins
 from conformodal.core import StageProgress, needing, stage_of
 from conformodal.datasets import Sequence, make_split
 from conformodal.localization import Localizer, PlaceNovelty, pose_targets
@@ -38,7 +37,7 @@ def prepare_training_data(
         If an image cannot be read; names the file.
     """
     with needing("train", "training"):
-        from conformodal.networks import TorchBackbone, backbone_config, exported, fine_tune, pick_device, quantised  # noqa: PLC0415
+        from conformodal.networks import TorchBackbone, backbone_config, exported, pick_device, quantised  # noqa: PLC0415
 
     truth = sequence.require_truth()
     split = make_split(
@@ -55,17 +54,6 @@ def prepare_training_data(
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     backbone.to(pick_device(config.device))
-    if config.fine_tuning is not None:
-        bins = QuantileBins(config.n_bins, config.margin).fit(targets[split.train])
-        backbone = fine_tune(
-            backbone,
-            [sequence.image_paths[i] for i in split.train],
-            np.concatenate(bins.soft_targets(targets[split.train], config.sigma_bins), axis=1),
-            bins.sizes,
-            config.fine_tuning,
-            cache,
-            stage_of(progress, "fine-tuning"),
-        )
     runs: Backbone = backbone
     if config.runtime is not Runtime.TORCH:
         runs = in_onnx = exported(backbone, cache)
