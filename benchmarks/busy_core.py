@@ -31,9 +31,9 @@ from conformodal.vision import TrainingConfig
 threads = int(sys.argv[1])
 if threads:
     torch.set_num_threads(threads)
-    from conformodal.networks import loop
+    from conformodal.networks import heads
     from contextlib import nullcontext
-    loop._one_thread = nullcontext
+    heads._one_thread = nullcontext
 rng = np.random.default_rng(0)
 x, y = rng.normal(size=(600, 4608)).astype(np.float32), rng.dirichlet(np.ones(50), (600, 7)).reshape(600, 350)
 fit_head(x, y, [50] * 7, soft_cross_entropy, TrainingConfig(epochs=2))

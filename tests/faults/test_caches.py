@@ -1,8 +1,10 @@
 """Caches and states that are damaged, stopped, or shared: noticed, made again, and the same to the bit."""
 
 import os
+import signal
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 import torch
 from safetensors.numpy import save as save_tensors
 
-from conformodal.core.files import FolderInUseError, locked
+from conformodal.core.files import locked
 from conformodal.datasets import ImageError
 from conformodal.networks import (
     Head,
@@ -20,7 +22,6 @@ from conformodal.networks import (
     mean_squared_error,
     soft_cross_entropy,
 )
-from conformodal.networks.states import FILE, kept_state
 from conformodal.vision import FeatureCache, TrainingConfig, extract_features
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 
@@ -58,14 +59,16 @@ def bits(head: Head) -> list[bytes]:
     return [value.numpy().tobytes() for value in head.state_dict().values()]
 
 
-def trained(folder, stop_at=None, config=None):
+CONFIG = TrainingConfig(epochs=23, hidden=8, batch_size=16)
+
+
+def trained(folder, stop_at=None, config=CONFIG):
     x, y = toy()
 
     def stop(done, _):
         if done == stop_at:
             raise KeyboardInterrupt
 
-    config = config or TrainingConfig(epochs=23, hidden=8, batch_size=16)
     return fit_head(x, y, [3, 3], soft_cross_entropy, config, checkpoint_dir=folder, progress=stop)
 
 
@@ -94,26 +97,44 @@ def test_a_training_stopped_twice_ends_as_the_uninterrupted_one(tmp_path, uninte
 def test_a_damaged_state_is_dropped(tmp_path, uninterrupted, damage):
     with pytest.raises(KeyboardInterrupt):
         trained(tmp_path, 12)
-    (state,) = tmp_path.rglob(FILE)
+    (state,) = tmp_path.iterdir()
     DAMAGE[damage](state)
-    assert kept_state(state.parent) is None
-    assert not state.exists()
-    assert bits(trained(tmp_path)) == uninterrupted
-
-
-def test_a_damaged_state_does_not_stop_the_training(tmp_path, uninterrupted):
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path, 12)
-    (state,) = tmp_path.rglob(FILE)
-    flip(state, 0.4)
     assert bits(trained(tmp_path)) == uninterrupted
 
 
 def test_states_hold_tensors_and_no_code(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         trained(tmp_path, 12)
-    (state,) = tmp_path.rglob(FILE)
-    assert torch.load(state, weights_only=True)["epoch"] == 9
+    (file,) = tmp_path.iterdir()
+    state = torch.load(BytesIO(kept_arrays(file, file.stem)["state"].tobytes()), weights_only=True)
+    assert state["epochs"] == 10
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from conformodal.networks import fit_head, soft_cross_entropy
+from conformodal.vision import TrainingConfig
+data = np.load(sys.argv[1])
+kill = lambda done, _: done == 15 and os.kill(os.getpid(), signal.SIGKILL)
+config = TrainingConfig(epochs=23, hidden=8, batch_size=16)
+fit_head(data["x"], data["y"], [3, 3], soft_cross_entropy, config, checkpoint_dir=Path(sys.argv[2]), progress=kill)
+"""
+
+
+def test_a_killed_training_continues_and_ends_as_the_uninterrupted_one(tmp_path, uninterrupted):
+    x, y = toy()
+    np.savez(tmp_path / "data.npz", x=x, y=y)
+    states, seen = tmp_path / "states", []
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "data.npz"), str(states)]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert len(list(states.iterdir())) == 1
+    progress = lambda done, _: seen.append(done)  # noqa: E731
+    head = fit_head(x, y, [3, 3], soft_cross_entropy, CONFIG, checkpoint_dir=states, progress=progress)
+    assert seen == list(range(11, 24))
+    assert bits(head) == uninterrupted
+    assert not list(states.iterdir())
 
 
 @pytest.mark.parametrize("other", ["outputs", "loss"])
@@ -127,26 +148,17 @@ def test_the_state_of_another_head_is_not_taken_up(tmp_path, other):
     assert bits(fit_head(x, y, outputs, loss, config, checkpoint_dir=tmp_path)) == plain
 
 
-HOLD = "import sys; from pathlib import Path; from conformodal.core.files import locked\n"
-HOLD += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+def test_two_trainings_of_the_same_head_share_a_state(tmp_path, uninterrupted):
+    inner = []
 
+    def start_another(done, _):
+        if done == 13:
+            inner.append(trained(tmp_path))  # from the state of the outer one, which it removes at the end
 
-def test_two_trainings_of_the_same_do_not_meet(tmp_path, uninterrupted):
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path, 12)
-    (state,) = tmp_path.rglob(FILE)
-    before = state.read_bytes()
-    lock = state.parent.with_name(f"{state.parent.name}.lock")
-    command = [sys.executable, "-c", HOLD, str(lock)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout.readline() == b"held\n"
-        with pytest.raises(FolderInUseError, match=f"in use by process {other.pid}"), locked(lock):
-            pass
-        assert bits(trained(tmp_path)) == uninterrupted
-        assert state.read_bytes() == before  # the other's
-        other.kill()  # its lock goes with it
-    assert bits(trained(tmp_path)) == uninterrupted
-    assert not state.exists()
+    x, y = toy()
+    outer = fit_head(x, y, [3, 3], soft_cross_entropy, CONFIG, checkpoint_dir=tmp_path, progress=start_another)
+    assert [bits(head) for head in (outer, *inner)] == [uninterrupted] * 2
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")

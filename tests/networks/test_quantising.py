@@ -5,8 +5,7 @@ from PIL import Image
 
 from conformodal.datasets import ImageError
 from conformodal.localization import TARGET_NAMES
-from conformodal.networks import TorchBackbone, exported, fit_head, quantised, quantising, soft_cross_entropy
-from conformodal.networks.with_head import with_head
+from conformodal.networks import TorchBackbone, exported, exporting, fit_head, quantised, soft_cross_entropy, with_head
 from conformodal.vision import BackboneConfig, FeatureCache, TrainingConfig, fit_projection
 from conformodal.vision.backbone import feature_views
 
@@ -46,7 +45,7 @@ def test_eight_bits_are_smaller_and_near(onnx, files, images, tmp_path):
 def test_a_network_is_quantised_once_for_the_same_images(onnx, files, tmp_path, monkeypatch):
     cache = FeatureCache(tmp_path / "cache")
     first = quantised(onnx, files, cache)
-    monkeypatch.setattr(quantising, "_quantise", lambda *_: onnx.content)
+    monkeypatch.setattr(exporting, "_quantise", lambda *_: onnx.content)
     assert quantised(onnx, files, cache).content == first.content
     assert quantised(onnx, files[:5], cache).content == onnx.content  # other images: made anew
 

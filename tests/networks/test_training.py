@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -78,26 +80,6 @@ def test_regression_shares_the_trunk():
     assert np.sqrt(np.mean((predict_values(head, x) - y) ** 2)) < 0.15
 
 
-def test_training_goes_on_where_it_was_stopped(tmp_path):
-    x, y = toy()
-    config = TrainingConfig(epochs=25, hidden=16)
-    epochs = []
-
-    def stop_at_15(done, _):
-        epochs.append(done)
-        if done == 15:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop_at_15)
-    assert list(tmp_path.rglob("last.ckpt"))
-    again = []
-    fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: again.append(d))
-    assert again[0] == 11  # from the state kept at 10
-    assert again[-1] == 25
-    assert not list(tmp_path.rglob("last.ckpt"))
-
-
 def test_state_of_other_data_is_not_taken_up(tmp_path):
     x, y = toy()
     config = TrainingConfig(epochs=11, hidden=16)
@@ -162,3 +144,18 @@ def test_a_head_is_trained_on_one_thread_and_the_others_are_there_again():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
+
+
+WITHOUT = """
+import sys
+sys.modules["lightning"] = sys.modules["pytorch_lightning"] = None
+import numpy as np
+from conformodal.networks import fit_head, soft_cross_entropy
+from conformodal.vision import TrainingConfig
+fit_head(np.eye(4, dtype=np.float32), np.eye(4), [4], soft_cross_entropy, TrainingConfig(epochs=1, components=None))
+"""
+
+
+def test_a_head_is_trained_by_torch_alone():
+    found = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr

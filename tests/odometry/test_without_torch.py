@@ -31,7 +31,7 @@ def run_without(missing, *arguments):
 
 @pytest.mark.slow
 def test_a_model_is_run_without_torch(small_world, tmp_path):
-    missing = ("torch", "lightning", "efficientnet_lite_pytorch", "trimesh", "embreex", "onnxscript")
+    missing = ("torch", "efficientnet_lite_pytorch", "trimesh", "embreex", "onnxscript")
     out = tmp_path / "out"
     found = run_without(missing, "run", small_world.model, small_world.folder, "--part", "test", "--out", out)
     assert found.returncode == 0, found.stderr

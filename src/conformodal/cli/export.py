@@ -13,7 +13,6 @@ from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
 from conformodal.localization import TARGET_NAMES, HeadSource
-from conformodal.networks.with_head import with_head
 from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
 from conformodal.odometry.results.folders import claimed
 from conformodal.vision import FeatureCache, OnnxBackbone
@@ -63,6 +62,8 @@ def export(
                 made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
         head = made.localizer.find(HeadSource)
         if head is not None:
+            from conformodal.networks import with_head  # noqa: PLC0415 - torch takes a second to import
+
             assert isinstance(made.backbone, OnnxBackbone)
             write_whole(out / _NETWORK, with_head(made.backbone, head.head, TARGET_NAMES))
             console.print(f"network and head, from pixels to probabilities: {_NETWORK}")

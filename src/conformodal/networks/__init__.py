@@ -9,11 +9,9 @@ from conformodal.core import needing
 from conformodal.core.late import late
 
 if TYPE_CHECKING:
-    from .exporting import exported
-    from .fitting import fit_head, mean_squared_error, soft_cross_entropy
-    from .heads import Head, Loss, predict_values
+    from .exporting import exported, quantised, with_head
+    from .heads import Head, Loss, fit_head, mean_squared_error, predict_values, soft_cross_entropy
     from .lite import NETWORKS, find_network
-    from .quantising import quantised
     from .torch_backbone import TorchBackbone, backbone_config, pick_device
 
 __all__ = [
@@ -30,16 +28,16 @@ __all__ = [
     "predict_values",
     "quantised",
     "soft_cross_entropy",
+    "with_head",
 ]
 
 _find = late(
     __name__,
     {
-        "exported": ".exporting",
-        **dict.fromkeys(("fit_head", "mean_squared_error", "soft_cross_entropy"), ".fitting"),
-        **dict.fromkeys(("Head", "Loss", "predict_values"), ".heads"),
+        **dict.fromkeys(("exported", "quantised", "with_head"), ".exporting"),
+        **dict.fromkeys(("Head", "Loss", "fit_head", "mean_squared_error"), ".heads"),
+        **dict.fromkeys(("predict_values", "soft_cross_entropy"), ".heads"),
         **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),
-        "quantised": ".quantising",
         **dict.fromkeys(("TorchBackbone", "backbone_config", "pick_device"), ".torch_backbone"),
     },
 )

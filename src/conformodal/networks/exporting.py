@@ -1,23 +1,30 @@
-"""From torch to ONNX: a network that runs without torch."""
+"""Networks in ONNX, which run without torch: exported, quantised to eight bits, joined with a softmax head."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
-from conformodal.core import needing
-from conformodal.vision import Backbone, FeatureCache, OnnxBackbone, VisionError
+from conformodal.core import Progress, needing
+from conformodal.datasets import read_image
+from conformodal.vision import Backbone, FeatureCache, OnnxBackbone, SoftmaxHead, VisionError
 from conformodal.vision.keeping import keep_arrays, kept_arrays
 from conformodal.vision.onnx_backbone import INPUT, OUTPUT
 
 from .torch_backbone import TorchBackbone
 
 OPSET = 18
+_N_IMAGES = 64  # of quantisation; ranges of activations hardly widen with more
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 
@@ -27,9 +34,7 @@ def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
     Raises
     ------
     VisionError
-        If torch cannot export the network, or the exported one answers otherwise.
-    MissingPackageError
-        If a package for the export is not installed.
+        If torch cannot export the network, or the exported one gives other features.
     """
 
     def make() -> bytes:
@@ -37,10 +42,104 @@ def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
         _check_same(backbone, OnnxBackbone(backbone.config, content))
         return content
 
-    return kept_network(backbone, backbone.fingerprint, cache, make)
+    return _cached_network(backbone, backbone.fingerprint, cache, make)
 
 
-def kept_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
+def quantised(
+    backbone: OnnxBackbone, image_files: Sequence[Path], cache: FeatureCache, progress: Progress | None = None
+) -> OnnxBackbone:
+    """The same network with weights and activations in eight bits.
+
+    Weights have a scale a channel; ranges of activations are those of at most 64 of the images, spread evenly. The
+    features are other ones: sources and thresholds have to be learnt from these.
+
+    Parameters
+    ----------
+    backbone
+        Stays as it is.
+    image_files
+        Of the training part.
+    cache
+        Keeps the network.
+    progress
+        Called with images done and images in all.
+
+    Raises
+    ------
+    ImageError
+        If an image cannot be read; names the file.
+    MissingPackageError
+        If a package for the quantisation is not installed.
+    """
+    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
+    key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
+
+    def make() -> bytes:
+        images = []
+        for path in chosen:
+            images.append(backbone.prepare(read_image(path)))
+            if progress is not None:
+                progress(len(images), len(chosen))
+        return _quantise(backbone.content, images)
+
+    return _cached_network(backbone, key, cache, make)
+
+
+def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...]) -> bytes:
+    """The network and its softmax head: input ``images`` as the network's, outputs ``map`` and one (n, K) per target.
+
+    Parameters
+    ----------
+    backbone, head
+        Of one model.
+    targets
+        Names of the outputs, one per target.
+    """
+    with needing("train", "the export of a network"):
+        import onnx  # noqa: PLC0415
+        from onnx import helper, numpy_helper  # noqa: PLC0415
+
+    model = onnx.load_model_from_string(backbone.content)
+    graph = model.graph
+    n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
+    ours = {name: np.asarray(value) for name, value in head.weights.items()}
+    # the head does not see the global descriptor, in which features end
+    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]
+    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, and those of the descriptor are 0
+        ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
+    for name in ("trunk.1.weight", "output.weight"):
+        ours[name] = np.ascontiguousarray(ours[name].T)
+    ours |= {k: np.array(v, np.float32) for k, v in (("half", 0.5), ("one", 1), ("root", np.sqrt(0.5)))}
+    graph.initializer.extend(numpy_helper.from_array(value, f"head.{name}") for name, value in ours.items())
+
+    def add(operator: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        graph.node.append(helper.make_node(operator, inputs, [f"head.{output}"], **attributes))
+        return f"head.{output}"
+
+    last = add("Cast", [OUTPUT], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
+    last = add("Cast", [last], "features", to=onnx.TensorProto.FLOAT)
+    last = add("Sub", [last, "head.offset"], "centred")
+    last = add("MatMul" if ours["components"].ndim == 2 else "Mul", [last, "head.components"], "projected")
+    last = add("MatMul", [last, "head.trunk.1.weight"], "hidden")
+    last = add("Add", [last, "head.trunk.1.bias"], "shifted")
+    normalised = [last, "head.trunk.2.weight", "head.trunk.2.bias"]
+    last = add("LayerNormalization", normalised, "normalised", axis=-1, epsilon=1e-5)
+    inner = add("Mul", [last, "head.root"], "scaled")
+    inner = add("Add", [add("Erf", [inner], "erf"), "head.one"], "erf1")
+    last = add("Mul", [add("Mul", [last, "head.half"], "halved"), inner], "gelu")
+    last = add("MatMul", [last, "head.output.weight"], "product")
+    last = add("Add", [last, "head.output.bias"], "raw")
+    graph.initializer.append(numpy_helper.from_array(np.array(head.outputs, np.int64), "head.sizes"))
+    blocks = [f"head.{target}" for target in targets]
+    graph.node.append(helper.make_node("Split", [last, "head.sizes"], blocks, axis=1))
+    for target, block, size in zip(targets, blocks, head.outputs, strict=True):
+        graph.node.append(helper.make_node("Softmax", [block], [target], axis=1))
+        graph.output.append(helper.make_tensor_value_info(target, onnx.TensorProto.FLOAT, ["n", size]))
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())
+
+
+def _cached_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
     """A backbone in the ONNX file that the cache holds under a key; it is made where the cache does not hold it."""
     path = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
     found = None if path is None else kept_arrays(path, key)
@@ -83,15 +182,46 @@ def _check_same(backbone: TorchBackbone, made: OnnxBackbone) -> None:
         raise VisionError(f"{backbone.config.name} answers otherwise when exported to ONNX")
 
 
+def _quantise(content: bytes, images: Sequence[npt.NDArray[np.uint8]]) -> bytes:
+    with needing("train", "quantisation"):
+        from onnxruntime.quantization import (  # noqa: PLC0415 - only here
+            CalibrationDataReader,
+            QuantFormat,
+            QuantType,
+            quantize_static,
+        )
+
+    class Images(CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self.left = iter(images)
+
+        def get_next(self) -> dict[str, Any] | None:
+            image = next(self.left, None)
+            return None if image is None else {INPUT: image[None]}
+
+    with TemporaryDirectory() as folder, _quiet():
+        whole, small = Path(folder) / "network.onnx", Path(folder) / "int8.onnx"
+        whole.write_bytes(content)
+        quantize_static(
+            whole,
+            small,
+            Images(),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,  # with signed activations, kernels for convolutions are slower
+            weight_type=QuantType.QInt8,
+        )
+        return small.read_bytes()
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the exporter's remarks on packages that are not needed."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
+    """Hide advice of exporter and quantiser: on packages that are not needed, and to optimise the network first."""
+    previous = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(level)
+        logging.disable(previous)

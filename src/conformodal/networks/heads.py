@@ -1,16 +1,25 @@
-"""The small trained part: a shared trunk and one output block a target."""
+"""Heads on cached features: a shared trunk and one output block per target, their losses and their training."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import nn
 
-from conformodal.vision import Projection, SoftmaxHead, VisionError
+from conformodal.core import Progress
+from conformodal.vision import Projection, SoftmaxHead, TrainingConfig, VisionError, fit_projection
+from conformodal.vision.keeping import keep_arrays, kept_arrays
+
+_STATE_EVERY_EPOCHS = 10
 
 
 class _Dropout(nn.Module):
@@ -31,7 +40,7 @@ class _Dropout(nn.Module):
 class Head(nn.Module):
     """Projected features, dropout, one hidden layer, and a linear output for every target.
 
-    The conformal network has one softmax of K bins a target; the classical regressor has one number a target and
+    The conformal network has one softmax over K bins per target; the classical regressor has one number per target and
     shares all else.
 
     Parameters
@@ -100,12 +109,153 @@ class Head(nn.Module):
         return SoftmaxHead(weights, self.outputs)
 
     def split(self, raw: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """One (n, K_j) block a target."""
+        """One (n, K_j) block per target."""
         return torch.split(raw, self.outputs, dim=1)
 
 
 # From a head, its raw outputs and the targets of a batch to one number.
 Loss: TypeAlias = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Mean over targets of the cross-entropy with order-aware labels; `targets` is (n, sum of K_j)."""
+    _same_shape(raw, targets)
+    if len(set(head.outputs)) == 1:  # one call for all targets is quicker than seven
+        k = head.outputs[0]
+        return torch.nn.functional.cross_entropy(raw.reshape(-1, k), targets.reshape(-1, k))
+    blocks = zip(head.split(raw), torch.split(targets, head.outputs, dim=1), strict=True)
+    return torch.stack([torch.nn.functional.cross_entropy(r, t) for r, t in blocks]).mean()
+
+
+def mean_squared_error(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """The classical regressor's loss, on standardised targets (n, d)."""
+    _same_shape(raw, targets)
+    return torch.nn.functional.mse_loss(raw, targets)
+
+
+def _same_shape(raw: torch.Tensor, targets: torch.Tensor) -> None:
+    if raw.shape != targets.shape:  # broadcasting would train on nonsense
+        raise VisionError(f"targets must have the shape of the outputs, {tuple(raw.shape)}, got {tuple(targets.shape)}")
+
+
+def fit_head(
+    features: npt.NDArray[np.float32],
+    targets: npt.NDArray[np.floating[Any]],
+    outputs: list[int],
+    loss: Loss,
+    config: TrainingConfig,
+    *,
+    head_type: type[Head] = Head,
+    projection: Projection | None = None,
+    checkpoint_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> Head:
+    """Train a head.
+
+    Parameters
+    ----------
+    features, targets
+        (n, F), and (n, p) in whatever form the loss takes.
+    outputs
+        Outputs of each target.
+    loss
+        :func:`soft_cross_entropy`, :func:`mean_squared_error`, or another function of head, outputs and targets.
+    config
+        See :class:`~conformodal.vision.TrainingConfig`.
+    head_type
+        A subclass, for losses with parameters of their own.
+    projection
+        Of these features; fitted by default. Several heads for the same samples can share one.
+    checkpoint_dir
+        Where to save the state every ten epochs. A training that was stopped and is started again with the same data
+        and settings continues there and gives the same head to the bit; when training ends, its state is removed.
+    progress
+        Called with epochs done and epochs in all.
+
+    Raises
+    ------
+    VisionError
+        If there are fewer samples than two, or shapes differ.
+    """
+    x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
+    y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))
+    if len(x) < 2 or len(x) != len(y):
+        raise VisionError(f"training needs two samples or more, as many as targets; got {x.shape}, {y.shape}")
+    through = projection or fit_projection(x.numpy(), config.components)
+    input_dropout = config.dropout if config.input_dropout is None else config.input_dropout
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        head = head_type(through, outputs, config.hidden, config.dropout, input_dropout)
+        projected = head.project(x)  # once, by all threads
+        with _one_thread():
+            _train(head, projected, y, loss, config, checkpoint_dir, progress)
+    return head.eval()
+
+
+def _train(
+    head: Head,
+    x: torch.Tensor,
+    y: torch.Tensor,
+    loss: Loss,
+    config: TrainingConfig,
+    checkpoint_dir: Path | None,
+    progress: Progress | None,
+) -> None:
+    """Fit a head in place to projected samples (n, k) and targets."""
+    size = min(config.batch_size, len(x))
+    n_steps = config.epochs * -(-len(x) // size)
+    rise = 0.11 if n_steps == 10 else 0.1  # of just ten steps a tenth is a phase without length, divided by
+    rate = config.learning_rate
+    optimizer = torch.optim.AdamW(head.parameters(), lr=rate, weight_decay=config.weight_decay, fused=True)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, max_lr=rate, total_steps=n_steps, pct_start=rise)
+    key = _digest(head, x, y, loss, config)
+    file = None if checkpoint_dir is None else checkpoint_dir / f"{key}.safetensors"
+    start = 0
+    if file is not None and (saved := kept_arrays(file, key)) is not None:
+        state = torch.load(BytesIO(saved["state"].tobytes()), weights_only=True)
+        start = state["epochs"]
+        for part, name in ((head, "head"), (optimizer, "optimizer"), (schedule, "schedule")):
+            part.load_state_dict(state[name])
+        torch.set_rng_state(state["random"])
+    for epoch in range(start, config.epochs):
+        torch.empty((), dtype=torch.int64).random_()  # a DataLoader drew it once: seeds still give the same heads
+        # the order is of seed and epoch alone; all other random numbers follow from the state
+        order = np.random.default_rng((config.seed, epoch)).permutation(len(x))
+        for rows in torch.split(torch.from_numpy(order), size):
+            optimizer.zero_grad()
+            torch.autograd.backward(loss(head, head.answer(x[rows]), y[rows]))
+            optimizer.step()
+            schedule.step()
+        if file is not None and (epoch + 1) % _STATE_EVERY_EPOCHS == 0:
+            state = {"epochs": epoch + 1, "head": head.state_dict(), "optimizer": optimizer.state_dict()}
+            state |= {"schedule": schedule.state_dict(), "random": torch.get_rng_state()}
+            torch.save(state, content := BytesIO())
+            keep_arrays(file, key, {"state": np.frombuffer(content.getvalue(), np.uint8)})
+        if progress is not None:
+            progress(epoch + 1, config.epochs)
+    if file is not None:
+        file.unlink(missing_ok=True)
+
+
+def _digest(head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> str:
+    settings = (torch.__version__, sorted(asdict(config).items()), head.outputs)
+    digest = hashlib.sha256(repr((*settings, loss.__qualname__, type(head).__qualname__)).encode())
+    digest.update(x.numpy().tobytes())
+    digest.update(y.numpy().tobytes())
+    return digest.hexdigest()[:32]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """A batch of a small head is too little work to share: threads that wait for each other spin, and where another
+    program has a core, each batch waits for the thread that was put off. Sums come out alike on all machines, too.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:

@@ -15,7 +15,6 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "torch",
-    "lightning",
     "onnxruntime",
     "opencv-python-headless",
     "poselib",
