@@ -30,6 +30,7 @@ from conformodal.odometry.results.records import REGIONS
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
 
+from .arguments import FollowOutside
 from .console import console, kind_errors, print_errors, print_where, say_strongly
 from .sources import open_sequence
 
@@ -42,12 +43,13 @@ def evaluate(
     alignment: Annotated[
         Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
     ] = Alignment.NONE,
+    follow_outside: FollowOutside = False,
 ) -> None:
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), claimed(out / "evaluation", "evaluate"):
         settle(out)
         found = _read_results(out)
-        true_poses = _read_truth(truth, layout)
+        true_poses = _read_truth(truth, layout, follow_outside=follow_outside)
         mine, theirs = associate(found.times, true_poses)
         matched = true_poses[theirs]
         moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
@@ -165,8 +167,8 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def _read_truth(path: Path, layout: Layout) -> Trajectory:
+def _read_truth(path: Path, layout: Layout, *, follow_outside: bool) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
-        return open_sequence(path, layout, require_poses=True).require_truth()
+        return open_sequence(path, layout, require_poses=True, follow_outside=follow_outside).require_truth()
     return read_tum(path)
