@@ -16,6 +16,7 @@ from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
     METRICS,
     OdometryError,
+    bounded_coverage,
     error_table,
     provenance,
     read_metrics,
@@ -26,12 +27,13 @@ from conformodal.odometry import (
     write_metrics,
 )
 from conformodal.odometry.results.folders import check_belongs, claimed, result_digests, settle
-from conformodal.odometry.results.records import REGIONS
+from conformodal.odometry.results.records import REGIONS, record_bounded
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
 
 from .arguments import FollowOutside
-from .console import console, kind_errors, print_errors, print_where, say_strongly
+from .console import console, kind_errors, print_errors, print_where, say_line, say_strongly
+from .outcome import describe_coverage
 from .sources import open_sequence
 
 
@@ -62,6 +64,7 @@ def evaluate(
         inside = records_contain(
             [found.records[i] for i in mine], here, None if sign is None else np.array(sign, dtype=np.float64)
         )
+        bounded = np.array([record_bounded(found.records[i]) for i in mine], dtype=np.bool_)
         result: dict[str, Any] = {
             "command": "evaluate",
             "results": result_digests(out),
@@ -75,6 +78,9 @@ def evaluate(
             "coverage": {
                 "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
                 "joint_coverage": float(inside.all(axis=1).mean()),
+                "n_evaluated": len(mine),
+                "abstained": float((~bounded).mean()),
+                **bounded_coverage(np.asarray(inside.all(axis=1)), bounded),
                 "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
                 "frames relate to the calibration frames",
             },
@@ -86,7 +92,7 @@ def evaluate(
     console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
-    console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
+    say_line(describe_coverage(result["coverage"]))
     print_where(out / "evaluation")
 
 
