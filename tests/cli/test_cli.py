@@ -58,6 +58,7 @@ def test_run_writes_everything(results):
     assert metrics["split"] == "interleaved"
     assert metrics["n_answered"] == len(read_tum(results / "trajectory.tum"))
     assert set(metrics["errors"]) == {"smoothed", "viterbi", "online"}
+    assert next(iter(metrics["errors"])) == "online"
     assert {path.stem for path in (results / "methods").iterdir()} == {"viterbi", "online"}
     assert "exchangeable" in metrics["coverage"]["assumption"]
     records = read_region_records(results / "regions.jsonl")
@@ -119,7 +120,8 @@ def test_evaluate_agrees_with_run(results, small_world):
     evaluated = json.loads((results / "evaluation" / "metrics.json").read_text())
     for method, row in ran["errors"].items():
         assert {k: evaluated["errors"][method][k] for k in row} == pytest.approx(row, rel=1e-4)
-    assert evaluated["coverage"]["joint_coverage"] == pytest.approx(ran["coverage"]["joint_coverage"])
+    for name in ("joint_coverage", "n_bounded", "bounded_coverage", "abstained"):
+        assert evaluated["coverage"][name] == pytest.approx(ran["coverage"][name])
     again = invoke("evaluate", results, "--truth", results / "truth.tum", "--align", "sim3")
     assert again.exit_code == 0, again.output
     aligned = json.loads((results / "evaluation" / "metrics.json").read_text())["errors"]["smoothed"]
@@ -172,8 +174,13 @@ def test_run_says_which_frames_show_no_known_place(small_world, tmp_path):
     assert n > 1
     assert metrics["configuration"]["novelty_level"] == 0.2
     assert f"{n} of {metrics['n_answered']} frames show no place that is known: their region is the whole space" in said
-    assert f"Without them the answer's RMSE is {metrics['errors_known_places']['smoothed']['rmse_m']:.4f} m" in said
-    assert f"region is the whole space in {100 * metrics['coverage']['abstained']:.1f} % of the frames" in said
+    assert f"Without them the online RMSE is {metrics['errors_known_places']['online']['rmse_m']:.4f} m" in said
+    coverage = metrics["coverage"]
+    assert coverage["n_bounded"] == round((1 - coverage["abstained"]) * coverage["n_evaluated"])
+    held = round(coverage["bounded_coverage"] * coverage["n_bounded"])
+    # unbounded regions hold the truth whatever it is
+    assert held == round(coverage["joint_coverage"] * coverage["n_evaluated"]) - n
+    assert f"{held} of {coverage['n_bounded']} bounded regions" in said
     low, high = metrics["coverage"]["joint_band_99"]
     assert f"(99 % band {low:.3f} to {high:.3f})" in said
     assert f"{n} of {metrics['n_answered']} frames show no place" in (tmp_path / "report.html").read_text()

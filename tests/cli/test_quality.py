@@ -35,7 +35,7 @@ def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_worl
     assert {row["evidence"] for row in found["promises"]} == {"global", "unmatched", "landmarks"}
     assert "frames that the model has not seen" in result.output
     page = (out / "report.html").read_text()
-    assert "What to record next" in page
+    assert "What to record or train on next" in page
     assert "well covered" in page
     assert "well covered" in (out / "figures" / "plan.svg").read_text()
 

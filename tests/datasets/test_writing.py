@@ -1,4 +1,5 @@
 import json
+import warnings
 from dataclasses import replace
 
 import cv2
@@ -12,6 +13,8 @@ from conformodal.datasets import DatasetError, DatasetWarning, Layout, check_seq
 from conformodal.datasets.streams import SequenceStream, VideoStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import Trajectory, write_tum
+
+NOTES = {"gap": "gap in time", "picture": "the same picture", "scaled": "intrinsics were scaled"}
 
 
 def invoke(*arguments):
@@ -150,6 +153,31 @@ def test_check_finds_what_is_wrong(tmp_path):
     assert "image cannot be read" in result.output
     record = json.loads((tmp_path / "out" / "metrics.json").read_text())["check"]
     assert len(record["findings"]) == 3
+
+
+@pytest.mark.parametrize("what", ["gap", "picture", "scaled"])
+def test_what_is_only_worth_knowing_does_not_fail_a_check(tmp_path, what):
+    before = scene(tmp_path / "a", n=12)
+    folder, paths = tmp_path / "a", sorted((tmp_path / "a").glob("*.png"))
+    (folder / "poses.tum").unlink()
+    if what == "picture":
+        paths[3].write_bytes(paths[2].read_bytes())
+    elif what == "gap":
+        for path in paths[9:]:
+            path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
+    else:
+        folder = tmp_path / "b"
+        write_layout(folder, Layout.NERF, SequenceStream(before), before.camera, before.truth)
+        record = json.loads((folder / "transforms.json").read_text())
+        record |= {name: 2 * record[name] for name in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
+        (folder / "transforms.json").write_text(json.dumps(record))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        found = check_sequence(read_sequence(folder, require_poses=False))
+    assert [finding.count for finding in found.findings if finding.what.startswith(NOTES[what])] == [1]
+    result = invoke("data", "check", folder)
+    assert result.exit_code == 0, result.output
+    assert found.findings[0].what in result.output
 
 
 def test_check_of_a_sound_data_set_says_so(tmp_path):

@@ -24,6 +24,7 @@ from conformodal.datasets import (
     read_sequence,
 )
 from conformodal.datasets.streams import SequenceStream, open_stream
+from conformodal.odometry import METHODS, ResultsWriter, write_metrics
 from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz, read_euroc, read_kitti, read_tum
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
@@ -517,9 +518,8 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("layout", NAMED)
-@pytest.mark.parametrize("how", ["absolute", "dots", "link", "folder link"])
-def test_images_outside_the_folder_are_followed_only_when_told(tmp_path, layout, how):
+def naming_outside(tmp_path, layout, how):
+    """A data set of which one image lies beside it, and the file that names it."""
     root = tmp_path / "set"
     root.mkdir()
     folder = WRITERS[layout](root)
@@ -534,7 +534,45 @@ def test_images_outside_the_folder_are_followed_only_when_told(tmp_path, layout,
     path.write_text(content)
     if layout is Layout.COLMAP:  # where a picture that is not named is a frame without a pose
         (folder / "images" / "0002.png").unlink()
-    with pytest.raises(DatasetError, match=rf"{file}: names .*x\.png|{file}: names .*link\.png") as caught:
+    return folder, file
+
+
+@pytest.mark.parametrize("layout", NAMED)
+@pytest.mark.parametrize("how", ["link", "folder link"])
+def test_links_out_of_the_folder_are_followed(tmp_path, layout, how):
+    folder, _ = naming_outside(tmp_path, layout, how)
+    sequence = read_sequence(folder)
+    assert 255 in [sequence.image(i)[0, 0, 0] for i in range(N)]
+    assert invoke("data", "check", folder).exit_code == 0
+
+
+def test_dots_behind_a_link_lead_out_of_the_folder(tmp_path):
+    folder, file = naming_outside(tmp_path, Layout.TUM, "folder link")
+    (folder / file).write_text((folder / file).read_text().replace("linked/x.png", "linked/../set-other/x.png"))
+    with pytest.raises(DatasetError, match="outside"):
+        read_sequence(folder)
+
+
+def test_evaluate_follows_names_out_of_the_truth_only_when_told(tmp_path):
+    folder, _ = naming_outside(tmp_path, Layout.TUM, "absolute")
+    truth = read_sequence(folder, follow_outside=True).require_truth()
+    with ResultsWriter(tmp_path / "out") as writer:
+        for i in range(N):
+            writer.region(f"{i}", truth.timestamps_s[i], None, [np.array([[-np.inf, np.inf]])] * 7)
+        for method in METHODS:
+            writer.poses(method, truth)
+    write_metrics(tmp_path / "out", {"command": "run", "configuration": {}})
+    arguments = ["evaluate", tmp_path / "out", "--truth", folder]
+    assert invoke(*arguments).exit_code == 2
+    result = invoke(*arguments, "--follow-outside")
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize("layout", NAMED)
+@pytest.mark.parametrize("how", ["absolute", "dots"])
+def test_images_outside_the_folder_are_followed_only_when_told(tmp_path, layout, how):
+    folder, file = naming_outside(tmp_path, layout, how)
+    with pytest.raises(DatasetError, match=rf"{file}: names .*x\.png") as caught:
         read_sequence(folder)
     assert "--follow-outside" in str(caught.value)
     with pytest.raises(DatasetError, match="outside"):

@@ -17,7 +17,14 @@ from conformodal.report import (
 )
 
 ROW = {"rmse_m": 0.1234, "rmse_deg": 1.5, "median_m": 0.1, "median_deg": 1.2}
-TARGET = {"coverage": 0.9, "band_99": [0.8, 0.95], "inside_band": True, "mean_length": None, "mean_intervals": 1.2}
+TARGET = {
+    "coverage": 0.9,
+    "band_99": [0.8, 0.95],
+    "inside_band": True,
+    "bounded_coverage": None,
+    "mean_length": None,
+    "mean_intervals": 1.2,
+}
 METRICS = {
     "provenance": {"packages": {"numpy": "2"}, "source_revision": "0" * 40},
     "configuration": {"data": "/a/folder/with-a-name-that-is-so-long-that-it-has-to-be-broken-somewhere/in/the/middle"},
@@ -28,6 +35,9 @@ METRICS = {
         "whole_space": True,
         "targets": dict.fromkeys(("x", "y", "z", "q_w"), TARGET),
         "joint_coverage": 0.9,
+        "n_evaluated": 100,
+        "n_bounded": 99,
+        "bounded_coverage": 0.9,
         "joint_band_99": [0.85, 0.95],
         "regions_from": "head",
         "abstained": 0.01,
@@ -229,7 +239,7 @@ def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(op
     frames = json.loads(page.text_content("#viewer-data"))["frames"]
     for i in (0, 7, 40):
         page.fill("#scrub", str(i))
-        assert page.inner_text("#seen") == frames[i]["say"]
+        assert page.inner_text("#seen").endswith(frames[i]["say"])
         assert frames[i]["say"] in page.get_attribute("#plan", "aria-label")
         page.wait_for_function(
             "(say) => document.getElementById('heard').textContent.includes(say)", arg=frames[i]["say"]
@@ -252,10 +262,27 @@ def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(op
 
 
 @pytest.mark.slow
+def test_while_it_plays_the_sentence_is_of_the_frame_that_is_drawn(opened, pages):
+    page = opened(pages["run"])
+    frames = json.loads(page.text_content("#viewer-data"))["frames"]
+    page.fill("#scrub", "0")
+    page.click("#play")
+    shown = set()
+    for _ in range(12):
+        page.wait_for_timeout(150)
+        at, said = page.evaluate(
+            "[Number(document.getElementById('scrub').value), document.getElementById('seen').textContent]"
+        )
+        assert said == f"Frame {at + 1} of {len(frames)}. {frames[at]['say']}"
+        shown.add(at)
+    assert len(shown) > 4
+
+
+@pytest.mark.slow
 def test_a_region_without_a_box_is_told_apart_by_its_pattern_not_by_colour(opened, pages):
     page = opened(pages["run"])
     page.fill("#scrub", "7")
-    assert page.inner_text("#seen").startswith("Unknown place (p = 0.003)")
+    assert "Unknown place (p = 0.003)" in page.inner_text("#seen")
     shades = """() => {
         const c = document.getElementById("plan");
         const d = c.getContext("2d").getImageData(0, c.height / 2, c.width, 1).data;

@@ -33,11 +33,11 @@ def judged(known=None):
 
 def test_the_plan_tells_kinds_apart_by_marks_and_words():
     plan = quality_plan(*judged())
-    for said in ("well covered (114 frames)", "thinly covered (6)", "57-62", "x (m)", "y (m)"):
+    for said in ("well covered (114 frames)", "sparsely covered (6)", "57-62", "x (m)", "y (m)"):
         assert said in plan
     assert "ambiguous" not in plan
     known = "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(*judged(EVERY >= 0))))
-    assert "thinly" not in known
+    assert "sparsely" not in known
     assert "well covered (120 frames)" in known
 
 
@@ -47,7 +47,7 @@ def test_the_page_says_what_to_record_next(tmp_path):
     write_quality_page(tmp_path, found, sequence, made, ["2 x image cannot be read: a.png"])
     page = (tmp_path / "report.html").read_text()
     assert "<title>Is &lt;b&gt; good enough?</title>" in page
-    assert "Record frames 57 to 62 (around x=2.4, y=0.0) again" in page
+    assert "Train on frames 57 to 62 (around x=2.4, y=0.0) too" in page
     assert "2 x image cannot be read: a.png" in page
     assert "57 (57.png)" in page
     assert 'aria-label="Plan' in page

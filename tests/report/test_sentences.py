@@ -63,6 +63,22 @@ def test_the_sentence_of_a_frame(shown, expected):
     assert frame_said(shown) == expected
 
 
+def test_unbounded_regions_do_not_count_as_holding_the_truth():
+    found = RunStatistics()
+    for one in (frame([LINE] * 3, truth=(0, 0, 0)), frame([HERE, LINE, HERE], truth=(0, 0, 0))):
+        found.add(one)
+    assert (found.n_bounded, found.n_held) == (0, 0)
+    assert "the true position" not in run_said(found)
+
+
+def test_the_error_that_a_robot_gets_comes_before_the_one_with_hindsight():
+    found = RunStatistics()
+    for _ in range(2):
+        found.add(frame([HERE] * 3, truth=(0, 0, 0), error=0.18))
+    said = run_said(found, 0.69)
+    assert 0 < said.index("69 cm") < said.index("18 cm")
+
+
 def statistics_of(*frames):
     found = RunStatistics()
     for one in frames:
@@ -74,20 +90,20 @@ def test_the_sentence_of_a_run():
     one, two = frame([HERE] * 3, truth=(0, 0, 0), error=3.0), frame([THERE, HERE, HERE], truth=(5, 0, 0), error=4.0)
     unknown = frame([LINE] * 3, evidence="unknown", truth=(0, 0, 0), error=0.0)
     assert statistics_of(one) == (
-        "One frame was answered: its region names 1 place. It holds the true position; the chosen pose is 3.00 m from "
+        "One frame was answered: its region names 1 place. It holds the true position. The chosen pose is 3.00 m from "
         "the truth."
     )
     assert "names 2 places. It does not hold the true position" in statistics_of(two)
     assert statistics_of(one, two, two, unknown) == (
         "Of 4 frames, the region names one place in 1, names several in 2 (at most 2) and is the whole space in 1 (it "
-        "shows no place that is known). It holds the true position in 2; the chosen path is 3.20 m from the truth "
-        "(RMSE)."
+        "shows no place that is known). Of 3 bounded regions, 1 holds the true position. The chosen path is "
+        "3.20 m from the truth (RMSE)."
     )  # sqrt((9 + 16 + 16) / 4)
     assert "is the whole space in 2 (1 of them shows no place that is known)" in statistics_of(
         unknown, frame([LINE] * 3)
     )
     assert "is the whole space in 2 (they show no place that is known)" in statistics_of(unknown, unknown)
-    assert "is the whole space (it shows no place that is known). It holds" in statistics_of(unknown)
+    assert "is the whole space (it shows no place that is known). The chosen pose" in statistics_of(unknown)
     assert "names one place in 1 and is empty in 1." in statistics_of(one, frame([[], HERE, HERE]))
     assert statistics_of(frame([LINE] * 3)) == "One frame was answered: its region is the whole space."
     assert statistics_of(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."

@@ -131,13 +131,22 @@ def progress_bars() -> Iterator[StageProgress]:
         yield report
 
 
+_NAMES = {
+    "online": "online, as a robot gets it",
+    "smoothed": "smoothed, with hindsight",
+    "viterbi": "viterbi, with hindsight",
+}
+
+
 def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
     """The error table on the terminal."""
     table = Table(title=f"errors, {note}", title_justify="left")
     for column in ("method", "rmse_m", "rmse_deg", "median_m", "median_deg"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for name, row in errors.items():
-        table.add_row(name, *(f"{row[key]:.4f}" for key in ("rmse_m", "rmse_deg", "median_m", "median_deg")))
+        table.add_row(
+            _NAMES.get(name, name), *(f"{row[key]:.4f}" for key in ("rmse_m", "rmse_deg", "median_m", "median_deg"))
+        )
     console.print(table)
 
 

@@ -55,7 +55,7 @@ def check(
     ] = None,
     follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
 ) -> None:
-    """Say what a folder holds, all that is wrong with it (exit code 1 if there is anything), and what it lacks."""
+    """Say what a folder holds, all that is wrong with it (exit code 1 if anything is), and what it lacks."""
     with nullcontext() if out is None else writing_in(out):
         _check(folder, layout, out, model, cache, follow_outside)
 
@@ -87,8 +87,10 @@ def _check(
     console.print(table)
     for finding in found.findings:
         where = finding.first if finding.count == 1 else f"first {finding.first}"
-        console.print(f"{finding.count} x {finding.what}: {where}", soft_wrap=True, markup=False)
-    if not found.findings:
+        note = "" if finding.wrong else "note: "
+        console.print(f"{note}{finding.count} x {finding.what}: {where}", soft_wrap=True, markup=False)
+    wrong = any(finding.wrong for finding in found.findings)
+    if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
         say_quality(quality, sequence)
@@ -99,7 +101,7 @@ def _check(
         record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
         write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
         print_where(out)
-    if found.findings:
+    if wrong:
         raise typer.Exit(_FOUND)
 
 

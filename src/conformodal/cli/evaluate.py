@@ -16,6 +16,7 @@ from conformodal.localization import TARGET_NAMES
 from conformodal.odometry import (
     METRICS,
     OdometryError,
+    bounded_coverage,
     error_table,
     provenance,
     read_metrics,
@@ -26,11 +27,13 @@ from conformodal.odometry import (
     write_metrics,
 )
 from conformodal.odometry.results.folders import check_belongs, claimed, result_digests, settle
-from conformodal.odometry.results.records import REGIONS
+from conformodal.odometry.results.records import REGIONS, record_bounded
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
 
-from .console import console, kind_errors, print_errors, print_where, say_strongly
+from .arguments import FollowOutside
+from .console import console, kind_errors, print_errors, print_where, say_line, say_strongly
+from .outcome import describe_coverage
 from .sources import open_sequence
 
 
@@ -42,12 +45,13 @@ def evaluate(
     alignment: Annotated[
         Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
     ] = Alignment.NONE,
+    follow_outside: FollowOutside = False,
 ) -> None:
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), claimed(out / "evaluation", "evaluate"):
         settle(out)
         found = _read_results(out)
-        true_poses = _read_truth(truth, layout)
+        true_poses = _read_truth(truth, layout, follow_outside=follow_outside)
         mine, theirs = associate(found.times, true_poses)
         matched = true_poses[theirs]
         moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
@@ -60,6 +64,7 @@ def evaluate(
         inside = records_contain(
             [found.records[i] for i in mine], here, None if sign is None else np.array(sign, dtype=np.float64)
         )
+        bounded = np.array([record_bounded(found.records[i]) for i in mine], dtype=np.bool_)
         result: dict[str, Any] = {
             "command": "evaluate",
             "results": result_digests(out),
@@ -73,6 +78,9 @@ def evaluate(
             "coverage": {
                 "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
                 "joint_coverage": float(inside.all(axis=1).mean()),
+                "n_evaluated": len(mine),
+                "abstained": float((~bounded).mean()),
+                **bounded_coverage(np.asarray(inside.all(axis=1)), bounded),
                 "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
                 "frames relate to the calibration frames",
             },
@@ -84,7 +92,7 @@ def evaluate(
     console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
-    console.print(f"whole pose covered {result['coverage']['joint_coverage']:.3f}")
+    say_line(describe_coverage(result["coverage"]))
     print_where(out / "evaluation")
 
 
@@ -165,8 +173,8 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def _read_truth(path: Path, layout: Layout) -> Trajectory:
+def _read_truth(path: Path, layout: Layout, *, follow_outside: bool) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
-        return open_sequence(path, layout, require_poses=True).require_truth()
+        return open_sequence(path, layout, require_poses=True, follow_outside=follow_outside).require_truth()
     return read_tum(path)

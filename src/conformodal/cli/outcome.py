@@ -12,7 +12,7 @@ from conformodal.core import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.odometry import (
-    METHODS,
+    ONLINE,
     EvidenceKind,
     OdometryError,
     PoseModel,
@@ -220,8 +220,8 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
         say_line(
-            f"whole pose covered {coverage['joint_coverage']:.3f}{_band(coverage)}, alpha = {coverage['alpha']} "
-            f"({coverage['joint']}); {_abstained(coverage)}. {coverage['assumption']}"
+            f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
+            f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
 
 
@@ -250,9 +250,9 @@ def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
         return []
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
     said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is the whole space"]
-    rest, whole = (metrics.get(name, {}).get(METHODS[0]) for name in ("errors_known_places", "errors"))
+    rest, whole = (metrics.get(name, {}).get(ONLINE) for name in ("errors_known_places", "errors"))
     if rest is not None and any(f"{rest[name]:.4f}" != f"{whole[name]:.4f}" for name in ("rmse_m", "rmse_deg")):
-        said.append(f"Without {it} the answer's RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
+        said.append(f"Without {it} the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
     return said
 
 
@@ -264,9 +264,18 @@ def _band(coverage: dict[str, Any]) -> str:
     return f" (99 % band {low:.3f} to {high:.3f})"
 
 
-def _abstained(coverage: dict[str, Any]) -> str:
-    """The share of frames whose region is the whole space in some target."""
-    return f"region is the whole space in {100 * coverage['abstained']:.1f} % of the frames"
+def describe_coverage(coverage: dict[str, Any]) -> str:
+    """How often bounded regions hold the whole pose, beside the share of regions that are unbounded in some target."""
+    n, n_bounded = coverage["n_evaluated"], coverage["n_bounded"]
+    unbounded = f"{n - n_bounded} of {counted(n, 'region')} ({100 * coverage['abstained']:.1f} %) {{}} unbounded"
+    unbounded = unbounded.format(noun_for(n - n_bounded, "is", "are"))
+    if not n_bounded:
+        return f"{unbounded} in some target, which says nothing of coverage"
+    held = round(coverage["bounded_coverage"] * n_bounded)
+    return (
+        f"{held} of {counted(n_bounded, 'bounded region')} ({100 * coverage['bounded_coverage']:.1f} %) "
+        f"{noun_for(held, 'holds', 'hold')} the whole pose; {unbounded} in some target"
+    )
 
 
 def _size(radius: dict[str, Any]) -> str:

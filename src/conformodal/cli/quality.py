@@ -34,12 +34,12 @@ def judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: Stag
 
 
 def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
-    """The findings, and what to record next."""
+    """The findings, and what to record or train on next."""
     for line in said_of_quality(found):
         console.print(line, soft_wrap=True)
     advice = record_next(found, names_of(found, sequence))
     if advice:
-        say_strongly("what to record next, the most valuable first:")
+        say_strongly("what to record or train on next, the most valuable first:")
     for number, line in enumerate(advice, start=1):
         console.print(f"  {number}. {line}", soft_wrap=True)
 
@@ -68,7 +68,10 @@ def write_findings(
         return
     whole = {**record, "quality": quality_record(found, sequence)}
     write_metrics(out, whole)
-    findings = [f"{finding.count} x {finding.what}: {finding.first}" for finding in check.findings]
+    findings = [
+        f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
+        for finding in check.findings
+    ]
     write_quality_page(out, found, sequence, whole, findings)
 
 

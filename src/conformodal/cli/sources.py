@@ -16,7 +16,9 @@ from .console import say_line
 from .options import OptionError
 
 _MOST_REMARKS = 5
-FOLLOW_OUTSIDE = "Follow names of images that lead out of the data set's folder: absolute, by '..', or through links."
+FOLLOW_OUTSIDE = (
+    "Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are."
+)
 
 
 def _say_remarks(sequence: Sequence) -> None:

@@ -15,6 +15,8 @@ from .reading import Remark, read_numbers
 
 Size = tuple[int, int]
 
+SCALED = "intrinsics were scaled"
+
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 _OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
@@ -74,7 +76,7 @@ def camera_of(
         raise DatasetError(f"{source}: {exc}") from exc
     _refuse(source, camera)
     if remarks is not None:
-        remarks += [Remark("intrinsics were scaled", f"{source}: {text}") for text in said]
+        remarks += [Remark(SCALED, f"{source}: {text}") for text in said]
         remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
     return camera
 

@@ -9,21 +9,34 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .cameras import SCALED
 from .errors import ImageError
+from .fisheye import UNDISTORTED
 from .sequence import Sequence
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
+# What a reader did, and nothing that is wrong.
+_NOTES = (SCALED, UNDISTORTED)
 
 
 @dataclass
 class Finding:
-    """Something to look at: what it is, how often it occurs, and where first."""
+    """Something to look at.
+
+    Attributes
+    ----------
+    what, count, first
+        What it is, how often it occurs, and where first.
+    wrong
+        Whether something is wrong with the data; gaps in time and repeated pictures are only worth knowing.
+    """
 
     what: str
     count: int
     first: str
+    wrong: bool = True
 
 
 @dataclass
@@ -41,7 +54,7 @@ class DatasetCheck:
     extent_m, path_m
         Size of the box around all positions, (3,), and length of the path; None without poses.
     findings
-        Everything that is not as it should be.
+        Everything that is worth knowing; `wrong` tells what is not as it should be.
     """
 
     n_frames: int
@@ -74,11 +87,15 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     usual = float(np.median(steps)) if steps.size else float("nan")
     found = _remarks(sequence)
 
-    def add(what: str, at: list[int]) -> None:
+    def add(what: str, at: list[int], *, wrong: bool = True) -> None:
         if at:
-            found.append(Finding(what, len(at), names[at[0]]))
+            found.append(Finding(what, len(at), names[at[0]], wrong))
 
-    add(f"gap in time of more than {_GAP:g} usual steps before", (linked[steps > _GAP * usual] + 1).tolist())
+    add(
+        f"gap in time of more than {_GAP:g} usual steps before",
+        (linked[steps > _GAP * usual] + 1).tolist(),
+        wrong=False,
+    )
     extent = path = None
     if sequence.truth is not None:
         positions = sequence.truth.positions_xyz
@@ -103,7 +120,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     if problems:
         found.append(Finding("image cannot be read", len(problems), problems[min(problems)]))
     same = [i for i in (linked + 1).tolist() if digests[i] and digests[i] == digests[i - 1]]
-    add("the same picture as the frame before", same)
+    add("the same picture as the frame before", same, wrong=False)
     return DatasetCheck(
         n_frames=len(sequence),
         n_recordings=len(np.unique(sequence.recording)),
@@ -123,4 +140,4 @@ def _remarks(sequence: Sequence) -> list[Finding]:
     places: dict[str, list[str]] = {}
     for remark in sequence.remarks:
         places.setdefault(remark.what, []).append(remark.where)
-    return [Finding(what, len(where), where[0]) for what, where in places.items()]
+    return [Finding(what, len(where), where[0], what not in _NOTES) for what, where in places.items()]

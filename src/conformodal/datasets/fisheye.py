@@ -29,6 +29,7 @@ from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
 from .reading import Remark
 
+UNDISTORTED = "fisheye images are undistorted"
 _WIDEST_RAD = np.pi  # no lens sees more than all around
 _STEPS = 4096
 
@@ -106,7 +107,7 @@ def fisheye_of(
             f"{source}: fisheye distortion {lens.coefficients} folds the image over itself "
             f"{degrees(float(angles[np.argmax(np.diff(radii) <= 0)])):.0f} degrees from its axis, which no lens does"
         )
-    remarks.append(Remark("fisheye images are undistorted", f"{source}: {_views(lens)}"))
+    remarks.append(Remark(UNDISTORTED, f"{source}: {_views(lens)}"))
     return lens
 
 

@@ -139,7 +139,7 @@ def read_sequence(
     require_poses
         False also reads frames without poses.
     follow_outside
-        Whether files of the data set may name images outside its folder, by ``..``, absolute paths or links.
+        Whether files of the data set may name images outside its folder, by ``..`` or absolute paths.
 
     Raises
     ------

@@ -88,7 +88,8 @@ class Inside:
     source
         The list, for people.
     follow_outside
-        Whether it may name files outside the folder.
+        Whether it may name files outside the folder, as absolute paths or by ``..``. Links are followed in any case:
+        they are the choice of whoever keeps the folder, not of the list.
     """
 
     def __init__(self, folder: Path, source: Path, *, follow_outside: bool) -> None:
@@ -102,15 +103,17 @@ class Inside:
         Raises
         ------
         DatasetError
-            If it lies outside the folder, by ``..``, as an absolute path or through a link.
+            If it lies outside the folder, by ``..`` or as an absolute path.
         """
         if "\0" in name:
             raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
         path = os.path.join(base, name)
-        if not self.follow_outside and not self._lies_inside(path):
+        written = Path(name)
+        leads_out = written.anchor or ".." in written.parts
+        if leads_out and not self.follow_outside and not self._lies_inside(path):
             raise DatasetError(
-                f"{self.source}: names {name!r}, which lies outside {self.folder}; it is followed only with "
-                "follow_outside (--follow-outside on the command line)"
+                f"{self.source}: names {name!r}, which lies outside {self.folder}; link it into the folder, or let it "
+                "be followed with follow_outside (--follow-outside on the command line)"
             )
         return Path(path)
 

@@ -11,7 +11,7 @@ from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
 from .paper_odometry import PaperOdometry, odometry_of
-from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
+from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
 from .region_rules import EvidenceKind, RegionRules
 from .results import (
@@ -30,7 +30,7 @@ from .results import (
     write_region_parquet,
     write_run,
 )
-from .results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
+from .results.evaluation import bounded_coverage, coverage_table, error_table, is_exchangeable, radius_table
 from .selection import calibrate_selection, recording_errors, recording_sizes
 from .sizing import METRES_PER_RAD, Sizing, joint_error, recording_size, roughness
 from .store import load_model, model_digest, save_model
@@ -40,6 +40,7 @@ __all__ = [
     "METHODS",
     "METRES_PER_RAD",
     "METRICS",
+    "ONLINE",
     "BudgetRecord",
     "BudgetWarning",
     "Calibration",
@@ -68,6 +69,7 @@ __all__ = [
     "TrainingData",
     "VisualOdometry",
     "as_trajectory",
+    "bounded_coverage",
     "calibrate_selection",
     "config_of",
     "coverage_table",

@@ -12,7 +12,16 @@ from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence, LocalFeatures, extract_local_features, recognised_only
 from conformodal.motion import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning import LAG, Candidates, OnlineReasoner, blend, bridge, online, predict_candidates
+from conformodal.reasoning import (
+    LAG,
+    Candidates,
+    Observations,
+    OnlineReasoner,
+    blend,
+    bridge,
+    online,
+    predict_candidates,
+)
 
 from .budget import FrameBudget, as_budget
 from .config import Method
@@ -21,7 +30,7 @@ from .estimates import Estimate, OdometryRun
 from .model import Localization, PoseModel
 from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
-from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
+from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
 from .region_rules import EvidenceKind
 from .store import load_model
 
@@ -92,7 +101,8 @@ class VisualOdometry(Odometry):
         local = self._local_features(image)
         found = self.model.localize(FrameEvidence(features, [local]))
         motion = self._front_end.measure(image)
-        here = self._candidates(found, motion, timestamp_s)
+        step_s = None if self._last_s is None else timestamp_s - self._last_s
+        here, self._before = self._candidates(found, 0, self._before, motion, step_s)
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
         revised = as_trajectory(path)
@@ -120,18 +130,26 @@ class VisualOdometry(Odometry):
             local is not None,
         )
 
-    def _candidates(self, found: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Candidates:
-        """Candidates of a frame; where it shows no known place, those predicted from the frame before are added."""
-        here, estimates = found.candidates[0], list(found.beliefs.estimates[0])
-        known, chain = bool(found.known[0]), found.candidates[0]
-        if not known and self._before is not None and self._last_s is not None:
-            predicted = predict_candidates(self._before, motion, timestamp_s - self._last_s, self.model.prior)
+    def _candidates(
+        self,
+        found: Localization,
+        t: int,
+        before: Candidates | None,
+        motion: RelativeMotion | None,
+        step_s: float | None,
+    ) -> tuple[Candidates, Candidates | None]:
+        """Candidates of frame t, and what the next frame's are predicted from.
+
+        Where it shows no known place, those predicted from the frame before are added.
+        """
+        here, estimates = found.candidates[t], list(found.beliefs.estimates[t])
+        known, chain = bool(found.known[t]), found.candidates[t]
+        if not known and before is not None and step_s is not None:
+            predicted = predict_candidates(before, motion, step_s, self.model.prior)
             chain = self.model.with_recognised(predicted, estimates)
             here = blend(here, chain)
         # nothing follows from an unknown first frame, unless a place was recognised in it
-        if known or self._before is not None or recognised_only(estimates):
-            self._before = chain
-        return here
+        return here, chain if known or before is not None or recognised_only(estimates) else None
 
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0
@@ -194,8 +212,16 @@ class VisualOdometry(Odometry):
         poses = {name: (np.empty((len(run.frames), 3)), np.empty((len(run.frames), 4))) for name in METHODS}
         prior = self.model.prior
         for at in rows_by_recording(recording):
-            seen = run.observations(at)
-            found = {**whole_paths(seen, prior), "online": as_trajectory(online(seen, prior, self.lag))}
+            found = {**whole_paths(run.observations(at), prior), ONLINE: self._online(run, at)}
             for name, path in found.items():
                 poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz
         return {name: Trajectory(run.timestamps_s, p, q) for name, (p, q) in poses.items()}
+
+    def _online(self, run: OdometryRun, at: IntArray) -> Trajectory:
+        """The poses that :meth:`step` would have given in one recording: each from the frames so far alone."""
+        seen, motions, before = [], [run.motions[t] for t in at], None
+        steps: list[float | None] = [None, *np.diff(run.timestamps_s[at]).tolist()]
+        for t, motion, step_s in zip(at.tolist(), motions, steps, strict=True):
+            here, before = self._candidates(run.localization, t, before, motion, step_s)
+            seen.append(here)
+        return as_trajectory(online(Observations(seen, motions, run.timestamps_s[at]), self.model.prior, lag=0))

@@ -8,8 +8,10 @@ from conformodal.core import IntArray
 from conformodal.poses import Trajectory
 from conformodal.reasoning import MotionPrior, Observations, PosePath, smooth, viterbi
 
+# The poses that a robot gets, each when its frame comes and from the frames so far; all others see later frames too.
+ONLINE = "online"
 # The first is the answer of a run.
-METHODS = ("smoothed", "viterbi", "online")
+METHODS = ("smoothed", "viterbi", ONLINE)
 PAPERS_METHOD = "greedy"
 
 

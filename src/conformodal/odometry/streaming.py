@@ -18,7 +18,7 @@ from conformodal.reasoning import Candidates, Observations
 
 from .estimates import Estimate
 from .odometry import Odometry
-from .paths import whole_paths
+from .paths import ONLINE, whole_paths
 from .region_rules import EvidenceKind
 from .results import RegionStatistics, ResultsWriter
 
@@ -41,7 +41,7 @@ class _Pending:
 class StreamRunner:
     """Takes frames one by one and writes what a model makes of them.
 
-    Regions and the fixed-lag path are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
+    Regions and poses are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
     frames at a time; sources of no more than 2000 frames are one window.
 
     Parameters
@@ -102,7 +102,6 @@ class StreamRunner:
         self._statistics: list[RegionStatistics] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
-        self._lagging: Trajectory | None = None
         self._recording: int | None = None
         self._last: Frame | None = None
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
@@ -175,14 +174,9 @@ class StreamRunner:
             self.problems[frame.name] = problem
 
     def _take(self, frame: Frame, estimate: Estimate) -> None:
-        model, motion, region, revised = (
-            self.odometry.model,
-            estimate.relative_motion,
-            estimate.region,
-            estimate.revised,
-        )
+        model, motion, region, pose = self.odometry.model, estimate.relative_motion, estimate.region, estimate.pose
         assert region is not None
-        assert revised is not None
+        assert pose is not None
         assert estimate.candidates is not None
         assert estimate.corners is not None
         assert estimate.evidence is not None
@@ -203,11 +197,9 @@ class StreamRunner:
             self.answered.append(frame.index)
             self.known.append(self.n_answered - 1)
         if not self.odometry.whole_paths:  # each answer is the last word
-            self.writer.poses(self.odometry.answer, revised)
+            self.writer.poses(self.odometry.answer, pose)
             return
-        if len(revised) == self.odometry.lag + 1:  # the oldest will not change any more
-            self.writer.poses("online", revised[:1])
-        self._lagging = revised
+        self.writer.poses(ONLINE, pose)
         self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, motion, estimate.corners))
         if len(self._pending) >= self.window:
             self.windowed = True
@@ -215,10 +207,6 @@ class StreamRunner:
 
     def _flush(self, *, everything: bool) -> None:
         """Answer the frames that wait, and write all answers but those of the last `overlap` frames, or all."""
-        if everything and self._lagging is not None:
-            rest = self._lagging
-            self.writer.poses("online", rest[1:] if len(rest) == self.odometry.lag + 1 else rest)
-            self._lagging = None
         if len(self._pending) == self._n_written:
             self._settle()
             self._pending, self._n_written = [], 0

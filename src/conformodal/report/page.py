@@ -22,9 +22,9 @@ with needing("run", "a page of results"):
     from PIL import Image
 
 _LABELS = {
-    "smoothed": "conformal: global search and smoothing (the answer)",
-    "viterbi": "conformal: global search",
-    "online": "conformal: fixed-lag search, as in a stream",
+    "online": "conformal, online: each pose when its frame comes, as a robot gets it",
+    "smoothed": "conformal, with hindsight: global search and smoothing (trajectory.tum)",
+    "viterbi": "conformal, with hindsight: global search",
     "greedy": "conformal: greedy choice among our own intervals",
     "softmax_mean": "softmax mean, no reasoning",
     "plain": "plain regressor",

@@ -21,11 +21,20 @@ _UNKNOWN = EvidenceKind.UNKNOWN.name.lower()
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Trajectories of the same frames: the answer's, and where known the true one and the classical regressor's."""
+    """Trajectories of the same frames.
+
+    Attributes
+    ----------
+    answer
+        Of the run.
+    truth, classical, online
+        The true one, the classical regressor's, and ours as a robot gets it; None where it is not known.
+    """
 
     answer: Trajectory
     truth: Trajectory | None = None
     classical: Trajectory | None = None
+    online: Trajectory | None = None
 
     def errors(self) -> tuple[FloatArray, FloatArray] | None:
         """Metres and degrees between the answer and the truth, (n,) each."""

@@ -58,7 +58,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
         label = f"ambiguous: looks like another place ({ambiguous.sum()})"
         axis.plot(*flat[ambiguous].T, "s", ms=9, mfc="none", mew=1.4, color=AMBIGUOUS, label=label, zorder=3)
     if thin.any():
-        label = f"thinly covered ({thin.sum()})"
+        label = f"sparsely covered ({thin.sum()})"
         axis.plot(*flat[thin].T, "x", ms=6, mew=1.6, color=THIN, label=label, zorder=4)
     _steps(axis, found, flat)
     _stretches(axis, found, axes, _ARROW * max(float(width), float(height)))
@@ -84,7 +84,7 @@ def write_quality_page(
     record
         The content of ``metrics.json``.
     findings
-        What is wrong with the data set, a line each.
+        What was found in the data set, a line each.
     """
     plan = quality_plan(found, sequence)
     if plan is not None:

@@ -66,6 +66,7 @@ class RunStatistics:
     n_whole: int = 0
     n_unknown: int = 0
     n_true: int = 0
+    n_bounded: int = 0
     n_held: int = 0
     most_places: int = 0
     squares: float = 0.0
@@ -81,17 +82,20 @@ class RunStatistics:
             self.most_places = max(self.most_places, frame.n_places)
         if frame.truth_xyz is not None and frame.error_m is not None:
             self.n_true += 1
-            self.n_held += frame.holds(frame.truth_xyz)
+            self.n_bounded += not frame.unbounded
+            self.n_held += not frame.unbounded and frame.holds(frame.truth_xyz)
             self.squares += frame.error_m**2
 
 
-def run_said(statistics: RunStatistics) -> str:
+def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> str:
     """What to see in the whole run.
 
     Parameters
     ----------
     statistics
         Of its frames.
+    online_rmse_m
+        Of the positions as a robot gets them, where that is not the answer itself.
     """
     if statistics.n < 2:
         return _one_said(statistics) if statistics.n else "No frame was answered."
@@ -108,7 +112,17 @@ def run_said(statistics: RunStatistics) -> str:
     said = f"Of {counted(statistics.n, 'frame')}, the region {listed(regions)}."
     if statistics.n_true:
         rmse = length_said(sqrt(statistics.squares / statistics.n_true))
-        said += f" It holds the true position in {statistics.n_held}; the chosen path is {rmse} from the truth (RMSE)."
+        if statistics.n_bounded:
+            bounded = counted(statistics.n_bounded, "bounded region")
+            said += (
+                f" Of {bounded}, {statistics.n_held} {noun_for(statistics.n_held, 'holds', 'hold')} the true position."
+            )
+        if online_rmse_m is None:
+            return f"{said} The chosen path is {rmse} from the truth (RMSE)."
+        said += (
+            f" Poses are {length_said(online_rmse_m)} from the truth when their frames come (RMSE); with hindsight, as "
+            f"shown here, {rmse}."
+        )
     return said
 
 
@@ -119,10 +133,9 @@ def _one_said(statistics: RunStatistics) -> str:
         region = f"is the whole space{_why_whole(statistics)}"
     said = f"One frame was answered: its region {region}."
     if statistics.n_true:
-        holds = "holds" if statistics.n_held else "does not hold"
-        said += (
-            f" It {holds} the true position; the chosen pose is {length_said(sqrt(statistics.squares))} from the truth."
-        )
+        if statistics.n_bounded:
+            said += f" It {'holds' if statistics.n_held else 'does not hold'} the true position."
+        said += f" The chosen pose is {length_said(sqrt(statistics.squares))} from the truth."
     return said
 
 

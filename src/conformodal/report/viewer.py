@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.words import counted
-from conformodal.odometry import iter_region_records
+from conformodal.odometry import ONLINE, iter_region_records
 from conformodal.odometry.results.records import REGIONS, TRAJECTORY, TRUTH
-from conformodal.poses import Trajectory, read_tum
+from conformodal.poses import Trajectory, read_tum, trajectory_errors
 
 from .page_frames import Paths, page_frame
 from .sentences import RunStatistics, frame_said, run_said
@@ -37,6 +37,7 @@ class Viewer:
     has_images: bool
     truth: bool
     classical: bool
+    online: bool
     known: bool
 
 
@@ -66,7 +67,11 @@ def make_viewer(
     """
     answer = read_tum(folder / TRAJECTORY)
     n = len(answer)
-    paths = Paths(answer, _beside(folder / TRUTH, n), _beside(folder / "methods" / "classical.tum", n))
+    paths = Paths(
+        answer,
+        _beside(folder / TRUTH, n),
+        *(_beside(folder / "methods" / f"{name}.tum", n) for name in ("classical", ONLINE)),
+    )
     errors, stride = paths.errors(), max(1, -(-n // MOST_FRAMES))
     shown, statistics = [], RunStatistics()
     for i, record in zip(range(n), iter_region_records(folder / REGIONS), strict=False):
@@ -88,14 +93,22 @@ def make_viewer(
     return Viewer(
         json=json_in_script(data),
         script=_script(),
-        said=run_said(statistics),
+        said=run_said(statistics, _online_rmse_m(paths)),
         note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         n_shown=len(shown),
         has_images=bool(images),
         truth=paths.truth is not None,
         classical=paths.classical is not None,
+        online=paths.online is not None,
         known=any(frame.get("kp") is not None for frame in shown),
     )
+
+
+def _online_rmse_m(paths: Paths) -> float | None:
+    """Of the positions as a robot gets them; None where these or the truth are not known."""
+    if paths.online is None or paths.truth is None:
+        return None
+    return trajectory_errors(paths.online, paths.truth)["rmse_m"]
 
 
 def json_in_script(data: Any) -> str:

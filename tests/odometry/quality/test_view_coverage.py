@@ -43,6 +43,7 @@ def quality(poses, known, recording=ONE):
     found = SimpleNamespace(
         posed=every,
         poses=poses,
+        known=np.isin(poses.timestamps_s, known.timestamps_s),
         known_names=every,
         coverage=coverage,
         ambiguity=None,
@@ -68,6 +69,22 @@ def test_frames_that_are_not_known_are_thin_where_the_nearest_known_one_is_far()
     assert len(advice) == 1
     assert "frames 57 to 62 (around x=2.4, y=0.0)" in advice[0]
     assert "0.40 m and 0 degrees" in advice[0]
+
+
+def test_only_frames_that_the_model_was_not_trained_on_are_counted_as_sparsely_covered():
+    poses = corridor()
+    unknown = (EVERY >= 50) & (EVERY < 70)
+    said = said_of_quality(quality(poses, poses[~unknown])[0])[0]
+    assert "6 of the 20 frames" in said
+    # a check without a model takes all frames as known: it must not say that none of them is sparsely covered
+    assert "covered" not in said_of_quality(quality(poses, poses)[0])[0]
+
+
+def test_frames_of_the_recording_are_to_be_trained_on_and_not_recorded_again():
+    poses = corridor()
+    (advice,) = quality(poses, poses[(EVERY < 50) | (EVERY >= 70)])[1]
+    assert "Record" not in advice
+    assert "again" not in advice
 
 
 def test_a_piece_cut_out_of_a_recording_is_a_gap():
@@ -97,7 +114,7 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
     assert found.coverage.fast == []
     assert advice == []
     said = said_of_quality(found)[0]
-    assert "none of 120 frames" in said
+    assert "no gap between the 120 frames" in said
     assert "10 % of the field of view, 8.6 degrees or 0.30 m" in said
 
 
@@ -117,7 +134,7 @@ def test_turns_that_are_missing_are_named_by_their_side(sign, side):
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
-    assert f"looking further {side} than known frame 59" in advice[0]
+    assert f"look further {side} than known frame 59" in advice[0]
 
 
 @pytest.mark.parametrize(("sign", "side"), [(1, "down"), (-1, "up")])
@@ -137,7 +154,7 @@ def test_a_camera_that_turns_about_its_line_of_sight_is_tilted():
     rolled = path(turns=about("z", 0.02 * EVERY))
     found, advice = quality(rolled, rolled[:60])
     assert found.coverage.thin[0].turned == "tilted"
-    assert "again, tilted against known frame 59;" in advice[0]
+    assert "they are tilted against known frame 59;" in advice[0]
 
 
 def test_neighbouring_gaps_are_one_way_that_needs_more_frames():
@@ -169,14 +186,14 @@ def test_the_longest_and_farthest_stretch_comes_first():
     poses = corridor()
     known = poses[(EVERY < 20) | ((EVERY >= 37) & (EVERY < 60)) | (EVERY >= 100)]
     _, advice = quality(poses, known)
-    assert [line.split(" (")[0] for line in advice] == ["Record frames 67 to 92", "Record frames 27 to 29"]
+    assert [line.split(" (")[0] for line in advice] == ["Train on frames 67 to 92", "Train on frames 27 to 29"]
 
 
 def test_without_a_known_frame_all_is_to_be_recorded():
     poses = corridor()
     found, advice = quality(poses, poses[:0])
     assert found.coverage.thin_frames.all()
-    assert advice == ["Record frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
+    assert advice == ["Train on frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
 
 
 def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():

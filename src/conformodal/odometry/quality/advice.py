@@ -1,4 +1,4 @@
-"""What is said of a recording: plain sentences, and what to record next, the most valuable first."""
+"""What is said of a recording: plain sentences, and what to record or train on next, the most valuable first."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _plan_axes(extent: FloatArray) -> tuple[int, int]:
 
 
 def record_next(found: RecordingQuality, names: Names) -> list[str]:
-    """What to record next, the most valuable first; empty where nothing is missing."""
+    """What to record or train on next, the most valuable first; empty where nothing is missing."""
     said = [_more_units(promise) for promise in found.promises if not promise.finite and promise.n_frames]
     if found.coverage is not None:
         # far from everything known, and long: that is where most errors are to expect
@@ -85,14 +85,22 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
     said = []
     coverage = found.coverage
     if coverage is not None:
-        n, n_thin = len(coverage.thin_frames), int(coverage.thin_frames.sum())
         gaps = sum(one.between for one in coverage.thin)
-        stretches = f", in {counted(len(coverage.thin) - gaps, 'stretch', 'stretches')}" if n_thin else ""
-        said.append(
-            f"thinly covered: {n_thin or 'none'} of {counted(n, 'frame')}{stretches}; "
-            f"{counted(gaps, 'gap') if gaps else 'no gap'} between known frames (thin: the nearest known view "
-            f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)})"
-        )
+        between = f"{counted(gaps, 'gap') if gaps else 'no gap'} between "
+        far = f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)}"
+        n_unknown, n_thin = int((~found.known).sum()), int(coverage.thin_frames.sum())
+        if n_unknown:
+            stretches = f", in {counted(len(coverage.thin) - gaps, 'stretch', 'stretches')}" if n_thin else ""
+            said.append(
+                f"sparsely covered: {n_thin or 'none'} of the {counted(n_unknown, 'frame')} that the model was not "
+                f"trained on{stretches}; {between}frames (sparsely covered: the nearest view that it was trained on "
+                f"{far})"
+            )
+        else:  # each frame covers itself: only the ways between them can be sparse
+            said.append(
+                f"{between}the {counted(len(found.known), 'frame')}, all of them taken as known (a gap: halfway, the "
+                f"nearest known view {far})"
+            )
         said.append(
             f"turning or moving fast (more than {100 * QUALITY.fast:.0f} % of the field of view from frame to frame): "
             + (counted(len(coverage.fast), "stretch", "stretches") if coverage.fast else "nowhere")
@@ -128,7 +136,7 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
         if thin.any() and not thin.all():
             said.append(
                 "median position error of these frames, each answered by itself: "
-                f"{np.median(found.errors_m[thin]):.3f} m where they are thinly covered, "
+                f"{np.median(found.errors_m[thin]):.3f} m where they are sparsely covered, "
                 f"{np.median(found.errors_m[~thin]):.3f} m elsewhere"
             )
     return said
@@ -165,7 +173,7 @@ def _more_units(promise: KindPromise) -> str:
 
 def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
     if not isfinite(one.distance_m):
-        return f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}): nothing is known."
+        return f"Train on {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}): nothing is known."
     gap = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"
     if one.between:
         way = f"from {names.frames(one.first, one.first)} to {names.frames(one.last, one.last)}"
@@ -176,14 +184,13 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
         )
     number = int(found.known_names[one.nearest])
     other = f"known frame {number}" if number >= 0 else "the nearest known frame"
-    how = [f"looking further {one.turned}"] if one.turned and one.turned != TILTED else []
-    how += [f"from further {one.moved}"] if one.moved else []
-    ways = f", {listed(how)} than {other}" if how else ""
-    if one.turned == TILTED:
-        ways = f", tilted against {other}" + (f" and from further {one.moved}" if one.moved else "")
+    tilted = one.turned == TILTED
+    turned = f"are tilted against {other}" if tilted else f"look further {one.turned}" if one.turned else ""
+    how = listed([said for said in (turned, f"are taken from further {one.moved}" if one.moved else "") if said])
+    ways = f"they {how}{'' if tilted else f' than {other}'}; " if how else ""
     return (
-        f"Record {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) again{ways}; the "
-        f"nearest known view is {gap} away."
+        f"Train on {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) too, or on a recording of "
+        f"the same stretch: {ways}the nearest known view is {gap} away."
     )
 
 

@@ -12,7 +12,7 @@ class QualitySettings:
     Attributes
     ----------
     thin
-        A view is thinly covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
+        A view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
         ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py).
     fast
         Neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.

@@ -13,6 +13,7 @@ from conformodal.localization import TARGET_NAMES
 from conformodal.poses import Trajectory, trajectory_errors
 
 from ..model import PoseModel
+from ..paths import ONLINE
 from ..radius import PoseRadius
 from ..region_rules import EvidenceKind
 from .statistics import RegionStatistics
@@ -49,8 +50,9 @@ _ASSUMPTION_BROKEN = (
 
 
 def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[str, dict[str, float]]:
-    """``rmse_m``, ``rmse_deg`` and medians of every trajectory, by its name."""
-    return {name: trajectory_errors(trajectory, truth) for name, trajectory in trajectories.items()}
+    """``rmse_m``, ``rmse_deg`` and medians of every trajectory, by its name: first of the one that a robot gets."""
+    ordered = sorted(trajectories, key=lambda name: name != ONLINE)
+    return {name: trajectory_errors(trajectories[name], truth) for name in ordered}
 
 
 def coverage_table(
@@ -73,7 +75,7 @@ def coverage_table(
     seen
         Whether they are of the training or the calibration part.
     """
-    inside, finite = statistics.inside, ~statistics.unbounded.any(axis=1)
+    inside, finite = statistics.inside, np.asarray(~statistics.unbounded.any(axis=1))
     rules = model.rules
     kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
     met = [(rule.n_units, count) for _, rule, count in kinds if count]
@@ -95,11 +97,13 @@ def coverage_table(
         "n_evaluated": len(statistics),
         "whole_space": bool(statistics.unbounded[statistics.kinds != EvidenceKind.UNKNOWN].any()),
         "abstained": float((~finite).mean()),
+        **bounded_coverage(held, finite),
         "by_evidence": {
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
                 "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
+                **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
             }
             for kind, rule, count in kinds
         },
@@ -112,6 +116,18 @@ def coverage_table(
     }
 
 
+def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is.
+
+    Parameters
+    ----------
+    held, bounded
+        (n,) whether each region holds the whole pose, and whether it is bounded in every target.
+    """
+    n = int(bounded.sum())
+    return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
+
+
 def _target_row(
     statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
 ) -> dict[str, Any]:
@@ -119,6 +135,7 @@ def _target_row(
     finite = ~statistics.unbounded.any(axis=1)
     row: dict[str, Any] = {
         "coverage": float(statistics.inside[:, j].mean()),
+        "bounded_coverage": float(statistics.inside[finite, j].mean()) if finite.any() else None,
         "mean_length": float(statistics.length[finite, j].mean()) if finite.any() else None,
         "mean_intervals": float(statistics.n_intervals[:, j].mean()),
     }

@@ -115,6 +115,11 @@ def _check(record: dict[str, Any]) -> None:
                 raise ValueError(f"an interval ends at {low}, {high}")
 
 
+def record_bounded(record: dict[str, Any]) -> bool:
+    """Whether the region of a stored frame is bounded in every target."""
+    return not any(None in part for parts in record["intervals"].values() for part in parts)
+
+
 def records_contain(
     records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64] | None
 ) -> npt.NDArray[np.bool_]:
