@@ -117,11 +117,8 @@ def relative(page: str, site: str) -> str:
 
 
 def short_title(site: str) -> Any:
-    """Entry of the navigation for a page that a pattern names: tables by their files, decisions with their numbers."""
-    stem = posixpath.basename(site).removesuffix(".md")
-    if site.startswith("decisions/"):
-        return {f"{stem[:2]} {title((ROOT / 'docs' / site).read_text(encoding='utf-8'))}": site}
-    return {stem: site}
+    """Entry of the navigation for a page that a pattern names."""
+    return {posixpath.basename(site).removesuffix(".md"): site}
 
 
 def title(markdown: str) -> str:
