@@ -25,6 +25,7 @@ AT_ROOT = {
 }
 INTERNAL = {"cli", "core"}  # packages without a page in the reference
 FIRST = ("conformal", "odometry", "running", "model", "training", "datasets", "poses")  # in the reference
+MAIN = ("ConformalRegressor", "VisualOdometry")
 GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1[ \t]*$", re.DOTALL | re.MULTILINE)
@@ -57,10 +58,8 @@ def origin(site: str) -> str:
 
 def place(path: str) -> str | None:
     """Page of the site, with its anchor, that shows a path of the repository; None if no page does."""
-    if path in AT_ROOT:
-        return AT_ROOT[path]
-    if path == TABLES:
-        return "tables/index.md"
+    if path in AT_ROOT or path == TABLES:
+        return (AT_ROOT | {TABLES: "tables/index.md"})[path]
     folder, name = posixpath.split(path)
     if folder == TABLES and name.endswith(".md"):
         return f"tables/{name}"
@@ -176,8 +175,8 @@ def reference_page() -> str:
     where = {n: name for name in packages() for n in exported(SOURCE / name)}
     lines = ["# Reference", "", "`import conformodal as cm` has the names that most programs need.", ""]
     lines += ["| name | what |", "| --- | --- |"]
-    top = sorted(exported(SOURCE), key=lambda n: (packages().index(where[n]), n))
-    lines += [f"| [`cm.{n}`][conformodal.{where[n]}.{n}] | {summary(SOURCE / where[n], n)} |" for n in top]
+    top = sorted(exported(SOURCE), key=lambda n: (n.endswith("Error"), n not in MAIN, packages().index(where[n]), n))
+    lines += [f"| [`cm.{n}`][conformodal.{where[n]}.{n}] | {summary(where[n], n)} |" for n in top]
     lines += ["", "Options of the command line: `conformodal --help` and `conformodal VERB --help`.", ""]
     lines += ["| package | what |", "| --- | --- |"]
     for name in packages():
@@ -186,9 +185,9 @@ def reference_page() -> str:
     return "\n".join([*lines, ""])
 
 
-def summary(folder: Path, name: str) -> str:
-    """First sentence of the docstring of a public class or function of a package."""
-    for path in sorted(folder.rglob("*.py")):
+def summary(package: str, name: str) -> str:
+    """First sentence of the docstring of a public class or function of a package; errors may come from the core."""
+    for path in [*sorted((SOURCE / package).rglob("*.py")), *sorted((SOURCE / "core").rglob("*.py"))]:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
                 return first_sentence(ast.get_docstring(node) or "")
@@ -197,7 +196,7 @@ def summary(folder: Path, name: str) -> str:
 
 def first_sentence(docstring: str) -> str:
     """The first paragraph of a docstring in one line, without roles."""
-    return re.sub(r":\w+:`~?\.?([\w.]+)`", r"`\1`", docstring.split("\n\n")[0].replace("\n", " "))
+    return re.sub(r":\w+:`~?\.?([\w.]+)`", r"`\1`", docstring.partition("\n\n")[0].replace("\n", " "))
 
 
 def tables_page() -> str:

@@ -1,7 +1,7 @@
 """Code on the pages runs and prints what they say; commands on all pages are ones that the command line knows.
 
-`<!-- given: NAME -->` before a block says what it takes as given. A `text` block after it is what it prints. Numbers may
-differ a little between versions; those of a small trained model may be any.
+`<!-- given: NAME -->` before a block says what it takes as given. A `text` block after it is what it prints; numbers
+may differ a little between versions, and those of a small trained model may be any.
 """
 
 import contextlib
