@@ -43,7 +43,7 @@ def main() -> None:
         above.text(at.mean(), 1.25, label, ha="center", va="bottom")
         start = at[-1] + 1
     above.axhline(LEVEL, color=RED, lw=0.8, ls="--")
-    above.text(2, 0.032, "at or below the line:\nthe region is the whole space", color=RED, va="bottom", fontsize=8)
+    above.text(2, 0.032, "at or below the line:\nthe region is unbounded", color=RED, va="bottom", fontsize=8)
     above.set(yscale="log", ylim=(0.03, 1.2), ylabel="p-value: known?")
     below.set(yscale="log", ylabel="error (m)", xlabel="answered frame", xlim=(0, start))
     below.plot([], [], ".", color=BLUE, label="reliable")

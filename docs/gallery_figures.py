@@ -92,24 +92,22 @@ def fit_table() -> Fitted:
 
 
 def draw_reliability(table: Fitted) -> Figure:
-    """Promised against observed coverage of both targets, and the band that chance alone explains."""
+    """Nominal against observed coverage of both targets, and the band that chance alone explains."""
     rates = [round(0.01 * k, 2) for k in range(1, 60)]
-    promised = 1 - np.array(rates)
+    nominal = 1 - np.array(rates)
     regions = [table.reg.predict_region(table.X, alpha=rate) for rate in rates]
     observed = np.array([found.contains(table.y).mean(axis=0) for found in regions])
     low, high = np.array([coverage_band(table.n_calibration, len(table.X), rate) for rate in rates]).T
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True)
-    for axis, away in ((left, 0.0), (right, promised)):
-        axis.fill_between(
-            promised, low - away, high - away, color=REGION, alpha=0.5, lw=0, label="99 % by chance alone"
-        )
-        axis.plot(promised, promised - away, "--", color=TRUTH, lw=0.9, label="as promised")
+    for axis, away in ((left, 0.0), (right, nominal)):
+        axis.fill_between(nominal, low - away, high - away, color=REGION, alpha=0.5, lw=0, label="99 % by chance alone")
+        axis.plot(nominal, nominal - away, "--", color=TRUTH, lw=0.9, label="nominal")
         for j, (name, colour, line) in enumerate(zip(TARGETS.values(), (PATH, OTHER), ("-", "-."), strict=True)):
-            axis.plot(promised, observed[:, j] - away, line, color=colour, lw=1.5, label=f"{name} temperature")
-        axis.set_xlabel("promised coverage, 1 - alpha")
+            axis.plot(nominal, observed[:, j] - away, line, color=colour, lw=1.5, label=f"{name} temperature")
+        axis.set_xlabel("nominal coverage, 1 - alpha")
     left.set_ylabel("observed coverage")
-    right.set_ylabel("observed minus promised")
+    right.set_ylabel("observed minus nominal")
     left.legend(frameon=False, loc="upper left")
     return figure
 

@@ -10,7 +10,6 @@ import posixpath
 import re
 import runpy
 from collections.abc import Callable
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,8 @@ AT_ROOT = {
     "SECURITY.md": "security.md",
 }
 INTERNAL = {"cli", "core"}  # packages without a page in the reference
+FIRST = ("conformal", "odometry", "running", "model", "training", "datasets", "poses")  # in the reference
+MAIN = ("ConformalRegressor", "VisualOdometry")
 GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1[ \t]*$", re.DOTALL | re.MULTILINE)
@@ -57,8 +58,8 @@ def origin(site: str) -> str:
 
 def place(path: str) -> str | None:
     """Page of the site, with its anchor, that shows a path of the repository; None if no page does."""
-    if path in AT_ROOT:
-        return AT_ROOT[path]
+    if path in AT_ROOT or path == TABLES:
+        return (AT_ROOT | {TABLES: "tables/index.md"})[path]
     folder, name = posixpath.split(path)
     if folder == TABLES and name.endswith(".md"):
         return f"tables/{name}"
@@ -116,14 +117,6 @@ def relative(page: str, site: str) -> str:
     return posixpath.relpath(page, posixpath.dirname(site) or ".")
 
 
-def short_title(site: str) -> Any:
-    """Entry of the navigation for a page that a pattern names: tables by their files, decisions with their numbers."""
-    stem = posixpath.basename(site).removesuffix(".md")
-    if site.startswith("decisions/"):
-        return {f"{stem[:2]} {title((ROOT / 'docs' / site).read_text(encoding='utf-8'))}": site}
-    return {stem: site}
-
-
 def title(markdown: str) -> str:
     """First heading of a page."""
     found = re.search(r"^# (.+)$", markdown, re.MULTILINE)
@@ -131,8 +124,9 @@ def title(markdown: str) -> str:
 
 
 def packages() -> list[str]:
-    """Packages that have a page in the reference."""
-    return sorted({path.parent.name for path in SOURCE.glob("*/__init__.py")} - INTERNAL)
+    """Packages that have a page in the reference, those that most programs use first."""
+    found = {path.parent.name for path in SOURCE.glob("*/__init__.py")} - INTERNAL
+    return sorted(found, key=lambda name: (FIRST.index(name) if name in FIRST else len(FIRST), name))
 
 
 def exported(folder: Path) -> list[str]:
@@ -166,7 +160,7 @@ def package_page(name: str) -> str:
     """A package's reference: its public names, and those that only its subpackages have."""
     folder = SOURCE / name
     known = set(exported(folder))
-    parts = [f"# {name}\n\n::: conformodal.{name}\n", apart(f"conformodal.{name}")]
+    parts = [f"# conformodal.{name}\n\n::: conformodal.{name}\n", apart(f"conformodal.{name}")]
     for inner in sorted(folder.glob("*/__init__.py")):
         own = [n for n in exported(inner.parent) if n not in known]
         if own:
@@ -177,24 +171,40 @@ def package_page(name: str) -> str:
 
 
 def reference_page() -> str:
-    """All packages, and the names that the top package has."""
-    lines = ["# Reference", "", "| package | what |", "| --- | --- |"]
-    for name in packages():
-        said = ast.get_docstring(ast.parse((SOURCE / name / "__init__.py").read_text(encoding="utf-8"))) or ""
-        first = re.sub(r":\w+:`~?\.?([\w.]+)`", r"`\1`", said.split("\n\n")[0].replace("\n", " "))
-        lines.append(f"| [conformodal.{name}]({name}.md) | {first} |")
-    lines += ["", "`import conformodal as cm` has the names that most programs need:", ""]
+    """The names of the top package with their first sentences, then all packages."""
     where = {n: name for name in packages() for n in exported(SOURCE / name)}
-    lines += [f"- [`cm.{n}`][conformodal.{where[n]}.{n}]" for n in exported(SOURCE)]
-    return "\n".join([*lines, "", "Options of the command line: `conformodal VERB --help`.", ""])
+    lines = ["# Reference", "", "`import conformodal as cm` has the names that most programs need.", ""]
+    lines += ["| name | what |", "| --- | --- |"]
+    top = sorted(exported(SOURCE), key=lambda n: (n.endswith("Error"), n not in MAIN, packages().index(where[n]), n))
+    lines += [f"| [`cm.{n}`][conformodal.{where[n]}.{n}] | {summary(where[n], n)} |" for n in top]
+    lines += ["", "Options of the command line: `conformodal --help` and `conformodal VERB --help`.", ""]
+    lines += ["| package | what |", "| --- | --- |"]
+    for name in packages():
+        docstring = ast.get_docstring(ast.parse((SOURCE / name / "__init__.py").read_text(encoding="utf-8"))) or ""
+        lines.append(f"| [conformodal.{name}]({name}.md) | {first_sentence(docstring)} |")
+    return "\n".join([*lines, ""])
+
+
+def summary(package: str, name: str) -> str:
+    """First sentence of the docstring of a public class or function of a package; errors may come from the core."""
+    for path in [*sorted((SOURCE / package).rglob("*.py")), *sorted((SOURCE / "core").rglob("*.py"))]:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
+                return first_sentence(ast.get_docstring(node) or "")
+    return ""
+
+
+def first_sentence(docstring: str) -> str:
+    """The first paragraph of a docstring in one line, without roles."""
+    return re.sub(r":\w+:`~?\.?([\w.]+)`", r"`\1`", docstring.partition("\n\n")[0].replace("\n", " "))
 
 
 def tables_page() -> str:
     """All committed tables by their titles."""
     tables = sorted((ROOT / TABLES).glob("*.md"))
     rows = [f"| [{path.stem}]({path.name}) | {title(path.read_text(encoding='utf-8'))} |" for path in tables]
-    said = "Each is written by a script in `benchmarks/`, and says by which command."
-    return "\n".join(["# Tables", "", said, "", "| table | about |", "| --- | --- |", *rows, ""])
+    intro = "Each is written by a script in `benchmarks/` and names its command and source revision."
+    return "\n".join(["# All tables", "", intro, "", "| table | about |", "| --- | --- |", *rows, ""])
 
 
 def examples_page() -> str:
@@ -246,31 +256,10 @@ def linked_roles(html: str, package: str) -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Put the pages that a pattern of the navigation means in its place."""
-    docs = Path(config["docs_dir"])
-    sites = sorted({*added_pages(), *(path.relative_to(docs).as_posix() for path in docs.rglob("*.md"))})
-    named: set[str] = set()
-
-    def collect(item: Any) -> None:
-        for inner in item.values() if isinstance(item, dict) else item if isinstance(item, list) else ():
-            collect(inner)
-        if isinstance(item, str):
-            named.add(item)
-
-    def expand(item: Any) -> Any:
-        if isinstance(item, dict):
-            return {key: expand(value) for key, value in item.items()}
-        if not isinstance(item, list):
-            return item
-        found: list[Any] = []
-        for inner in item:
-            pattern = isinstance(inner, str) and "*" in inner
-            fitting = [site for site in sites if pattern and fnmatch(site, inner) and site not in named]
-            found += [short_title(site) for site in fitting] if pattern else [expand(inner)]
-        return found
-
-    collect(config["nav"])
-    config["nav"] = expand(config["nav"])
+    """Put the pages of the reference in the place of their pattern in the navigation."""
+    (pages,) = (entry["Reference"] for entry in config["nav"] if "Reference" in entry)
+    place_of = pages.index("reference/*.md")
+    pages[place_of : place_of + 1] = [f"reference/{name}.md" for name in packages()]
     return config
 
 

@@ -87,9 +87,3 @@ def test_pictures_have_a_text_for_those_who_do_not_see_them():
 def test_every_picture_is_in_the_gallery():
     gallery = markdown_of("gallery.md")
     assert not [path.name for path in (ROOT / "docs" / "images").iterdir() if f"images/{path.name}" not in gallery]
-
-
-def test_code_that_decisions_name_is_there():
-    for page in (ROOT / "docs" / "decisions").glob("*.md"):
-        for path in re.findall(r"`((?:[a-z_0-9]+/)+(?:\w+\.py)?)`", page.read_text(encoding="utf-8")):
-            assert (ROOT / "src" / "conformodal" / path).exists() or (ROOT / path).exists(), f"{page.name}: {path}"

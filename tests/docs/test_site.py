@@ -107,6 +107,33 @@ def test_texts_stand_out_and_pictures_have_words(site, browser, scheme, name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_runs_out_of_the_page(site, browser, width):
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    measure = """() => [
+        document.scrollingElement.scrollWidth - innerWidth,
+        [...document.querySelectorAll("article pre code")].filter((it) => it.scrollWidth > it.clientWidth + 1).length,
+    ]"""
+    for name in (*LOOKED_AT, "data", "howto/stream", "results"):
+        page.goto((site / f"{name}.html").as_uri())
+        beyond, cut = page.evaluate(measure)
+        assert beyond <= 0, name
+        assert width < 1280 or not cut, f"{name}: {cut} blocks of code have lines that are cut"
+    page.close()
+
+
+@pytest.mark.slow
+def test_search_needs_no_network(site, browser):
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
+    page = context.new_page()
+    page.goto((site / "index.html").as_uri())
+    page.click(".md-search__input")
+    page.keyboard.type("exchangeable")
+    page.wait_for_selector(".md-search-result__item a", timeout=20_000)
+    context.close()
+
+
+@pytest.mark.slow
 def test_the_first_key_leads_past_the_navigation(site, browser):
     page = browser.new_page()
     page.goto((site / "start.html").as_uri())
