@@ -1,4 +1,4 @@
-"""The demo's page, and its last lines on the terminal: errors beside those of regressors on the same features."""
+"""The demo's page: errors beside those of a regressor on the same features."""
 
 from __future__ import annotations
 
@@ -23,18 +23,9 @@ from .demo_outcome import DemoResults
 _OURS, _PAPERS = "conformal, after reasoning", "the paper's greedy answer"
 
 
-def ratios_said(method: Method, metrics: dict[str, Any]) -> list[str]:
-    """The last lines on the terminal: ratios of errors."""
-    errors = metrics["errors"]
-    took = f"({metrics['seconds']:.0f} s in all)"
-    if method is Method.CONFORMODAL:
-        ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
-        return [f"classical / conformal rmse_m: {ratio:.1f}   {took}"]
-    over = [f"{name} regressor {_over(errors, of):.2f}" for name, of in (("plain", "plain"), ("tuned", "classical"))]
-    return [
-        f"rmse_m over that of the paper's system (greedy): {', '.join(over)}; below 1 the regressor is the better one",
-        f"rmse_m of its softmax means over the same: {_over(errors, 'softmax_mean'):.2f}   {took}",
-    ]
+def error_ratio(errors: dict[str, dict[str, float]]) -> float:
+    """Position RMSE of the classical regressor over that of the method."""
+    return errors["classical"]["rmse_m"] / errors["greedy" if "greedy" in errors else "smoothed"]["rmse_m"]
 
 
 def page_of(demo: DemoResults) -> ReportContent:
@@ -96,18 +87,10 @@ def _flown(demo: DemoResults) -> str:
 
 
 def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
-    if not paper:
-        ratio = errors["classical"]["rmse_m"] / errors["smoothed"]["rmse_m"]
-        return (
-            f"Position RMSE: {errors['smoothed']['rmse_m']:.3f} m, against {errors['classical']['rmse_m']:.2f} m for a "
-            f"regressor on the same features ({ratio:.0f} times)."
-        )
+    name, method = ("the paper's system, greedy reasoning included", "greedy") if paper else ("this method", "smoothed")
     return (
-        f"Position RMSE of the paper's system, greedy reasoning included: {errors['greedy']['rmse_m']:.2f} m. "
-        f"A plain regressor on the same features, epochs and optimiser has {errors['plain']['rmse_m']:.2f} m "
-        f"({_over(errors, 'plain'):.2f} times), a tuned one {errors['classical']['rmse_m']:.2f} m "
-        f"({_over(errors, 'classical'):.2f} times), the means of the system's own softmaxes "
-        f"{errors['softmax_mean']['rmse_m']:.2f} m."
+        f"Position RMSE of {name}: {errors[method]['rmse_m']:.3f} m. A classical regressor with the same features, "
+        f"epochs and settings has {errors['classical']['rmse_m']:.2f} m ({error_ratio(errors):.2f} times)."
     )
 
 
@@ -116,11 +99,6 @@ def _places_said(record: dict[str, Any]) -> str:
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
         f"same view, {record['n_places']} in all; the regions hold {100 * record['share_held']:.1f} % of them."
     )
-
-
-def _over(errors: dict[str, dict[str, float]], method: str) -> float:
-    """The error of a method over that of the paper's system."""
-    return errors[method]["rmse_m"] / errors["greedy"]["rmse_m"]
 
 
 def _telling_frame(demo: DemoResults) -> int:

@@ -71,7 +71,6 @@ RANGES = {
 _NEED: dict[str, tuple[str, Any, str]] = {
     "fine_tune_epochs": ("fine_tune", lambda value: value != "none", "--fine-tune"),
     "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
-    "workers": ("engine", lambda value: str(value) == "local", "--engine local"),
 }
 
 

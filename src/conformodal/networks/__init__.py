@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .heads import Head, Loss, predict_values
     from .lite import NETWORKS, find_network
     from .quantising import quantised
+    from .threads import limit_threads
     from .torch_backbone import TorchBackbone, backbone_config, pick_device
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "find_network",
     "fine_tune",
     "fit_head",
+    "limit_threads",
     "mean_squared_error",
     "pick_device",
     "predict_values",
@@ -43,6 +45,7 @@ _find = late(
         **dict.fromkeys(("Head", "Loss", "predict_values"), ".heads"),
         **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),
         "quantised": ".quantising",
+        "limit_threads": ".threads",
         **dict.fromkeys(("TorchBackbone", "backbone_config", "pick_device"), ".torch_backbone"),
     },
 )
