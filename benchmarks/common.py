@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import platform
+import sys
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -21,6 +22,7 @@ from conformodal.reasoning import MotionPrior
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
 RESULTS = Path(__file__).parent / "results"
+sys.path.insert(0, str(ROOT))  # the package experiments
 UNLIMITED = 1e6  # radians and metres a second
 
 

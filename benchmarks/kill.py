@@ -22,14 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from common import RESULTS, write_table
+from common import RESULTS, ROOT, write_table
 
 from conformodal.datasets.corridor import write_corridor
 from conformodal.odometry import provenance
 
 MAIN = "from conformodal.cli.main import app; app()"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-COMMANDS = ["train", "run", "calibrate", "data convert", "reproduce"]
+COMMANDS = ["train", "run", "calibrate", "data convert", "table1"]
 NETWORKS = ",".join(["efficientnet_lite0"] * 3)
 
 
@@ -45,8 +45,9 @@ class Case:
 
 
 def command(arguments: list[object]) -> subprocess.Popen[bytes]:
-    line = [sys.executable, "-c", MAIN, *map(str, arguments)]
-    return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    start = ["-m", "experiments.table1"] if arguments[0] == "table1" else ["-c", MAIN, str(arguments[0])]
+    line = [sys.executable, *start, *map(str, arguments[1:])]
+    return subprocess.Popen(line, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
 def contents(folder: Path, suffixes: tuple[str, ...] = ("",)) -> dict[str, bytes]:
@@ -73,15 +74,15 @@ def prepare(root: Path) -> list[Case]:
         if command(arguments).wait():
             raise SystemExit(f"failed: {arguments}")
     out = root / "out"
-    reproduce = ["reproduce", "table1", world, "--method", "paper", "--split", "interleaved", "--seeds", 1]
-    reproduce += ["--epochs", 5]
+    table = ["table1", world, "--method", "paper", "--split", "interleaved", "--seeds", 1]
+    table += ["--epochs", 5]
     results = ("regions.jsonl", ".tum")
     return [
         Case("train", [*train, out], out, lambda f: contents(f, (".safetensors",)), model),
         Case("run", [*run, out], out, lambda f: contents(f, results), ran),
         Case("calibrate", ["calibrate", out, other, "--cache", cache], out, radius, model),
         Case("data convert", ["data", "convert", world, "--to", "tum", "--out", out], out, contents),
-        Case("reproduce", [*reproduce, "--networks", NETWORKS, "--cache", cache, "--out", out], out, errors),
+        Case("table1", [*table, "--networks", NETWORKS, "--cache", cache, "--out", out], out, errors),
     ]
 
 
@@ -153,7 +154,7 @@ def main() -> None:
         "Moments are drawn evenly over the time of an uninterrupted command, signals are SIGKILL, SIGTERM and SIGINT "
         "in turn. Earlier results: a model for train and calibrate, a run for run; whole too where the new ones had "
         "taken their place. Rerun: the same command once more; weights, regions, trajectories, radius and files must "
-        "be the same to the bit, errors of reproduce (`--method paper`) to the last digit. Measured with source "
+        "be the same to the bit, errors of table1 (`--method paper`) to the last digit. Measured with source "
         f"{', '.join(sorted(sources))}."
     )
     header = ["command", "moments", "seconds in all", "no traceback", "earlier results whole", "rerun the same"]

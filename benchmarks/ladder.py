@@ -14,8 +14,6 @@ import json
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +23,12 @@ import cv2
 import numpy as np
 import torch
 from common import RESULTS, ROOT
+from joblib import Parallel, delayed
 from ladder_parts import ALL, REMOVED, STEPS, SWITCHES, Frames, Paths, spaced
 from ladder_runs import ALPHA, PLACES, Models, Trained
 from ladder_tables import write_tables
 
 from conformodal.conformal import SplitConformal
-from conformodal.experiments.engine.local import watch_parent
 from conformodal.localization import FrameEvidence, extract_local_features, pose_targets
 from conformodal.motion import EssentialFrontEnd
 from conformodal.odometry import PaperOdometry, measure_motions, provenance
@@ -178,6 +176,14 @@ def is_there(file: Path, *, quick: bool) -> bool:
     return file.is_file() and (quick or not json.loads(file.read_text()).get("quick", False))
 
 
+def store(file: Path, place: str, seed: int, runs: Path, **options: bool) -> tuple[str, int]:
+    """Measure one place with one seed and write its numbers."""
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps(measured(place, seed, runs, **options), indent=1) + "\n")
+    part.replace(file)
+    return place, seed
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
@@ -193,18 +199,13 @@ def main() -> None:
         for s in asked.seeds
         for p in asked.places
     }
-    with ProcessPoolExecutor(asked.workers, get_context("spawn"), watch_parent) as pool:
-        jobs = {
-            pool.submit(measured, place, seed, asked.runs, quick=asked.quick): (place, seed)
-            for (place, seed), file in wanted.items()
-            if not is_there(file, quick=asked.quick)
-        }
-        for job in as_completed(jobs):
-            started, key = time.strftime("%H:%M:%S"), jobs[job]
-            part = wanted[key].with_suffix(".part")
-            part.write_text(json.dumps(job.result(), indent=1) + "\n")
-            part.replace(wanted[key])
-            print(started, *key, flush=True)
+    jobs = (
+        delayed(store)(file, place, seed, asked.runs, quick=asked.quick)
+        for (place, seed), file in wanted.items()
+        if not is_there(file, quick=asked.quick)
+    )
+    for key in Parallel(asked.workers, return_as="generator_unordered", batch_size=1)(jobs):
+        print(time.strftime("%H:%M:%S"), *key, flush=True)
     write_tables({key: json.loads(file.read_text()) for key, file in wanted.items() if file.is_file()})
 
 

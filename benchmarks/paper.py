@@ -14,7 +14,6 @@ from common import DATA, ROOT, write_table
 from scipy import stats
 
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.experiments import baseline_training, train_classical, train_plain
 from conformodal.localization import pose_targets
 from conformodal.odometry import (
     ModelConfig,
@@ -23,8 +22,10 @@ from conformodal.odometry import (
     provenance,
     train_model,
 )
+from conformodal.odometry.learning.plain import train_plain
 from conformodal.poses import trajectory_errors
 from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+from experiments.regressors import train_tuned
 
 SEEDS = (10, 11, 12, 13, 14)
 CONDITIONS = {
@@ -51,7 +52,7 @@ def measured(condition: str, seed: int, cache: FeatureCache) -> dict[str, object
     features = data.features[run.frames]
     found = run.trajectories | {
         "plain": train_plain(data, config.training).trajectory(features, run.timestamps_s),
-        "tuned": train_classical(data, baseline_training(config.training)).trajectory(features, run.timestamps_s),
+        "tuned": train_tuned(data, config.training).trajectory(features, run.timestamps_s),
     }
     errors = {}
     for name, path in found.items():

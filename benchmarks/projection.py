@@ -23,10 +23,10 @@ from common import DATA, half_width, spread, write_table
 
 from conformodal.core import FloatArray
 from conformodal.datasets import Sequence, SplitKind, read_sequence, read_sevenscenes
-from conformodal.experiments import baseline_training, train_classical
 from conformodal.networks import fit_head, soft_cross_entropy
 from conformodal.odometry import ModelConfig, prepare_training_data, train_model
 from conformodal.vision import FeatureCache, TrainingConfig
+from experiments.regressors import train_tuned
 
 COMPONENTS = {"with": 256, "without": None}
 SIZES = (640, 5000)  # the frames that train on redkitchen, and a large recording
@@ -52,7 +52,7 @@ def regressor(sequence: Sequence, config: ModelConfig, cache: FeatureCache) -> t
     """RMSE of the tuned regressor's positions on the test part, and the seconds of its search."""
     data = prepare_training_data(sequence, config, cache)
     found = []
-    seconds = seconds_of(lambda: found.append(train_classical(data, baseline_training(config.training))))
+    seconds = seconds_of(lambda: found.append(train_tuned(data, config.training)))
     test = data.split.test
     off: FloatArray = found[0].predict(data.features[test])[:, :3] - data.targets[test, :3]
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))), seconds

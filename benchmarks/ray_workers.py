@@ -1,4 +1,4 @@
-"""``reproduce table1 --engine ray`` on a cluster of two nodes: seconds at one, two and four workers.
+"""``experiments.table1 --engine ray`` on a cluster of two nodes: seconds at one, two and four workers.
 
 python benchmarks/ray_workers.py [--frames 240] [--epochs 10]
 
@@ -16,9 +16,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from common import DATA, write_page
+from common import DATA, ROOT, write_page
 
-COMMAND = "from conformodal.cli import main; main()"
 NETWORK = "efficientnet_lite0"
 
 
@@ -34,10 +33,10 @@ def some_frames(source: Path, folder: Path, n: int) -> Path:
 
 def table1(data: Path, out: Path, cache: Path, epochs: int, *engine: str) -> float:
     """Seconds of one run, by its own account."""
-    command = [sys.executable, "-c", COMMAND, "reproduce", "table1", str(data), "--out", str(out)]
+    command = [sys.executable, "-m", "experiments.table1", str(data), "--out", str(out)]
     command += ["--cache", str(cache), "--method", "paper", "--seeds", "2", "--split", "interleaved"]
     command += ["--networks", ",".join([NETWORK] * 3), "--epochs", str(epochs), *engine]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     found: float = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["seconds"]
     return found
 
@@ -67,6 +66,7 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=10)
     asked = parser.parse_args()
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])  # of the nodes
     lines = ["| workers | nodes | seconds | times as fast as one |", "| --- | --- | --- | --- |"]
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(scratch)
@@ -84,7 +84,7 @@ def main() -> None:
         n_tasks = len(list((here / "local" / "tasks").iterdir()))
     lines += [
         "",
-        f"`reproduce table1 --method paper --seeds 2 --split interleaved --epochs {asked.epochs}` on {asked.frames} "
+        f"`experiments.table1 --method paper --seeds 2 --split interleaved --epochs {asked.epochs}` on {asked.frames} "
         f"frames of redkitchen, {NETWORK}, features cached, {n_tasks} tasks; from the data set to the table, with the "
         f"start of the workers. Both nodes are on this machine and share its {os.cpu_count()} cores. All errors are "
         "those of a run without Ray.",

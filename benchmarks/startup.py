@@ -25,7 +25,6 @@ REFUSED = {
     "run": ["run", "{missing}", "{missing}", "--out", "{out}"],
     "calibrate": ["calibrate", "{missing}", "{missing}"],
     "evaluate": ["evaluate", "{missing}", "--truth", "{missing}"],
-    "reproduce table1": ["reproduce", "table1", "{missing}", "--out", "{out}"],
     "data convert": ["data", "convert", "{missing}", "--out", "{out}"],
 }
 # In a process that has imported what the verb needs, so that the checks alone are timed.

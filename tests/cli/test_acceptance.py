@@ -6,11 +6,6 @@ import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.datasets import read_sequence
-from conformodal.experiments import baseline_training, train_classical
-from conformodal.odometry import ModelConfig, prepare_training_data
-from conformodal.poses import trajectory_errors
-from conformodal.vision import FeatureCache
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +28,6 @@ def test_demo(tmp_path):
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     errors = metrics["errors"]
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
-    assert errors["classical_smoothed"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
     assert inside_band(metrics["coverage"])
     assert not metrics["coverage"]["whole_space"]
     assert metrics["ambiguity"]["n_places"] > 300
@@ -49,10 +43,3 @@ def test_redkitchen_interleaved(redkitchen, tmp_path):
     assert metrics["n_answered"] == 200
     assert metrics["errors"]["smoothed"]["rmse_m"] <= 0.020
     assert inside_band(metrics["coverage"])
-    # a regressor that ours may be compared with
-    config = ModelConfig()
-    data = prepare_training_data(read_sequence(redkitchen, require_poses=True), config, FeatureCache(cache))
-    classical = train_classical(data, baseline_training(config.training))
-    test, truth = data.split.test, data.sequence.require_truth()
-    answer = classical.trajectory(data.features[test], data.sequence.timestamps_s[test])
-    assert trajectory_errors(answer, truth[test])["rmse_m"] <= 0.040

@@ -142,6 +142,45 @@ def test_shares_of_a_given_split_are_of_the_training_list():
     assert half.test.tolist() == np.flatnonzero(given_test).tolist()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_share_of_two_training_recordings_is_a_stretch_of_each(seed):
+    recording = np.repeat([0, 1, 2], [120, 80, 50])
+    given_test = recording == 2
+    split = {
+        used: make_split(recording, "given", seed=seed, given_test=given_test, used=used, calibration=0.2 * used)
+        for used in (0.4, 0.8)
+    }
+    assert split[0.4].test.tolist() == split[0.8].test.tolist() == np.flatnonzero(given_test).tolist()
+    assert {used: len(s.train) + len(s.calibration) for used, s in split.items()} == {0.4: 100, 0.8: 200}
+    for part in ("train", "calibration"):
+        less, more = split[0.4].part(part), split[0.8].part(part)
+        assert set(less.tolist()) < set(more.tolist())
+        assert np.all(np.diff(less) == 1)
+
+
+@pytest.mark.parametrize("kind", ["blocks", "recordings", "given"])
+def test_calibration_frames_drawn_at_random_come_from_every_training_recording(kind):
+    from conformodal.datasets import with_random_calibration
+
+    recording = np.repeat(np.arange(3), 200)
+    split = make_split(recording, kind, seed=4, given_test=recording == 2)
+    drawn = with_random_calibration(split, 0.2)
+    assert drawn.test.tolist() == split.test.tolist()
+    both = np.sort(np.concatenate((split.train, split.calibration)))
+    assert np.sort(np.concatenate((drawn.train, drawn.calibration))).tolist() == both.tolist()
+    assert len(drawn.calibration) == round(0.2 * len(both))
+    for number in np.unique(recording[both]):
+        share = np.isin(both[recording[both] == number], drawn.calibration).mean()
+        assert share == pytest.approx(0.2, abs=0.1)
+
+
+def test_an_interleaved_split_has_random_calibration_frames_already():
+    from conformodal.datasets import with_random_calibration
+
+    split = make_split(np.zeros(100, int), "interleaved")
+    assert with_random_calibration(split, 0.5) is split
+
+
 def test_stretches_of_a_lone_training_recording_calibrate():
     recording = np.repeat([0, 1, 2], [50, 100, 50])
     split = make_split(recording, "given", seed=1, n_blocks=10, given_test=recording != 1)

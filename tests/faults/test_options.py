@@ -48,16 +48,13 @@ COMMANDS = {
     "train": ["train", "data", "--out", "out"],
     "run": ["run", "model", "source", "--out", "out"],
     "calibrate": ["calibrate", "model", "data"],
-    "reproduce table1": ["reproduce", "table1", "data", "--out", "out"],
-    "reproduce figures": ["reproduce", "figures", "data", "--out", "out"],
     "demo": ["demo", "--out", "out"],
 }
 
 
 def verbs():
     group = typer.main.get_command(app)
-    found = {name: group.get_command(None, name).loaded() for name in group.list_commands(None)}
-    return found | {f"reproduce {k}": v for k, v in found.pop("reproduce").commands.items()}
+    return {name: group.get_command(None, name).loaded() for name in group.list_commands(None)}
 
 
 def rows():
@@ -119,14 +116,6 @@ WRONG = {
             ("--novelty-level", "0.015"),
         ]
     },
-    "reproduce: two networks": (
-        ["reproduce table1", "--networks", "efficientnet_lite0,efficientnet_lite0"],
-        "a small, a middle and a large",
-    ),
-    "reproduce: a network": (["reproduce table1", "--networks", "a,b,c"], "backbone must be"),
-    "reproduce: an address": (["reproduce table1", "--address", "x"], "needs --engine ray"),
-    "reproduce: workers": (["reproduce table1", "--workers", "2", "--engine", "ray"], "needs --engine local"),
-    "reproduce: a file": (["reproduce table1", "--out", "file"], "is a file"),
     "demo: a file": (["demo", "--out", "file"], "is a file"),
 }
 

@@ -434,7 +434,6 @@ def test_a_source_without_a_readable_frame_leaves_earlier_results(small_world, t
 STRAYS = {
     "run": ["report.html", "truth.tum"],
     "train": ["weights.safetensors"],
-    "reproduce": ["table1.md", "table1.html", "table1.parquet"],
     "demo": ["model/model.json", "report.html", "corridor/seq-01/frame-000000.color.png"],
 }
 
@@ -447,7 +446,6 @@ def test_files_of_others_are_not_overwritten(small_world, tmp_path, command, nam
     start = {
         "run": ("run", small_world.model, source),
         "train": ("train", source),
-        "reproduce": ("reproduce", "table1", source),
         "demo": ("demo",),
     }[command]
     result = invoke(*start, *end)

@@ -1,5 +1,7 @@
 """The paper's system: what it is, what it is not, and that it answers a stream as it answers a sequence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from conformodal.odometry import (
     PaperOdometry,
     VisualOdometry,
     load_model,
+    odometry_of,
     prepare_training_data,
     save_model,
     train_model,
@@ -36,6 +39,23 @@ def data(sequence, small_world):
 @pytest.fixture(scope="module")
 def model(data):
     return train_model(data, ModelConfig.paper(alpha=0.2, training=TrainingConfig(epochs=20)))
+
+
+@pytest.mark.parametrize("split", ["given", "blocks"])
+def test_its_calibration_frames_are_drawn_from_all_training_recordings(sequence, small_world, split):
+    n = len(sequence)
+    recording = np.arange(n) * 3 // n
+    three = replace(sequence, recording=recording, given_test=recording == 2)
+    config = ModelConfig.paper(alpha=0.2, split=split, training=TrainingConfig(epochs=3))
+    data = prepare_training_data(three, config, FeatureCache(small_world.cache))
+    parts = data.split.train, data.split.calibration
+    assert len(parts[1]) == pytest.approx(0.2 * sum(len(part) for part in parts), abs=1)
+    if split == "given":
+        assert [set(recording[part].tolist()) for part in parts] == [{0, 1}, {0, 1}]
+    assert (np.diff(parts[1]) > 1).mean() > 0.5  # single frames, not stretches
+    trained = train_model(data, config)
+    found = odometry_of(trained).process(three, data.split.test[:20], cache=FeatureCache(small_world.cache))
+    assert not found.regions.unbounded.all(axis=1).any()
 
 
 def head_of(model):

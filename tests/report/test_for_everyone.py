@@ -5,14 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from conformodal.experiments.table1 import Table
+from conformodal.poses import Trajectory
 from conformodal.report import (
     PageFigure,
     ReportContent,
-    Section,
-    error_chart,
+    error_figure,
     make_viewer,
-    write_comparison,
     write_page,
 )
 
@@ -49,13 +47,14 @@ METRICS = {
         "assumption": "Frames are exchangeable.",
     },
 }
-KINDS = ["run", "bare", "comparison"]
+KINDS = ["run", "bare"]
 SIZES = [(1280, 1000), (380, 800), (320, 700)]
 
 
 def run_page(folder, make_run, n=60, **options):
     viewer = make_viewer(folder, make_run(folder, n, **options), 0.01, [np.array([[-2.0, -2.0], [2.0, -2.0]])])
-    chart = error_chart(["one"], {"ours": [[0.1, 0.2]]}, "m")
+    path = Trajectory(np.arange(9.0), np.ones((9, 3)), np.tile([1.0, 0, 0, 0], (9, 1)))
+    chart = error_figure({"smoothed": path}, path)
     figures = [PageFigure("chart", "A chart", "Errors of one.", chart)]
     image = ("frame-000: which room?", np.zeros((30, 40, 3), np.uint8))
     write_page(folder / "report.html", ReportContent("a run", ["60 frames.", "more"], METRICS, figures, viewer, image))
@@ -69,12 +68,8 @@ def pages(make_run, tmp_path_factory):
     make_run(folder / "bare", n=1, truth=False)
     viewer = make_viewer(folder / "bare", {})
     write_page(folder / "bare" / "report.html", ReportContent("one frame", ["1 frame."], bare, viewer=viewer))
-    table = Table(["condition"] + [f"method {k}" for k in range(12)], [["40 % of data"] + ["0.123 ± 0.01"] * 12] * 3)
-    chart = error_chart(["one", "two"], {"ours": [[0.1], [0.2]], "theirs": [[0.2], [0.4]]}, "m")
-    sections = [Section("Lead", "", "", [("All", table)]), Section("Split", "Less is better.", chart, [("All", table)])]
-    write_comparison(folder / "table1.html", "Table 1", ["How to read it."], sections, {"seeds": [0, 1]})
     run = run_page(folder / "run", make_run)
-    return {"run": run, "bare": folder / "bare" / "report.html", "comparison": folder / "table1.html"}
+    return {"run": run, "bare": folder / "bare" / "report.html"}
 
 
 @pytest.mark.slow

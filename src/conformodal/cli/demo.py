@@ -7,7 +7,6 @@ import shutil
 import time
 from contextlib import suppress
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +17,8 @@ from conformodal.core.files import FolderError, write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
-from conformodal.experiments import AmbiguityCheck, check_ambiguity
 from conformodal.odometry import Method, ModelConfig, write_metrics
+from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
 from conformodal.report import write_page
 from conformodal.vision import TrainingConfig
 
@@ -38,28 +37,14 @@ ALPHA = 0.02
 _PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
-class Baselines(StrEnum):
-    """How much is searched for what ours is compared with."""
-
-    DEFAULT = "default"
-    ALL = "all"
-
-
 @kind_errors
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Of world, flight, split and training.")] = 0,
     method: Annotated[
         Method,
-        typer.Option(help="conformodal; or paper: the paper's system in the same world, beside two plain regressors."),
+        typer.Option(help="conformodal; or paper: the paper's system in the same world."),
     ] = Method.CONFORMODAL,
-    baselines: Annotated[
-        Baselines,
-        typer.Option(
-            help="Settings that are tried for the tuned regressor: four, or all that the paper's table tries, which "
-            "takes a minute more. With --method paper always all."
-        ),
-    ] = Baselines.DEFAULT,
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
@@ -67,9 +52,7 @@ def demo(
     with results_folder(out, "demo"), progress_bars() as report:
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
-        searched = Baselines.ALL if method is Method.PAPER else baselines
-        thorough = searched is Baselines.ALL
-        outcome = answer_test_part(model, config, out, sequence, report, thorough=thorough)
+        outcome = answer_test_part(model, config, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
         alike = check_ambiguity(
             outcome.run,
@@ -79,7 +62,7 @@ def demo(
             progress=stage_of(report, "look-alikes"),
         )
         outcome.metrics["ambiguity"] = _ambiguity_record(alike)
-        outcome.metrics["command"], outcome.metrics["baselines"] = "demo", str(searched)
+        outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
         results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
@@ -90,8 +73,7 @@ def demo(
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
         f"same view, {record['n_places']} in all; the regions hold {record['share_held']:.3f} of them (whole pose)"
     )
-    for line in ratios_said(method, outcome.metrics):
-        say_line(line)
+    say_line(ratios_said(method, outcome.metrics))
     say_line(f"open {(out / 'report.html').resolve()}")
     print_where(out)
 

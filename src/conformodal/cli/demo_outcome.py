@@ -1,4 +1,4 @@
-"""The demo's test part with all methods, written to disk."""
+"""The demo's test part by a model and by the classical regressor, written to disk."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ import numpy as np
 from conformodal.core import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.datasets.corridor import CorridorWorld
-from conformodal.experiments import AmbiguityCheck, baseline_training, comparison_paths, train_classical, train_plain
 from conformodal.odometry import (
     EvidenceKind,
-    Method,
     ModelConfig,
     OdometryRun,
     PoseModel,
@@ -25,6 +23,8 @@ from conformodal.odometry import (
     prepare_training_data,
     write_run,
 )
+from conformodal.odometry.learning.plain import train_plain
+from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache, extract_features
 
@@ -66,9 +66,9 @@ class DemoResults:
 
 
 def answer_test_part(
-    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress, *, thorough: bool
+    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress
 ) -> Outcome:
-    """Answer the test part by a model, by a tuned regressor and, beside the paper's system, by a plain one.
+    """Answer the test part by a model, and by a regressor with the same features, epochs and settings.
 
     Parameters
     ----------
@@ -80,23 +80,17 @@ def answer_test_part(
         The flight.
     report
         Told what is being done.
-    thorough
-        Whether all settings are tried for the tuned regressor, see :func:`~conformodal.experiments.train_classical`.
     """
     frames = part_frames(model, sequence, Part.TEST)
     cache = FeatureCache(out / "cache")
     started = time.perf_counter()
     result = odometry_of(model).process(sequence, frames, cache=cache, progress=report)
     seconds = round(time.perf_counter() - started, 2)
-    paths, recording = [sequence.image_paths[i] for i in result.frames], sequence.recording[result.frames]
+    paths = [sequence.image_paths[i] for i in result.frames]
     features = extract_features(paths, model.backbone, cache)
-    result.trajectories |= comparison_paths(result, model, recording)
     data = prepare_training_data(sequence, config, cache, report)
-    classical = train_classical(data, baseline_training(config.training), report, thorough=thorough)
-    result.trajectories |= classical.trajectories(features, result, recording, model.prior)
-    if model.method is Method.PAPER:
-        plain = train_plain(data, config.training)
-        result.trajectories["plain"] = plain.trajectory(features, result.timestamps_s)
+    classical = train_plain(data, config.training)
+    result.trajectories["classical"] = classical.trajectory(features, result.timestamps_s)
     truth = sequence.require_truth()[result.frames]
     write_run(out, result, [path.name for path in paths], truth, "demo")
     counts = {

@@ -1,4 +1,4 @@
-"""The demo's page, and its last lines on the terminal: errors beside those of regressors on the same features."""
+"""The demo's page: errors beside those of a regressor on the same features."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from conformodal.core import BoolArray
 from conformodal.core.words import counted, noun_for
-from conformodal.experiments import AmbiguityCheck
 from conformodal.odometry import METHODS, ONLINE, Method
+from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.poses import Trajectory
 from conformodal.report import (
     PageFigure,
@@ -26,18 +26,14 @@ from .demo_outcome import DemoResults
 _OURS, _PAPERS = "conformal, after reasoning", "the paper's greedy answer"
 
 
-def ratios_said(method: Method, metrics: dict[str, Any]) -> list[str]:
-    """The last lines on the terminal: ratios of errors."""
+def ratios_said(method: Method, metrics: dict[str, Any]) -> str:
+    """The last line on the terminal: ratios of errors."""
     errors = metrics["errors"]
     took = f"({metrics['seconds']:.0f} s in all)"
     if method is Method.CONFORMODAL:
         ratios = [errors["classical"]["rmse_m"] / errors[name]["rmse_m"] for name in (ONLINE, METHODS[0])]
-        return [f"classical / conformal rmse_m: online {ratios[0]:.1f}, with hindsight {ratios[1]:.1f}   {took}"]
-    over = [f"{name} regressor {_over(errors, of):.2f}" for name, of in (("plain", "plain"), ("tuned", "classical"))]
-    return [
-        f"rmse_m over that of the paper's system (greedy): {', '.join(over)}; below 1 the regressor is the better one",
-        f"rmse_m of its softmax means over the same: {_over(errors, 'softmax_mean'):.2f}   {took}",
-    ]
+        return f"classical / conformal rmse_m: online {ratios[0]:.1f}, with hindsight {ratios[1]:.1f}   {took}"
+    return f"classical / paper's system rmse_m: {_over(errors):.2f}; below 1 the regressor is the better one   {took}"
 
 
 def page_of(demo: DemoResults) -> ReportContent:
@@ -144,12 +140,15 @@ def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
             f"with hindsight, against {errors['classical']['rmse_m']:.2f} m for a regressor on the same features."
         )
     return (
-        f"Position RMSE of the paper's system, greedy reasoning included: {errors['greedy']['rmse_m']:.2f} m. "
-        f"A plain regressor on the same features, epochs and optimiser has {errors['plain']['rmse_m']:.2f} m "
-        f"({_over(errors, 'plain'):.2f} times), a tuned one {errors['classical']['rmse_m']:.2f} m "
-        f"({_over(errors, 'classical'):.2f} times), the means of the system's own softmaxes "
-        f"{errors['softmax_mean']['rmse_m']:.2f} m."
+        f"Position RMSE of the paper's system, greedy reasoning included: {errors['greedy']['rmse_m']:.3f} m. A "
+        f"regressor with the same features, epochs and settings has {errors['classical']['rmse_m']:.2f} m "
+        f"({_over(errors):.2f} times)."
     )
+
+
+def _over(errors: dict[str, dict[str, float]]) -> float:
+    """The regressor's error over that of the paper's system."""
+    return errors["classical"]["rmse_m"] / errors["greedy"]["rmse_m"]
 
 
 def _places_said(record: dict[str, Any]) -> str:
@@ -157,11 +156,6 @@ def _places_said(record: dict[str, Any]) -> str:
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
         f"same view, {record['n_places']} in all; the regions hold {100 * record['share_held']:.1f} % of them."
     )
-
-
-def _over(errors: dict[str, dict[str, float]], method: str) -> float:
-    """The error of a method over that of the paper's system."""
-    return errors[method]["rmse_m"] / errors["greedy"]["rmse_m"]
 
 
 def _telling_frame(demo: DemoResults) -> int:

@@ -69,7 +69,6 @@ RANGES = {
 # Options that have an effect only where another option has a certain value.
 _NEED: dict[str, tuple[str, Any, str]] = {
     "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
-    "workers": ("engine", lambda value: str(value) == "local", "--engine local"),
 }
 
 

@@ -52,7 +52,6 @@ VERBS = {
         "Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here.",
     ),
     "data": _Verb("data:app", "Look at a data set, or convert it."),
-    "reproduce": _Verb("reproduce:app", "The paper's results on a data set of your own.", "train"),
 }
 
 

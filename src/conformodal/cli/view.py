@@ -12,12 +12,12 @@ from conformodal.odometry import ResultsError
 
 from .console import console, kind_errors, say_line
 
-_PAGES = ("report.html", "table1.html")
+_PAGES = ("report.html",)
 
 
 @kind_errors
 def view(
-    results: Annotated[Path, typer.Argument(help="Folder of run, demo or reproduce, or a page.")],
+    results: Annotated[Path, typer.Argument(help="Folder of run or demo, or a page.")],
     browser: Annotated[bool, typer.Option(help="Open it; --no-browser only says where it is.")] = True,
 ) -> None:
     """Open the page of results."""

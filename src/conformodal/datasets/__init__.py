@@ -20,7 +20,7 @@ from .reading import Remark
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import read_sevenscenes
-from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split
+from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
 from .thumbnails import THUMBNAIL, thumbnail
 from .tum import read_tum_rgbd
 
@@ -54,4 +54,5 @@ __all__ = [
     "read_tum_rgbd",
     "recognise",
     "thumbnail",
+    "with_random_calibration",
 ]

@@ -9,7 +9,7 @@ frames that the data set's own lists name: its authors chose them, so neither re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import ceil
 
@@ -76,7 +76,7 @@ def make_split(
         they are: whole recordings of them calibrate if they have two or more, otherwise stretches do.
     used
         Share for training and calibration together; all but the test part by default. The test part is the same
-        whatever it is.
+        whatever it is. Where recordings are too few to leave some out, a stretch of each is taken.
     n_blocks
         Number of stretches that ``blocks`` cuts the sequence into, and ``given`` a lone training recording.
     given_test
@@ -106,10 +106,13 @@ def make_split(
     free, listed = _pieces(recording, kind, n_blocks, given_test)
     if kind is SplitKind.RECORDINGS and len(free) < 3:
         raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")
-    order = np.random.default_rng(seed).permutation(len(free))
-    n_test, n_calibration, n_used = _counts(len(free), kind, test, calibration, used)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(free))
+    n_test, n_calibration, n_used, share = _counts(len(free), kind, test, calibration, used)
     groups = np.split(order[: n_test + n_used], [n_test, n_test + n_calibration])
     chosen = [[free[i] for i in group] for group in groups]
+    if share < 1:
+        chosen[1:] = [[_shortened(frames, share, rng) for frames in group] for group in chosen[1:]]
     chosen[0] += listed
     if not all(chosen):
         raise SplitError(
@@ -169,8 +172,27 @@ def frames_to_known(split: Split, recording: IntArray) -> npt.NDArray[np.float64
     return distances
 
 
-def _counts(n: int, kind: SplitKind, test: float, calibration: float, used: float | None) -> tuple[int, int, int]:
-    """How many of n pieces test, how many calibrate, and how many calibrate or train."""
+def with_random_calibration(split: Split, share: float) -> Split:
+    """The same test part, with calibration frames drawn at random from training and calibration part together.
+
+    Parameters
+    ----------
+    split
+        Of any kind; an ``interleaved`` one is drawn so already, and stays as it is.
+    share
+        Of the calibration frames among the frames of both parts.
+    """
+    if split.kind is SplitKind.INTERLEAVED:
+        return split
+    both = np.random.default_rng(split.seed).permutation(np.concatenate((split.train, split.calibration)))
+    n = min(max(round(share * len(both)), 1), len(both) - 1)
+    return replace(split, train=np.sort(both[n:]), calibration=np.sort(both[:n]))
+
+
+def _counts(
+    n: int, kind: SplitKind, test: float, calibration: float, used: float | None
+) -> tuple[int, int, int, float]:
+    """How many of n pieces test, calibrate, and calibrate or train; and which share of each of the latter is used."""
     given = kind is SplitKind.GIVEN
     whole = n / (1 - test) if given else n  # the lists' test frames are not among the n
     n_test = 0 if given else round(test * whole)
@@ -180,7 +202,16 @@ def _counts(n: int, kind: SplitKind, test: float, calibration: float, used: floa
         n_test = n_test if given else min(max(n_test, 1), n - 2)
         n_calibration = min(max(n_calibration, 1), n - n_test - 1)
         n_used = n - n_test if used is None else min(max(n_used, n_calibration + 1), n - n_test)
-    return n_test, n_calibration, n_used
+    share = 1.0
+    if used is not None and n_used > round(used * whole):
+        share = used * whole / n_used
+    return n_test, n_calibration, n_used, share
+
+
+def _shortened(frames: IntArray, share: float, rng: np.random.Generator) -> IntArray:
+    n = max(1, round(share * len(frames)))
+    start = int(rng.integers(len(frames) - n + 1))
+    return frames[start : start + n]
 
 
 def _pieces(

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .exporting import exported, quantised, with_head
     from .heads import Head, Loss, fit_head, mean_squared_error, predict_values, soft_cross_entropy
     from .lite import NETWORKS, find_network
+    from .threads import limit_threads
     from .torch_backbone import TorchBackbone, backbone_config, pick_device
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "exported",
     "find_network",
     "fit_head",
+    "limit_threads",
     "mean_squared_error",
     "pick_device",
     "predict_values",
@@ -38,6 +40,7 @@ _find = late(
         **dict.fromkeys(("Head", "Loss", "fit_head", "mean_squared_error"), ".heads"),
         **dict.fromkeys(("predict_values", "soft_cross_entropy"), ".heads"),
         **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),
+        "limit_threads": ".threads",
         **dict.fromkeys(("TorchBackbone", "backbone_config", "pick_device"), ".torch_backbone"),
     },
 )

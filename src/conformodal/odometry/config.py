@@ -150,9 +150,10 @@ class ModelConfig:
         """The paper's system (Parente et al. 2024, sections 2 and 3) and nothing else.
 
         Features of the whole network, averaged over the image; one softmax a dimension, with one-hot labels; quantile
-        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself; no other source of poses,
-        no search and no smoother. What the paper leaves open is as elsewhere here: image size, a frozen network,
-        optimiser, epochs, and a hidden layer before the softmaxes. `settings` are the other attributes.
+        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself, on frames drawn at random
+        from the training data, whatever the split; no other source of poses, no search and no smoother. What the paper
+        leaves open is as elsewhere here: image size, a frozen network, optimiser, epochs, and a hidden layer before the
+        softmaxes. `settings` are the other attributes.
 
         Raises
         ------

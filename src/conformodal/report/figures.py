@@ -137,10 +137,8 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     axis = figure.subplots()
     styles = {"smoothed": ("-", COLOURS["smoothed"]), "classical": ("-", COLOURS["classical"])}
-    styles |= {"classical_smoothed": ("--", COLOURS["classical"]), "viterbi": ("--", COLOURS["smoothed"])}
-    styles |= {"online": ("-.", COLOURS["smoothed"])}
-    styles |= {"plain": ("-.", COLOURS["classical"])}
-    styles |= {"greedy": (":", COLOURS["alike"]), "softmax_mean": (":", COLOURS["truth"])}
+    styles |= {"viterbi": ("--", COLOURS["smoothed"]), "online": ("-.", COLOURS["smoothed"])}
+    styles |= {"greedy": (":", COLOURS["alike"])}
     share = (np.arange(len(truth)) + 1) / len(truth)
     for name, (line, colour) in styles.items():
         if name in trajectories:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from conformodal.core import needing
 from conformodal.core.files import write_whole
-from conformodal.odometry import Method
 
 from .templating import render_page
 from .viewer import Viewer
@@ -25,19 +24,8 @@ _LABELS = {
     "online": "conformal, online: each pose when its frame comes, as a robot gets it",
     "smoothed": "conformal, with hindsight: global search and smoothing (trajectory.tum)",
     "viterbi": "conformal, with hindsight: global search",
-    "greedy": "conformal: greedy choice among our own intervals",
-    "softmax_mean": "softmax mean, no reasoning",
-    "plain": "plain regressor",
-    "classical": "classical regressor",
-    "classical_smoothed": "classical regressor with the same smoother",
-}
-# Where the run is the paper's system's own.
-_PAPERS_LABELS = _LABELS | {
     "greedy": "the paper's system: its greedy answer",
-    "softmax_mean": "the paper's system without reasoning: softmax mean",
-    "plain": "plain regressor on the same features",
-    "classical": "tuned (classical) regressor on the same features",
-    "classical_smoothed": "tuned regressor with our smoother",
+    "classical": "classical regressor on the same features",
 }
 
 
@@ -82,9 +70,7 @@ def write_page(path: Path, content: ReportContent) -> None:
     for figure in content.figures:
         write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
     errors = content.metrics.get("errors") or {}
-    paper = content.metrics["configuration"].get("method") == Method.PAPER
-    labels = _PAPERS_LABELS if paper else _LABELS
-    ordered = [(label, errors[name]) for name, label in labels.items() if name in errors]
+    ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")
     image = None if content.image is None else (content.image[0], _data_url(content.image[1]))
     render_page(

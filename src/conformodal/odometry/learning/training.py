@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core import StageProgress, needing, stage_of
-from conformodal.datasets import Sequence, make_split
+from conformodal.datasets import Sequence, make_split, with_random_calibration
 from conformodal.localization import Localizer, PlaceNovelty, pose_targets
 from conformodal.poses import sign_reference
 from conformodal.reasoning import MotionPrior, fit_motion_prior
@@ -49,6 +49,8 @@ def prepare_training_data(
         used=config.used,
         given_test=sequence.given_test,
     )
+    if config.method is Method.PAPER:
+        split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
     size = sequence.camera.width, sequence.camera.height
     backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])

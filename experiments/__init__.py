@@ -1,0 +1,1 @@
+"""The paper's table and figures, and the baselines that stand beside them; not part of the package."""

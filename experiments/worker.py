@@ -1,0 +1,243 @@
+"""One task of table 1: a system and all its baselines are trained, and their errors measured at every noise."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import spearmanr
+
+from conformodal.conformal import Regions, SplitConformal
+from conformodal.core import FloatArray
+from conformodal.datasets import PixelNoise, Sequence
+from conformodal.localization import FrameEvidence, pose_targets
+from conformodal.odometry import (
+    Method,
+    MotionRecord,
+    OdometryRun,
+    PoseModel,
+    TrainingData,
+    as_trajectory,
+    error_table,
+    odometry_of,
+    prepare_training_data,
+    provenance,
+    rows_by_recording,
+    train_model,
+    whole_paths,
+    write_metrics,
+    write_run,
+)
+from conformodal.odometry.learning.plain import PlainRegressor, train_plain, trajectory_of
+from conformodal.poses import Trajectory, concatenate, normalise_quat
+from conformodal.reasoning import Candidates, greedy, interval_runs, softmax_mean
+from conformodal.vision import FeatureCache, extract_features
+
+from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
+from .conditions import ALPHA, TrainingTask, config_of, run_name
+from .regressors import TunedRegressor, train_tuned
+
+_Made = TypeVar("_Made")
+# Motions of this process's last tasks: they depend on test frames, noise and front end alone.
+_motions: dict[tuple[object, ...], MotionRecord] = {}
+_MOST_MOTIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedMethods:
+    """A trained system and all that is compared with it.
+
+    Attributes
+    ----------
+    model, plain, tuned, baselines
+        The system; regressors on the same features, with its settings and with searched ones; others by name.
+    cost
+        Of each method, by the name of its trajectory: seconds of training, and numbers trained or stored.
+    """
+
+    model: PoseModel
+    plain: PlainRegressor
+    tuned: TunedRegressor
+    baselines: dict[str, Baseline] = field(default_factory=dict)
+    cost: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+class Table1Worker:
+    """Computes tasks on one data set.
+
+    Parameters
+    ----------
+    sequence, cache
+        Frames with poses, and the cache of their features.
+    runs
+        Folder for the runs of seed 0, in the layout of ``conformodal run``: figures are drawn from them. None keeps
+        none.
+    """
+
+    def __init__(self, sequence: Sequence, cache: FeatureCache, runs: Path | None = None) -> None:
+        self.sequence, self.cache, self.runs = sequence, cache, runs
+
+    def __call__(self, task: TrainingTask) -> dict[str, Any]:
+        """Errors, coverage and cost, by noise; JSON."""
+        data = prepare_training_data(self.sequence, config_of(task), self.cache)
+        trained = train_all(task, data)
+        return {
+            "frames": {name: len(data.split.part(name)) for name in ("train", "calibration", "test")},
+            "tuned": asdict(trained.tuned.training),
+            "cost": trained.cost,
+            "noise": {f"{sigma:g}": self._tested(task, trained, sigma) for sigma in task.sigmas},
+        }
+
+    def _tested(self, task: TrainingTask, trained: TrainedMethods, sigma: float) -> dict[str, Any]:
+        noisy = replace(self.sequence, noise=PixelNoise(sigma, task.seed) if sigma else None)
+        model, odometry, test = trained.model, odometry_of(trained.model), trained.model.split.test
+        key = (task.data, task.method, task.split, task.seed, sigma)
+        if key not in _motions:
+            if len(_motions) >= _MOST_MOTIONS:
+                _motions.pop(next(iter(_motions)))
+            _motions[key] = odometry.measure_motions(noisy, test)
+        run = odometry.process(noisy, test, cache=self.cache, motions=_motions[key])
+        paths = [self.sequence.image_paths[i] for i in run.frames]
+        features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
+        truth, recording = self.sequence.require_truth()[run.frames], self.sequence.recording[run.frames]
+        add_trajectories(trained, run, features, recording)
+        if self.runs is not None and task.seed == 0:
+            place = self.runs / run_name(task.key, sigma)
+            write_run(place, run, [path.name for path in paths], truth)
+            write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": model.configuration})
+        return {
+            "errors": error_table(run.trajectories, truth),
+            "region": region_numbers(run, model, features, truth),
+            "n_unreliable": int(np.sum(~run.reliable)),
+        }
+
+
+def train_all(task: TrainingTask, data: TrainingData) -> TrainedMethods:
+    """Train what a task asks for."""
+    config = config_of(task)
+    model, model_s = _timed(partial(train_model, data, config))
+    plain, plain_s = _timed(partial(train_plain, data, config.training))
+    tuned, tuned_s = _timed(partial(train_tuned, data, config.training))
+    trained = TrainedMethods(model, plain, tuned)
+    stored = sum(v.size for s in model.localizer.sources for k, v in s.state().arrays.items() if k != "frames")
+    trained.cost["greedy" if task.method is Method.PAPER else "smoothed"] = _cost(model_s, stored)
+    trained.cost["plain"], trained.cost["tuned"] = (
+        _cost(seconds, n_numbers(regressor.head)) for regressor, seconds in ((plain, plain_s), (tuned, tuned_s))
+    )
+    for name in task.baselines:
+        baseline, seconds = _timed(partial(BASELINES[name].train, RegressionTask(data, tuned)))
+        trained.baselines[name], trained.cost[name] = baseline, _cost(seconds, baseline.n_parameters)
+    return trained
+
+
+def _cost(train_s: float, n_parameters: int) -> dict[str, float]:
+    return {"train_s": train_s, "n_parameters": n_parameters}
+
+
+def _timed(make: Callable[[], _Made]) -> tuple[_Made, float]:
+    started = time.perf_counter()
+    made = make()
+    return made, time.perf_counter() - started
+
+
+def add_trajectories(
+    trained: TrainedMethods, run: OdometryRun, features: npt.NDArray[np.float32], recording: npt.NDArray[np.int64]
+) -> None:
+    """Add the trajectories of all other methods to a run, which may hold several recordings.
+
+    Beside our system: ``landmarks``, each frame's most probable estimate by landmarks, and the softmax mean where it
+    has none; ``no_landmarks``, ours without local features; ``tuned_landmarks``, the tuned regressor's predictions and
+    the landmarks' estimates, through our search and smoother.
+    """
+    model, tuned, times = trained.model, trained.tuned, run.timestamps_s
+    beliefs = run.localization.beliefs
+    mean = softmax_mean(beliefs.proba, model.bins)
+    found = {
+        "softmax_mean": Trajectory(times, mean[:, :3], mean[:, 3:]),
+        "plain": trained.plain.trajectory(features, times),
+        "tuned": tuned.trajectory(features, times),
+    }
+    if model.method is not Method.PAPER:
+        pieces, estimates = rows_by_recording(recording), beliefs.estimates
+        intervals = interval_runs(model.localizer.marginals(beliefs), run.regions)
+        greedily = (greedy([intervals[t] for t in at], [run.motions[t] for t in at], times[at]) for at in pieces)
+        found["greedy"] = concatenate([as_trajectory(path) for path in greedily])
+        found["tuned_smoothed"] = tuned.smoothed(features, run, recording, model.prior)
+        for name, baseline in trained.baselines.items():
+            found[name] = trajectory_of(baseline.predict(features), times)
+        single = [
+            model.localizer.update(own, [its]).candidates
+            for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
+        ]
+        choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "tuned_landmarks": single}
+        for name, candidates in choices.items():
+            seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
+            found[name] = concatenate([whole_paths(part, model.prior)["smoothed"] for part in seen])
+        positions, quats = mean[:, :3].copy(), mean[:, 3:].copy()
+        for t, its in enumerate(estimates):
+            if its:
+                best = max(its, key=lambda one: (one.inlier_probability, one.n_inliers))
+                positions[t], quats[t] = best.position_xyz, best.orientation_quat_wxyz
+        found["landmarks"] = Trajectory(times, positions, quats)
+    run.trajectories |= found
+
+
+def _as_candidates(tuned: TunedRegressor, features: npt.NDArray[np.float32]) -> list[Candidates]:
+    """Predictions of the tuned regressor as candidates, one per frame."""
+    spread, angle = tuned.spread_m[None], np.array([tuned.spread_rad])
+    return [
+        Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1))
+        for v in tuned.predict(features)
+    ]
+
+
+def region_numbers(
+    run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], truth: Trajectory
+) -> dict[str, Any]:
+    """Coverage and size of the regions: of the whole pose as calibrated, and of each target at alpha as in the paper.
+
+    Under ``alone`` those of our system without local features.
+    """
+    targets = pose_targets(truth, model.sign_reference)
+    error = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
+
+    def numbers(regions: Regions, each: Regions) -> dict[str, Any]:
+        widths = np.array([e[-1] - e[0] for e in model.bins.edges_])  # stand for the length of the whole line
+        size = np.linalg.norm(np.minimum(regions.length, widths)[:, :3], axis=1)
+        length = np.minimum(each.length, widths).mean(axis=0) / targets.std(axis=0)
+        return {
+            "joint_coverage": float(regions.contains(targets, joint=True).mean()),
+            "unbounded": float(regions.unbounded.any(axis=1).mean()),  # which count as covered
+            "coverage": float(each.contains(targets).mean()),
+            "length": length.tolist(),
+            "intervals": float(each.n_intervals.mean()),
+            "size_error_rank_correlation": rank_correlation(size, error),
+        }
+
+    counts = {"n_calibration": model.n_calibration, "n_test": len(targets)}
+    if model.method is Method.PAPER:
+        return numbers(run.regions, run.regions) | counts
+
+    def each_at_alpha(beliefs: Any, *, local: bool) -> Regions:
+        rule = model.calibration_of(local=local)
+        single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
+        return model.regions(beliefs, np.tile(single.thresholds_, (len(beliefs), 1)))
+
+    plain = model.localize(FrameEvidence(features))
+    alone = numbers(plain.regions, each_at_alpha(plain.beliefs, local=False))
+    return numbers(run.regions, each_at_alpha(run.localization.beliefs, local=True)) | counts | {"alone": alone}
+
+
+def rank_correlation(one: FloatArray, other: FloatArray) -> float | None:
+    """Spearman's rank correlation of the finite pairs; None where either does not vary."""
+    there = np.isfinite(one) & np.isfinite(other)
+    a, b = one[there], other[there]
+    if len(a) < 2 or not np.ptp(a) or not np.ptp(b):
+        return None
+    return float(spearmanr(a, b).statistic)
