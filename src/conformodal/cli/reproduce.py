@@ -31,10 +31,11 @@ from conformodal.experiments.table1 import (
     write_parquet,
 )
 from conformodal.odometry import Method, ResultsError, data_digest, provenance, read_metrics, write_metrics
+from conformodal.odometry.results.folders import lock_output
 from conformodal.report import table1_markdown, table1_notes, table1_sections, write_comparison
 from conformodal.vision import FeatureCache, FineTuning, TrainingConfig
 
-from .arguments import Cache, Data, DataLayout, cache_folder, results_folder
+from .arguments import Cache, Data, DataLayout, cache_folder
 from .console import kind_errors, print_where, progress_bars, say_line
 from .figures import FigureWriter
 from .sources import open_sequence
@@ -221,7 +222,7 @@ def _earlier(out: Path) -> dict[str, Any]:
 @contextmanager
 def _opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterator[tuple[Sequence, FeatureCache]]:
     """The data set and the cache of features, with the folder of results to oneself."""
-    with results_folder(out, "reproduce", apart=[data]):
+    with lock_output(out, "reproduce", apart=[data]):
         features = FeatureCache(cache_folder(cache))
         yield open_sequence(data, layout, require_poses=True), features
 

@@ -29,6 +29,7 @@ from conformodal.odometry import (
     write_metrics,
 )
 from conformodal.odometry.quality import quality_record
+from conformodal.odometry.results.folders import lock_output
 from conformodal.vision import (
     BackboneConfig,
     FeatureCache,
@@ -37,7 +38,7 @@ from conformodal.vision import (
     VisionError,
 )
 
-from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder, results_folder
+from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
 from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
 from .model_notes import (
     distances,
@@ -169,7 +170,7 @@ def train(
     else:
         config = ModelConfig(**settings)
     check_fine_tuning(network, config.fine_tuning)
-    with results_folder(out, "train", apart=[data]):
+    with lock_output(out, "train", apart=[data]):
         cache_dir = cache_folder(cache)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
