@@ -45,7 +45,7 @@ def calibrate(
     ] = Sizing.NONE,
     metres_per_radian: Annotated[
         float | None,
-        typer.Option(min=0, help="Metres that weigh as much as one radian; the scene's depth by default."),
+        typer.Option(help="Metres that weigh as much as one radian; the scene's depth by default."),
     ] = None,
     follow_outside: FollowOutside = False,
     cache: Cache = None,

@@ -94,14 +94,13 @@ _Baselines = Annotated[
         help="Beside ours. default: those that take seconds to train; all: also networks, each with a search."
     ),
 ]
-_Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
+_Epochs = Annotated[int, typer.Option(help="Of every training.")]
 _Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, with commas between.")]
 _FineTune = Annotated[str, typer.Option(help="Also train the networks: last blocks (a number), 'all', or 'none'.")]
 _EngineOption = Annotated[EngineKind, typer.Option("--engine", help="This machine, or a Ray cluster (extra 'ray').")]
 _Workers = Annotated[
     int | None,
     typer.Option(
-        min=1,
         help="Trainings at a time on this machine; they share its cores. 1 by default, 2 with --method paper.",
     ),
 ]
@@ -115,7 +114,7 @@ def table1(
     out: _Out,
     layout: DataLayout = Layout.AUTO,
     method: _SystemsOption = Systems.ALL,
-    seeds: Annotated[int, typer.Option(min=1, help="Repeats, each with a split and starts of its own.")] = 5,
+    seeds: Annotated[int, typer.Option(help="Repeats, each with a split and starts of its own.")] = 5,
     first_seed: Annotated[
         int, typer.Option("--first-seed", help="Seed of the first repeat; only runs of seed 0 are kept to draw.")
     ] = 0,

@@ -79,14 +79,14 @@ def run(
     match_every: Annotated[
         int | None,
         typer.Option(
-            min=1, help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
+            help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
         ),
     ] = None,
     budget_ms: Annotated[
         float | None,
         typer.Option(help="Milliseconds a frame may take: local features are matched where this leaves time for it."),
     ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
+    limit: Annotated[int | None, typer.Option(help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
     save: Annotated[

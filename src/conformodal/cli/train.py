@@ -92,10 +92,8 @@ def train(
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
         ModelConfig.sigma_bins
     ),
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
-    dropout: Annotated[float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.")] = (
-        TrainingConfig.dropout
-    ),
+    epochs: Annotated[int, typer.Option(help="Passes over the training part.")] = TrainingConfig.epochs,
+    dropout: Annotated[float, typer.Option(help="Share of features dropped in training.")] = (TrainingConfig.dropout),
     test: Annotated[
         float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
     ] = ModelConfig.test,
@@ -126,9 +124,7 @@ def train(
     fine_tune: Annotated[
         str, typer.Option(help="Also train the network: its last blocks (a number), 'all', or 'none'.")
     ] = "none",
-    fine_tune_epochs: Annotated[int, typer.Option(min=1, help="Passes over the training images.")] = (
-        FineTuning().epochs
-    ),
+    fine_tune_epochs: Annotated[int, typer.Option(help="Passes over the training images.")] = (FineTuning().epochs),
     sources: Annotated[
         str,
         typer.Option(help="Pose sources that the belief is made of, in order, separated by commas."),

@@ -63,6 +63,8 @@ def check_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(bytes(_PROBE_BYTES))
             probe.flush()
+    except (FileExistsError, NotADirectoryError) as exc:
+        raise FolderError(f"{folder}: is not a folder, or lies below a file") from exc
     except (OSError, ValueError) as exc:  # a null byte in the name is a ValueError
         raise FolderError(f"{folder}: cannot be written: {getattr(exc, 'strerror', None) or exc}") from exc
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from conformodal.core.ranges import check_ranges
+
 from .errors import VisionError
 
 
@@ -21,6 +23,11 @@ class TrainingConfig:
         Of the projection, see :func:`~conformodal.vision.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
+
+    Raises
+    ------
+    VisionError
+        If a number is out of range.
     """
 
     epochs: int = 100
@@ -32,6 +39,9 @@ class TrainingConfig:
     input_dropout: float | None = None
     components: int | None = 256
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(vars(self), VisionError)
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,4 @@ class FineTuning:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if (self.blocks is not None and self.blocks < 1) or min(self.epochs, self.batch_size) < 1:
-            raise VisionError(f"fine-tuning needs at least one block, epoch and image a step, got {self}")
-        if not self.learning_rate > 0:
-            raise VisionError(f"learning_rate must be positive, got {self.learning_rate}")
+        check_ranges(vars(self), VisionError)
