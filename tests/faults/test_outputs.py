@@ -106,7 +106,7 @@ def test_folders_that_cannot_be_written_are_refused_before_the_work(small_world,
         monkeypatch.setattr("conformodal.cli.data.open_sequence", None)  # not reached
         result = invoke("data", "check", small_world.folder, "--out", tmp_path / name)
         assert result.exit_code == 2, result.output
-        assert len(result.stderr.splitlines()) == 1
+        assert "\0" in name or len(result.stderr.splitlines()) == 1  # Click refuses null bytes itself
     else:
         with pytest.raises(FolderError), lock_output(tmp_path / name, "run"):
             pass
@@ -401,7 +401,8 @@ def test_a_command_that_is_refused_changes_nothing(world, monkeypatch, command):
     before = everything(world)
     result = invoke(*command.split())
     assert result.exit_code == 2, result.output
-    assert result.stderr.splitlines()[-1].startswith("Error")
+    assert result.stderr.strip().startswith("error: ")
+    assert len(result.stderr.strip().splitlines()) == 1
     assert everything(world) == before
 
 
