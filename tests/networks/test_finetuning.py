@@ -137,7 +137,7 @@ def test_half_of_the_images_are_covered_in_part(monkeypatch):
 
 @pytest.mark.parametrize("settings", [{"blocks": 0}, {"epochs": 0}, {"learning_rate": 0.0}])
 def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(VisionError, match=r"at least one|positive"):
+    with pytest.raises(VisionError, match=next(iter(settings))):
         FineTuning(**settings)
 
 
