@@ -32,7 +32,7 @@ def test_blocks_are_contiguous_and_do_not_span_recordings():
     ("call", "match"),
     [
         (lambda: make_split(np.zeros(100, int), "random"), "interleaved"),
-        (lambda: make_split(np.zeros(100, int), "blocks", test=0.9, calibration=0.2), "shares"),
+        (lambda: make_split(np.zeros(100, int), "blocks", test=0.9, calibration=0.2), "leave something to train on"),
         (lambda: make_split(np.zeros(3, int), "interleaved"), "too few"),
     ],
 )

@@ -689,7 +689,7 @@ def test_splits_that_are_none_are_refused(settings):
 
 @pytest.mark.parametrize("settings", [{"sigma": NAN}, {"sigma": -1}, {"sigma": 0.1, "seed": -1}])
 def test_noise_that_is_none_is_refused(settings):
-    with pytest.raises(DatasetError, match="noise needs"):
+    with pytest.raises(DatasetError):
         PixelNoise(**settings)
 
 

@@ -57,8 +57,7 @@ def test_a_disk_that_fills_up_is_refused_and_earlier_results_stay(
     small_world, results, disk, monkeypatch, verb, kilobytes, looked
 ):
     if not looked:  # beforehand, so that the disk fills up in the middle of the work
-        monkeypatch.setattr(files, "_LEAST_FREE", 0)
-        monkeypatch.setattr(files, "_PROBE", 1)
+        monkeypatch.setattr(files, "_PROBE_BYTES", 1)
     out = disk / "out"
     arguments = {
         "run": ["run", small_world.model, small_world.folder, "--part", "test", "--out", out],

@@ -21,7 +21,7 @@ from conformodal.odometry import (
     recordings_needed,
     save_model,
 )
-from conformodal.odometry.results.folders import claimed
+from conformodal.odometry.results.folders import lock_output
 from conformodal.vision import FeatureCache
 
 from .arguments import Cache, FollowOutside, cache_folder
@@ -45,7 +45,7 @@ def calibrate(
     ] = Sizing.NONE,
     metres_per_radian: Annotated[
         float | None,
-        typer.Option(min=0, help="Metres that weigh as much as one radian; the scene's depth by default."),
+        typer.Option(help="Metres that weigh as much as one radian; the scene's depth by default."),
     ] = None,
     follow_outside: FollowOutside = False,
     cache: Cache = None,
@@ -56,7 +56,7 @@ def calibrate(
     loaded = load_model(model)
     if loaded.method is Method.PAPER:
         raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
-    with claimed(model, "train", apart=[data]):
+    with lock_output(model, "train", apart=[data]):
         features = FeatureCache(cache_folder(cache))
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:

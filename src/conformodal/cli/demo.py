@@ -19,10 +19,10 @@ from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
 from conformodal.odometry import Method, ModelConfig, write_metrics
 from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
+from conformodal.odometry.results.folders import lock_output
 from conformodal.report import write_page
 from conformodal.vision import TrainingConfig
 
-from .arguments import results_folder
 from .console import console, kind_errors, print_where, progress_bars, say_line
 from .demo_outcome import DemoResults, answer_test_part
 from .demo_pages import page_of, ratios_said
@@ -49,7 +49,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
     started = time.perf_counter()
     config = _config(method, seed)
-    with results_folder(out, "demo"), progress_bars() as report:
+    with lock_output(out, "demo"), progress_bars() as report:
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
         outcome = answer_test_part(model, config, out, sequence, report)

@@ -26,7 +26,7 @@ from conformodal.odometry import (
     records_contain,
     write_metrics,
 )
-from conformodal.odometry.results.folders import check_belongs, claimed, result_digests, settle
+from conformodal.odometry.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.odometry.results.records import REGIONS, record_bounded
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
@@ -48,8 +48,8 @@ def evaluate(
     follow_outside: FollowOutside = False,
 ) -> None:
     """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
-    with writing_in(out), claimed(out / "evaluation", "evaluate"):
-        settle(out)
+    with writing_in(out), lock_output(out / "evaluation", "evaluate"):
+        recover(out)
         found = _read_results(out)
         true_poses = _read_truth(truth, layout, follow_outside=follow_outside)
         mine, theirs = associate(found.times, true_poses)

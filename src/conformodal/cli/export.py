@@ -14,7 +14,7 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
 from conformodal.localization import TARGET_NAMES, HeadSource
 from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
-from conformodal.odometry.results.folders import claimed
+from conformodal.odometry.results.folders import lock_output
 from conformodal.vision import FeatureCache, OnnxBackbone
 
 from .arguments import Cache, DataLayout, FollowOutside, SavedModel, cache_folder
@@ -49,7 +49,7 @@ def export(
     if (quantise == "int8") != (data is not None):
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
     loaded = load_model(model)
-    with claimed(out, "train", apart=[model] if data is None else [model, data]):
+    with lock_output(out, "train", apart=[model] if data is None else [model, data]):
         cache_dir = cache_folder(cache)
         if data is None:
             made = replace(loaded, backbone=_in_onnx(loaded, FeatureCache(cache_dir)))

@@ -35,11 +35,11 @@ from conformodal.odometry import (
     write_metrics,
     write_region_parquet,
 )
-from conformodal.odometry.results.folders import result_digests
+from conformodal.odometry.results.folders import lock_output, result_digests
 from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
-from .arguments import FollowOutside, SavedModel, results_folder
+from .arguments import FollowOutside, SavedModel
 from .console import StatusLine, kind_errors, print_where, said_strongly, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
@@ -79,14 +79,14 @@ def run(
     match_every: Annotated[
         int | None,
         typer.Option(
-            min=1, help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
+            help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
         ),
     ] = None,
     budget_ms: Annotated[
         float | None,
         typer.Option(help="Milliseconds a frame may take: local features are matched where this leaves time for it."),
     ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
+    limit: Annotated[int | None, typer.Option(help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
     save: Annotated[
@@ -96,7 +96,7 @@ def run(
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
     """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
-    with results_folder(out, "run", apart=[model, Path(source)]):
+    with lock_output(out, "run", apart=[model, Path(source)]):
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)

@@ -29,12 +29,13 @@ from conformodal.odometry import (
     write_metrics,
 )
 from conformodal.odometry.quality import quality_record
+from conformodal.odometry.results.folders import lock_output
 from conformodal.vision import (
     FeatureCache,
     TrainingConfig,
 )
 
-from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder, results_folder
+from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
 from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
 from .model_notes import (
     distances,
@@ -87,10 +88,8 @@ def train(
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
         ModelConfig.sigma_bins
     ),
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
-    dropout: Annotated[float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.")] = (
-        TrainingConfig.dropout
-    ),
+    epochs: Annotated[int, typer.Option(help="Passes over the training part.")] = TrainingConfig.epochs,
+    dropout: Annotated[float, typer.Option(help="Share of features dropped in training.")] = (TrainingConfig.dropout),
     test: Annotated[
         float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
     ] = ModelConfig.test,
@@ -158,7 +157,7 @@ def train(
     else:
         config = ModelConfig(**settings)
     _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
-    with results_folder(out, "train", apart=[data]):
+    with lock_output(out, "train", apart=[data]):
         cache_dir = cache_folder(cache)
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:

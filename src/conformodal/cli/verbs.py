@@ -12,6 +12,7 @@ from typer.main import get_command
 from conformodal.core import MissingPackageError, needing
 
 from .failures import explained
+from .options import range_of
 
 
 class _Verb(NamedTuple):
@@ -78,11 +79,22 @@ class _Late(TyperCommand):
             app.command(self.name)(found)
         command = get_command(app)
         command.name = self.name
+        _add_ranges(command)
         return command
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """The loaded command's: from here on it is the one that runs."""
         return self.loaded().make_context(*arguments, **options)
+
+
+def _add_ranges(command: Any) -> None:
+    """Have the help of each option that is a number end with its range."""
+    for option in command.params:
+        allowed = range_of(option.name)
+        if allowed is not None:
+            option.help = f"{(option.help or '').rstrip('. ')}: {allowed}."
+    for each in getattr(command, "commands", {}).values():
+        _add_ranges(each)
 
 
 class Verbs(TyperGroup):

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import FloatArray, IntArray
+from conformodal.core.ranges import RANGES
 
 from .blocks import for_blocks
 from .checks import as_doubles, as_targets
@@ -20,8 +21,7 @@ _CONSTANT_HALF_WIDTH = 1e-6
 _TABLE_CELLS = 16_384
 # least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
-# bins of a target; probabilities of a thousand samples over as many take 0.8 GB
-_MOST_BINS = 100_000
+_MOST_BINS = int(RANGES["n_bins"].high)
 
 
 class QuantileBins:

@@ -1,11 +1,9 @@
-"""Atomic writes of files, and locks on folders that one process writes at a time; the standard library alone."""
+"""Files that are written whole or not at all, and folders that one process writes at a time."""
 
 from __future__ import annotations
 
 import errno
 import os
-import shutil
-import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -13,22 +11,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import ConformodalError
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from .extras import needing
 
 LOCK, PART = ".lock", ".conformodal-part"
-_LEAST_FREE, _PROBE = 1 << 20, 1 << 16  # bytes
-_BUSY = (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK)
-# Locks of this process by their files: which thread has them, and how often.
-_held: dict[Path, tuple[int, int]] = {}
-_guard = threading.Lock()
+_PROBE_BYTES = 1 << 20
+_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)  # some network drives
 
 
 class FolderError(ConformodalError):
-    """A folder to write in that cannot be used: no folder, not writable, in use, or with something else in it."""
+    """A folder to write in that cannot be used: not a folder, not writable, in use, or with something else in it."""
 
 
 class FolderInUseError(FolderError):
@@ -60,32 +51,22 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_writable(folder: Path) -> None:
-    """Make a folder if it is missing, and write to it for a test.
+    """Make a folder if it is missing, and test that a megabyte can be written in it.
 
     Raises
     ------
     FolderError
-        If it is no folder, cannot be made or written, or its disk is full.
+        If it is not a folder, cannot be made or written, or its disk is full.
     """
     try:
-        for place in (folder, *folder.parents):
-            if place.exists() or place.is_symlink():
-                if not place.is_dir():
-                    raise FolderError(f"{folder}: must be a folder, but {place} is a file or a broken link")
-                break
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(bytes(_PROBE))
+            probe.write(bytes(_PROBE_BYTES))
             probe.flush()
-        free = shutil.disk_usage(folder).free
-    except OSError as exc:
-        raise FolderError(f"{folder}: cannot be written: {exc.strerror}") from exc
-    except ConformodalError:
-        raise
-    except ValueError as exc:  # a null byte
-        raise FolderError(f"{str(folder)!r}: is no name of a folder: {exc}") from exc
-    if free < _LEAST_FREE:
-        raise FolderError(f"{folder}: the disk is full: {free} bytes are free, at least {_LEAST_FREE} are needed")
+    except (FileExistsError, NotADirectoryError) as exc:
+        raise FolderError(f"{folder}: is not a folder, or lies below a file") from exc
+    except (OSError, ValueError) as exc:  # a null byte in the name is a ValueError
+        raise FolderError(f"{folder}: cannot be written: {getattr(exc, 'strerror', None) or exc}") from exc
 
 
 @contextmanager
@@ -101,7 +82,9 @@ def writing_in(folder: Path) -> Iterator[None]:
     FolderError
         See :func:`check_writable`.
     """
-    made = _missing(folder)
+    made: list[Path] = []
+    with suppress(OSError, ValueError):
+        made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         check_writable(folder)
         with locked(folder / LOCK):
@@ -112,13 +95,6 @@ def writing_in(folder: Path) -> Iterator[None]:
         for place in made:
             with suppress(OSError, ValueError):
                 place.rmdir()
-
-
-def _missing(folder: Path) -> list[Path]:
-    try:
-        return [place for place in (folder, *folder.parents) if not place.exists()]
-    except (OSError, ValueError):
-        return []
 
 
 @contextmanager
@@ -132,66 +108,25 @@ def locked(file: Path) -> Iterator[None]:
     FolderInUseError
         If another process or thread holds it.
     """
-    key, me = file.absolute(), threading.get_ident()
-    with _guard:
-        thread, count = _held.get(key, (me, 0))
-        if thread != me:
-            raise FolderInUseError(f"{file.parent}: another thread of this process is writing there")
-        handle = None if count else _take(file)
-        _held[key] = (me, count + 1)
+    with needing("run", "locking a folder"):
+        from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra
+
+    lock = FileLock(file.absolute(), timeout=0, is_singleton=True)
+    try:
+        lock.acquire()
+        file.write_text(f"{os.getpid()}\n", encoding="ascii")
+    except Timeout:
+        holder = file.read_text(encoding="ascii", errors="replace").strip() if file.is_file() else ""
+        who = f"process {holder}" if holder.isdecimal() else "another process"
+        raise FolderInUseError(f"{file.parent}: in use by {who}; wait, or name another folder") from None
+    except OSError as exc:
+        lock.release()
+        if exc.errno not in _NO_LOCKS:
+            raise FolderError(f"{file.parent}: cannot be locked: {exc.strerror}") from exc
     try:
         yield
     finally:
-        with _guard:
-            _held[key] = (me, _held[key][1] - 1)
-            if handle is not None:
-                del _held[key]
-                with suppress(OSError):  # no other process holds it: one that opened it earlier compares the file again
-                    file.unlink()
-                os.close(handle)
-
-
-def _take(file: Path) -> int:
-    while True:
-        try:
-            handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as exc:
-            raise FolderError(f"{file.parent}: cannot be locked: {exc.strerror}") from exc
-        try:
-            _lock(handle)
-            same = os.path.samestat(os.fstat(handle), file.stat())
-            if same:
-                os.ftruncate(handle, 0)
-                os.write(handle, f"{os.getpid()}\n".encode())
-                return handle
-        except FileNotFoundError:  # the process that held the lock has just removed the file
-            pass
-        except OSError as exc:
-            os.close(handle)
-            if exc.errno in _BUSY:
-                raise FolderInUseError(f"{file.parent}: in use by {_holder(file)}; wait, or take another one") from None
-            raise FolderError(f"{file.parent}: cannot be locked: {exc.strerror}") from exc
-        os.close(handle)
-
-
-def _holder(file: Path) -> str:
-    try:
-        number = file.read_text(encoding="ascii", errors="replace").strip()
-    except OSError:
-        number = ""
-    return f"process {number}" if number.isdecimal() else "another process"
-
-
-if sys.platform == "win32":
-
-    def _lock(handle: int) -> None:
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-
-else:
-
-    def _lock(handle: int) -> None:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as exc:
-            if exc.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):  # a disk that knows no locks
-                raise
+        if lock.lock_counter == 1:  # still held, so that no other process can lock a file that is gone
+            with suppress(OSError):
+                file.unlink()
+        lock.release()

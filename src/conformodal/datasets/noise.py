@@ -8,6 +8,8 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.ranges import check_ranges
+
 from .errors import DatasetError
 
 
@@ -34,8 +36,7 @@ class PixelNoise:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sigma) and self.sigma >= 0):
             raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
-        if self.seed < 0:
-            raise DatasetError(f"noise needs a seed of at least 0, got {self.seed}")
+        check_ranges({"seed": self.seed}, DatasetError)
 
     def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import BoolArray, IntArray
+from conformodal.core.ranges import check_ranges, check_shares
 from conformodal.core.words import counted, noun_for
 
 from .errors import SplitError
@@ -94,15 +95,9 @@ def make_split(
         kind = SplitKind(kind)
     except ValueError:
         raise SplitError(f"split must be one of {[str(k) for k in SplitKind]}, got {kind!r}") from None
-    if not (test > 0 and calibration > 0 and test + calibration < 1):
-        raise SplitError(f"test ({test}) and calibration ({calibration}) must be positive shares that leave training")
-    if used is not None and not calibration < used <= 1 - test + 1e-9:
-        raise SplitError(
-            f"used ({used}) must be more than calibration ({calibration}), and with test ({test}) at most 1"
-        )
-    for name, value, least in (("seed", seed, 0), ("n_blocks", n_blocks, 1)):
-        if not isinstance(value, (int, np.integer)) or value < least:
-            raise SplitError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    settings = {"test": test, "calibration": calibration, "used": used, "seed": seed, "n_blocks": n_blocks}
+    check_ranges(settings, SplitError)
+    check_shares(test, calibration, used, SplitError)
     free, listed = _pieces(recording, kind, n_blocks, given_test)
     if kind is SplitKind.RECORDINGS and len(free) < 3:
         raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")

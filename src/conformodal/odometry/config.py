@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, Self
 
-from conformodal.conformal import ConformalError, QuantileBins
+from conformodal.conformal import QuantileBins
 from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.core import needing
+from conformodal.core.ranges import check_ranges, check_shares
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
 from conformodal.vision import TrainingConfig
@@ -124,6 +125,8 @@ class ModelConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
     def __post_init__(self) -> None:
+        check_ranges(vars(self), OdometryError)
+        check_shares(self.test, self.calibration, self.used, OdometryError)
         as_alpha(self.alpha)
         as_joint(self.joint)
         resolve_score(self.score)
@@ -132,10 +135,6 @@ class ModelConfig:
             from conformodal.networks import find_network, pick_device  # noqa: PLC0415
         find_network(self.network)
         pick_device(self.device)
-        if not self.sigma_bins >= 0:
-            raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
-        if self.novelty_level is not None and not 0 <= self.novelty_level < 1:
-            raise OdometryError(f"novelty_level must be at least 0 and below 1, got {self.novelty_level}")
         if not self.sources or len(set(self.sources)) < len(self.sources):
             raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
         for name in self.sources:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import IntArray, StageProgress
+from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Sequence
 from conformodal.localization import FrameEvidence, LocalFeatures, extract_local_features, recognised_only
 from conformodal.motion import MotionFrontEnd
@@ -66,8 +67,7 @@ class VisualOdometry(Odometry):
     def __init__(
         self, model: PoseModel, lag: int = LAG, match_every: int = 1, budget_ms: float | FrameBudget | None = None
     ) -> None:
-        if match_every < 1:
-            raise OdometryError(f"match_every must be at least 1, got {match_every}")
+        check_ranges({"match_every": match_every}, OdometryError)
         if model.method is Method.PAPER:
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model

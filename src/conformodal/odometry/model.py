@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.conformal.checks import Alpha
+from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Split
 from conformodal.localization import (
     Beliefs,
@@ -179,8 +180,7 @@ class PoseModel:
         OdometryError
             If `level` is negative, or 1 or more.
         """
-        if not 0 <= level < 1:
-            raise OdometryError(f"novelty level must be at least 0 and below 1, got {level}")
+        check_ranges({"novelty_level": level}, OdometryError)
         self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:

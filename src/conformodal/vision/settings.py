@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from conformodal.core.ranges import check_ranges
+
+from .errors import VisionError
+
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -19,6 +23,11 @@ class TrainingConfig:
         Of the projection, see :func:`~conformodal.vision.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
+
+    Raises
+    ------
+    VisionError
+        If a number is out of range.
     """
 
     epochs: int = 100
@@ -30,3 +39,6 @@ class TrainingConfig:
     input_dropout: float | None = None
     components: int | None = 256
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(vars(self), VisionError)

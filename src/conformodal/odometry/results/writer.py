@@ -17,7 +17,7 @@ from conformodal.poses import RelativeMotion, Trajectory, tum_lines
 
 from ..paths import METHODS
 from ..region_rules import EvidenceKind
-from .folders import UNFINISHED, claimed, discard, holds_results, replace_results
+from .folders import UNFINISHED, discard, holds_results, lock_output, replace_results
 from .records import REGIONS, TRAJECTORY, TRUTH, region_record
 
 
@@ -53,7 +53,7 @@ class ResultsWriter:
         self._open: dict[str, TextIO] = {}
         self._n_regions = 0
         self._claim = ExitStack()
-        self._claim.enter_context(claimed(folder, command))
+        self._claim.enter_context(lock_output(folder, command))
         try:
             if holds_results(folder):
                 self.place = folder / UNFINISHED
