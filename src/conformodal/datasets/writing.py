@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 
@@ -78,7 +79,7 @@ class Written:
 
 def write_layout(
     folder: Path,
-    layout: Layout,
+    layout: Layout | str,
     stream: FrameStream,
     camera: PinholeCamera,
     poses: Trajectory | None,
@@ -117,6 +118,7 @@ def write_layout(
         If the folder holds something, the layout cannot be written or cannot say such a lens, several recordings or no
         poses, a name would be used twice, or nothing is left to write.
     """
+    layout = as_member(layout, Layout, "layout", DatasetError)
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
     if binary and layout is not Layout.COLMAP:

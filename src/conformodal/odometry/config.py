@@ -12,6 +12,7 @@ from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.core import needing
+from conformodal.core.choices import as_member
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
 from conformodal.vision import FineTuning, TrainingConfig
@@ -127,6 +128,8 @@ class ModelConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
     def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            object.__setattr__(self, name, as_member(getattr(self, name), choices, name, OdometryError))
         as_alpha(self.alpha)
         as_joint(self.joint)
         resolve_score(self.score)
@@ -166,6 +169,12 @@ class ModelConfig:
         return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
 
 
+_CHOICES: dict[str, type[StrEnum]] = {
+    "method": Method,
+    "split": SplitKind,
+    "calibrate_on": Calibration,
+    "runtime": Runtime,
+}
 # What the paper's system is: other values of these are not the paper's.
 _PAPER: dict[str, Any] = {
     "margin": 0.0,
@@ -194,10 +203,6 @@ def config_of(record: Mapping[str, Any]) -> ModelConfig:
     """
     kept = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
     kinds: dict[str, Callable[[Any], Any]] = {
-        "method": Method,
-        "split": SplitKind,
-        "calibrate_on": Calibration,
-        "runtime": Runtime,
         "sources": tuple,
         "training": lambda its: TrainingConfig(**its),
         "fine_tuning": lambda its: None if its is None else FineTuning(**its),

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from conformodal.core.choices import as_member
 from conformodal.datasets import Sequence, SplitKind
 from conformodal.odometry import (
     METRICS,
@@ -25,6 +26,7 @@ from conformodal.odometry import (
 )
 from conformodal.vision import FeatureCache, TrainingConfig
 
+from ..errors import ExperimentError
 from .conditions import ALPHA
 
 _N_BINS = (10, 50)
@@ -34,17 +36,18 @@ MODEL = "model"  # folder of a run's model
 def bin_runs(
     sequence: Sequence,
     folder: Path,
-    split: SplitKind,
+    split: SplitKind | str,
     epochs: int,
     cache: FeatureCache,
     progress: Callable[[str, int, int], None] | None = None,
     *,
-    method: Method = Method.CONFORMODAL,
+    method: Method | str = Method.CONFORMODAL,
 ) -> dict[int, Path]:
     """Runs on the test part with each number of bins, each target at alpha = 0.1 as in the paper.
 
     They are kept in `folder`, each with its model.
     """
+    method = as_member(method, Method, "method", ExperimentError)
     found = {}
     motions: MotionRecord | None = None  # both have the same test frames
     for k in _N_BINS:
@@ -66,7 +69,7 @@ def bin_runs(
     return found
 
 
-def _config(method: Method, split: SplitKind, n_bins: int, training: TrainingConfig) -> ModelConfig:
+def _config(method: Method, split: SplitKind | str, n_bins: int, training: TrainingConfig) -> ModelConfig:
     settings: dict[str, Any] = {"split": split, "n_bins": n_bins, "alpha": ALPHA, "training": training}
     if method is Method.PAPER:
         return ModelConfig.paper(**settings)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from conformodal.core.choices import as_member
 from conformodal.datasets import SplitKind
 from conformodal.odometry import Method, ModelConfig
 from conformodal.vision import FineTuning, TrainingConfig
@@ -120,6 +121,10 @@ class TrainingTask:
     fine_tuning: FineTuning | None = None
     baselines: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "method", as_member(self.method, Method, "method", ExperimentError))
+        object.__setattr__(self, "split", as_member(self.split, SplitKind, "split", ExperimentError))
+
     @property
     def key(self) -> str:
         """File name of the result."""
@@ -162,7 +167,7 @@ def tasks_of(
             epochs,
             data,
             None if fine_tuning is None else replace(fine_tuning, seed=seed),
-            () if method is Method.PAPER else tuple(baselines),
+            () if method == Method.PAPER else tuple(baselines),
         )
         for method in methods
         for split in splits
