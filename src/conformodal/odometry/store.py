@@ -207,7 +207,7 @@ def _assemble(
     return PoseModel(
         backbone=backbone,
         localizer=Localizer(sources, bins, arrays["sign_reference"]),
-        novelty=_novelty(arrays),
+        novelty=_novelty(arrays, backbone.config.grid),
         rules=_rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays),
         prior=_prior(record["prior"]),
         camera=_camera(record["camera"]),
@@ -248,10 +248,10 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
 
 
-def _novelty(arrays: dict[str, npt.NDArray[Any]]) -> PlaceNovelty | None:
+def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
-    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]))
+    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), grid)
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:

@@ -97,7 +97,8 @@ def train_model(
     if config.method is Method.PAPER:  # which has no test for novelty
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
     else:
-        novelty = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
+        known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
+        novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         rules = calibrate_regions(sources, folds, localizers, novelty, config)
     return PoseModel(
         backbone=data.backbone,
