@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
 from enum import StrEnum
 
 from conformodal.core.choices import as_member
@@ -22,7 +22,7 @@ class Pace(StrEnum):
     CAMERA = "camera"
 
 
-def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Iterator[Frame]:
+def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Generator[Frame]:
     """Frames of a stream, decoded ahead.
 
     Parameters
