@@ -11,11 +11,12 @@ from conformodal.conformal import ConformalError, QuantileBins
 from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
-from conformodal.core import needing
 from conformodal.core.choices import as_member
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
+from conformodal.networks.lite import check_network
 from conformodal.vision import FineTuning, TrainingConfig
+from conformodal.vision.settings import check_device
 
 from .errors import OdometryError
 
@@ -134,10 +135,8 @@ class ModelConfig:
         as_joint(self.joint)
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
-        with needing("train", "training"):
-            from conformodal.networks import find_network, pick_device  # noqa: PLC0415
-        find_network(self.network)
-        pick_device(self.device)
+        check_network(self.network)
+        check_device(self.device)
         if not self.sigma_bins >= 0:
             raise ConformalError(f"sigma_bins must be at least 0, got {self.sigma_bins}")
         if self.novelty_level is not None and not 0 <= self.novelty_level < 1:

@@ -36,11 +36,15 @@ def prepare_training_data(
         If a part would be empty, or the sequence has not the recordings or lists that the split needs.
     ImageError
         If an image cannot be read; names the file.
+    VisionError
+        If the device is not there.
+    MissingPackageError
+        If what training needs is not installed.
     """
     with needing("train", "training"):
         from conformodal.networks import TorchBackbone, backbone_config, exported, fine_tune, pick_device, quantised  # noqa: PLC0415
 
-    truth = sequence.require_truth()
+    device, truth = pick_device(config.device), sequence.require_truth()
     split = make_split(
         sequence.recording,
         config.split,
@@ -54,7 +58,7 @@ def prepare_training_data(
     backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
-    backbone.to(pick_device(config.device))
+    backbone.to(device)
     if config.fine_tuning is not None:
         bins = QuantileBins(config.n_bins, config.margin).fit(targets[split.train])
         backbone = fine_tune(
