@@ -25,7 +25,8 @@ def p_values(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, np.ndar
     sequence, flights = corridor_flights(seed, scratch)
     data = prepare_training_data(sequence, ModelConfig(seed=seed, alpha=ALPHA), cache)
     folds = make_folds(sequence, data.split)
-    known = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
+    frames = folds.region_frames
+    known = PlaceNovelty.fit(data.features[frames], folds.pieces[frames], data.backbone.config.grid)
     assert known is not None
     found = {"known place: the test part": known.p_values(data.features[data.split.test])}
     for name, flight in flights.items():

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from conformodal.core.choices import as_member
 from conformodal.datasets import SplitKind
 from conformodal.odometry import Method, ModelConfig
 from conformodal.vision import TrainingConfig
@@ -116,6 +117,10 @@ class TrainingTask:
     epochs: int
     data: str
     baselines: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "method", as_member(self.method, Method, "method", ExperimentError))
+        object.__setattr__(self, "split", as_member(self.split, SplitKind, "split", ExperimentError))
 
     @property
     def key(self) -> str:

@@ -1,11 +1,13 @@
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
+from conformodal.localization import LandmarkSource
 from conformodal.networks import TorchBackbone
 from conformodal.odometry import load_model, save_model
 from conformodal.vision import OnnxBackbone
@@ -15,28 +17,63 @@ def invoke(*arguments):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
+def size_of(folder):
+    return sum(path.stat().st_size for path in folder.iterdir())
+
+
+def runtime_of(folder):
+    return json.loads(invoke("info", folder, "--json").stdout)["runtime"]
+
+
 @pytest.fixture
 def in_torch(small_world, tmp_path):
     """The small model with its network in torch."""
     model = load_model(small_world.model)
     model.backbone = TorchBackbone(model.backbone.config)
+    model.configuration = {**model.configuration, "runtime": "torch"}
     save_model(model, tmp_path / "torch")
     assert not list((tmp_path / "torch").glob("*.onnx"))
     return tmp_path / "torch"
 
 
 def test_a_model_in_torch_is_exported(small_world, in_torch, tmp_path):
-    result = invoke("export", in_torch, "--out", tmp_path / "out", "--cache", tmp_path / "cache")
+    result = invoke("export", in_torch, "--out", tmp_path / "out", "--cache", tmp_path / "cache", "--with-head")
     assert result.exit_code == 0, result.output
     made = load_model(tmp_path / "out")
     assert isinstance(made.backbone, OnnxBackbone)
     assert made.backbone.content == load_model(small_world.model).backbone.content
     assert (tmp_path / "out" / "pose_network.onnx").is_file()
     np.testing.assert_array_equal(made.calibration.scores_, load_model(in_torch).calibration.scores_)
+    runtimes = [
+        json.loads(invoke("info", folder, "--json").stdout)["runtime"] for folder in (in_torch, tmp_path / "out")
+    ]
+    assert runtimes == ["torch", "onnx"]
+    assert made.configuration["runtime"] == "onnx"
+
+
+def test_the_network_with_its_head_is_written_where_it_is_asked_for(small_world, tmp_path):
+    out = tmp_path / "out"
+    for options, there in ((["--with-head"], True), ([], False)):  # a file of an earlier export does not stay
+        assert invoke("export", small_world.model, "--out", out, *options).exit_code == 0
+        assert (out / "pose_network.onnx").exists() == there
+
+
+def test_a_head_that_the_model_lacks_is_said_before_anything_is_written(small_world, tmp_path):
+    model = load_model(small_world.model)
+    others = tuple(source for source in model.localizer.sources if source.name != "head")
+    save_model(replace(model, localizer=replace(model.localizer, sources=others)), tmp_path / "headless")
+    result = invoke("export", tmp_path / "headless", "--out", tmp_path / "out", "--with-head")
+    assert result.exit_code == 2
+    assert "--with-head" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path):
+def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path, monkeypatch):
+    def mapped_again(data, frames):
+        raise AssertionError("landmarks do not depend on the network")
+
+    monkeypatch.setattr(LandmarkSource, "fit", mapped_again)
     out = tmp_path / "int8"
     arguments = ["--out", out, "--cache", small_world.cache, "--quantise", "int8", "--data", small_world.folder]
     result = invoke("export", small_world.model, *arguments)
@@ -48,6 +85,10 @@ def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path):
     assert made.calibration.scores_.shape == whole.calibration.scores_.shape
     assert (made.calibration.scores_ != whole.calibration.scores_).any()
     assert json.loads((out / "metrics.json").read_text())["configuration"]["runtime"] == "int8"
+    for name, array in whole.landmarks.state().arrays.items():
+        np.testing.assert_array_equal(made.landmarks.state().arrays[name], array)
+    assert size_of(out) < size_of(small_world.model)
+    assert runtime_of(out) == "int8"
 
 
 @pytest.mark.parametrize("arguments", [("--quantise", "int8"), ("--data", "."), ("--quantise", "int4")])

@@ -204,3 +204,21 @@ def test_check_of_real_data(redkitchen, real_data):
     found = check_sequence(read_sequence(real_data("kitti", "sequences", "06")))
     assert (found.n_frames, found.n_poses, found.width) == (51, 51, 1226)
     assert found.findings == []
+
+
+def test_the_truth_is_searched_once_however_many_frames_there_are(tmp_path, monkeypatch):
+    searched = []
+    for n in (4, 12):
+        before, sort, sorts = scene(tmp_path / f"a{n}", n), np.argsort, []
+        with monkeypatch.context() as patched:
+            patched.setattr(np, "argsort", lambda *a, sort=sort, sorts=sorts, **k: sorts.append(1) or sort(*a, **k))
+            write_layout(tmp_path / f"b{n}", Layout.TUM, SequenceStream(before), before.camera, before.truth)
+        searched.append(len(sorts))
+    assert searched[0] == searched[1]
+
+
+def test_poses_out_of_order_reach_their_frames(tmp_path):
+    before = scene(tmp_path / "a")
+    shuffled = before.truth[np.array([3, 0, 5, 1, 4, 2])]
+    write_layout(tmp_path / "b", Layout.TUM, SequenceStream(before), before.camera, shuffled)
+    np.testing.assert_allclose(read_sequence(tmp_path / "b").truth.poses_se3, before.truth.poses_se3, atol=1e-6)

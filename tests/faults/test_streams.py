@@ -160,6 +160,20 @@ def test_time_does_not_go_back(model, images, plain, time):
     same(odometry.step(images[2], 0.2), plain[2])
 
 
+@pytest.mark.parametrize("time", [0.2, 0.15, 0.1, -1.0])
+@pytest.mark.parametrize("unusable", [None, np.zeros((3, 3), np.uint8)], ids=["no image", "another size"])
+def test_time_does_not_go_back_after_a_frame_that_could_not_be_used(model, images, plain, unusable, time):
+    odometry = VisualOdometry(model)
+    for k in (0, 1):
+        same(odometry.step(images[k], 0.1 * k), plain[k])
+    assert odometry.step(unusable, 0.2).pose is None
+    with pytest.raises(OdometryError, match=r"increase: .* s follows 0\.2 s"):
+        odometry.step(images[2], time)
+    assert odometry.step(images[2], 0.25).pose is not None
+    odometry.reset()
+    same(odometry.step(images[0], 0.0), plain[0])
+
+
 BLANK = {
     "black": np.zeros((H, W, 3), np.uint8),
     "white": np.full((H, W, 3), 255, np.uint8),

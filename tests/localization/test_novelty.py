@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from conformodal.datasets import read_sevenscenes
+from conformodal.datasets import THUMBNAIL, read_sevenscenes
 from conformodal.localization import FrameEvidence, PlaceNovelty
 from conformodal.odometry import EvidenceKind, OdometryError, VisualOdometry, load_model, save_model
-from conformodal.vision import FeatureCache, coarse_features, extract_features
+from conformodal.vision import FeatureCache, OnnxBackbone, VisionError, coarse_features, extract_features
 
 SOMETHING_ELSE = {
     "noise": np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8),
@@ -125,7 +125,7 @@ def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
     found = blind.localize(FrameEvidence(features))
     np.testing.assert_array_equal(found.known_p, np.nan)
     assert found.known.all()
-    assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64)) is None
+    assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64), model.novelty.grid) is None
 
 
 def test_images_that_are_not_known_have_the_whole_space(model, features):
@@ -137,6 +137,58 @@ def test_images_that_are_not_known_have_the_whole_space(model, features):
 
 
 def test_descriptors_are_means_of_four_cells_each(model, features):
-    found = coarse_features(features[:3])
+    found = coarse_features(features[:3], model.backbone.config.grid)
     network = features[:3, : found.shape[1] * 4]
     np.testing.assert_allclose(found.mean(axis=1), network.mean(axis=1), rtol=1e-4)
+
+
+GRID = (6, 8)
+
+
+def made_features(rng, n, grid=GRID, channels=4):
+    """Features of n pictures that are not like each other, rounded as a backbone rounds them."""
+    made = rng.normal(size=(n, channels * grid[0] * grid[1] + THUMBNAIL[0] * THUMBNAIL[1]))
+    return made.astype(np.float16).astype(np.float32)
+
+
+@pytest.mark.parametrize("n", [99, 700])
+def test_a_camera_that_stands_still_sees_what_is_known(n):
+    picture = made_features(np.random.default_rng(0), 1)
+    known = PlaceNovelty.fit(np.repeat(picture, n, axis=0), np.arange(n), GRID)
+    assert known.p_values(picture) == 1
+    np.testing.assert_array_equal(known.p_values(np.repeat(picture, 300, axis=0)), 1)
+
+
+def test_repeated_pictures_keep_the_guarantee():
+    rng, level, n = np.random.default_rng(1), 0.05, 60
+    pictures = made_features(rng, 8)
+    found = []
+    for _ in range(300):
+        drawn = rng.integers(0, len(pictures), n + 1)
+        known = PlaceNovelty.fit(pictures[drawn[:-1]], np.arange(n), GRID)
+        found.append(known.p_values(pictures[drawn[-1:]])[0] <= level)
+    assert sum(found) <= stats.binom.ppf(0.999, len(found), level)
+
+
+@pytest.mark.parametrize("grid", [(3, 4), (12, 4), (1, 1), (5, 7)])
+def test_the_descriptor_follows_the_grid_of_its_network(grid):
+    rows, columns = grid
+    features = made_features(np.random.default_rng(2), 5, grid)
+    found = coarse_features(features, grid)
+    maps = features[:, : 4 * rows * columns].reshape(5, 4, rows, columns)
+    expected = [
+        maps[:, :, i : i + 2, j : j + 2].mean(axis=(2, 3)) for i in range(0, rows, 2) for j in range(0, columns, 2)
+    ]
+    np.testing.assert_allclose(found, np.stack(expected, axis=2).reshape(5, -1), rtol=1e-5, atol=1e-6)
+
+
+def test_a_stored_test_has_the_grid_of_its_network(model, tmp_path):
+    other = replace(model.backbone.config, grid=(12, 4))  # as many cells as the default
+    moved = replace(model, backbone=OnnxBackbone(other, model.backbone.content))
+    save_model(moved, tmp_path)
+    assert load_model(tmp_path).novelty.grid == (12, 4)
+
+
+def test_features_that_no_map_of_the_grid_has_are_refused():
+    with pytest.raises(VisionError, match="7 by 9"):
+        coarse_features(made_features(np.random.default_rng(3), 2), (7, 9))

@@ -230,3 +230,14 @@ def test_the_layout_of_foxglove_names_topics_that_there_are():
     panels = set(layout["configById"])
     placed = {word for word in json.dumps(layout["layout"]).replace('"', "\n").splitlines() if "!" in word}
     assert placed == panels
+
+
+def test_a_recording_without_a_frame_leaves_an_earlier_one_alone(make_estimate, tmp_path):
+    path = tmp_path / "run.mcap"
+    with_one = BagWriter(path)
+    with_one.log(Frame("a", 1.5, None), make_estimate(1.5))
+    with_one.close()
+    before = path.read_bytes()
+    BagWriter(path).close()
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]

@@ -216,3 +216,11 @@ def test_stamps_and_frames(make_estimate):
 def test_times_that_ros_has_not_are_named(make_estimate, time_s):
     with pytest.raises(RosError, match="a time of ROS must lie within"):
         Conversion().messages(make_estimate(time_s))
+
+
+def test_the_covariance_of_a_mixture_asked_for_by_name_is_that_of_the_whole_belief(make_estimate):
+    estimate = make_estimate()
+    by_name = matrix_of(Conversion(Conventions(covariance="mixture")).messages(estimate)["pose"])
+    chosen = matrix_of(Conversion(Conventions(covariance="chosen")).messages(estimate)["pose"])
+    np.testing.assert_array_equal(by_name, matrix_of(Conversion().messages(estimate)["pose"]))
+    assert np.trace(by_name) > 10 * np.trace(chosen)

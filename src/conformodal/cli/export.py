@@ -12,7 +12,7 @@ import typer
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
-from conformodal.localization import TARGET_NAMES, HeadSource
+from conformodal.localization import TARGET_NAMES, HeadSource, LandmarkSource
 from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
 from conformodal.odometry.results.folders import lock_output
 from conformodal.vision import FeatureCache, OnnxBackbone
@@ -36,6 +36,9 @@ def export(
             help="int8: the network in eight bits, all else learnt and calibrated anew through it; with --data."
         ),
     ] = "none",
+    with_head: Annotated[
+        bool, typer.Option("--with-head", help=f"Also write {_NETWORK}: the network with its head, as one file.")
+    ] = False,
     data: Annotated[
         Path | None, typer.Option(help="The data set that the model was trained on, for --quantise.")
     ] = None,
@@ -43,41 +46,51 @@ def export(
     follow_outside: FollowOutside = False,
     cache: Cache = None,
 ) -> None:
-    """Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file."""
+    """Write a model anew with its network in ONNX, or in eight bits."""
     if quantise not in ("none", "int8"):
         raise OptionError(f"--quantise must be int8 or none, got {quantise!r}")
     if (quantise == "int8") != (data is not None):
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
     loaded = load_model(model)
+    if with_head and loaded.localizer.find(HeadSource) is None:
+        raise OptionError(f"--with-head: {model} has no head; its sources are {_names(loaded)}")
     with lock_output(out, "train", apart=[model] if data is None else [model, data]):
         cache_dir = cache_folder(cache)
         if data is None:
-            made = replace(loaded, backbone=_in_onnx(loaded, FeatureCache(cache_dir)))
+            made = _in_onnx(loaded, FeatureCache(cache_dir))
             save_model(made, out)
         else:
             sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
             _check_same_data(loaded, sequence, model)
             with progress_bars() as report:
                 config = replace(config_of(loaded.configuration), runtime=Runtime.INT8)
-                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
+                # landmarks look at local features alone, which are the same in eight bits
+                landmarks = [source for source in loaded.localizer.sources if isinstance(source, LandmarkSource)]
+                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report, fitted=landmarks)
+        (out / _NETWORK).unlink(missing_ok=True)  # of an earlier model
         head = made.localizer.find(HeadSource)
-        if head is not None:
-            from conformodal.networks import with_head  # noqa: PLC0415 - torch takes a second to import
+        if with_head and head is not None:
+            from conformodal.networks import with_head as network_with_head  # noqa: PLC0415 - torch takes a second
 
             assert isinstance(made.backbone, OnnxBackbone)
-            write_whole(out / _NETWORK, with_head(made.backbone, head.head, TARGET_NAMES))
+            write_whole(out / _NETWORK, network_with_head(made.backbone, head.head, TARGET_NAMES))
             console.print(f"network and head, from pixels to probabilities: {_NETWORK}")
     print_where(out)
 
 
-def _in_onnx(model: PoseModel, cache: FeatureCache) -> OnnxBackbone:
-    """The network of a model in ONNX."""
+def _names(model: PoseModel) -> str:
+    return ", ".join(source.name for source in model.localizer.sources)
+
+
+def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
+    """A model with its network in ONNX, or in eight bits where it is already."""
     if isinstance(model.backbone, OnnxBackbone):
-        return model.backbone
+        return model
     from conformodal.networks import TorchBackbone, exported  # noqa: PLC0415 - torch takes a second to import
 
     assert isinstance(model.backbone, TorchBackbone)
-    return exported(model.backbone, cache)
+    configuration = {**model.configuration, "runtime": str(Runtime.ONNX)}
+    return replace(model, backbone=exported(model.backbone, cache), configuration=configuration)
 
 
 def _check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:

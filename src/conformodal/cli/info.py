@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.odometry import EvidenceKind, PoseModel, load_model, model_digest
+from conformodal.odometry import EvidenceKind, PoseModel, Runtime, load_model, model_digest
 from conformodal.vision import OnnxBackbone
 
 from .arguments import SavedModel
@@ -56,7 +56,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
         "network": model.backbone.config.name,
-        "runtime": "onnx" if isinstance(model.backbone, OnnxBackbone) else "torch",
+        "runtime": _runtime(model),
         "network_ms": _milliseconds(model),
     }
 
@@ -81,6 +81,14 @@ def said(found: dict[str, Any]) -> list[str]:
         f"size: {sum(found['bytes'].values()) / 1e6:.1f} MB",
         f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms an image here",
     ]
+
+
+def _runtime(model: PoseModel) -> str:
+    """What runs the network; a model trained in torch may have been exported since."""
+    if not isinstance(model.backbone, OnnxBackbone):
+        return str(Runtime.TORCH)
+    eight_bits = model.configuration.get("runtime") == Runtime.INT8
+    return str(Runtime.INT8 if eight_bits else Runtime.ONNX)
 
 
 def _milliseconds(model: PoseModel) -> float:

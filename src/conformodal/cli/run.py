@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -113,9 +114,9 @@ def run(
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
-        watching = watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
-        metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
+        with watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images) as watching:
+            metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:
         say_strongly(f"stopped early: {metrics['stopped']}")
@@ -190,9 +191,9 @@ def _stream_through(
     ):
         write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
         truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
-        runner = StreamRunner(odometry, writer, truth=truth, posed=posed)
-        stopped, limited = _push_all(runner, stream, shown, how, stop)
-        runner.finish()
+        with StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
+            stopped, limited = _push_all(runner, stream, shown, how, stop)
+            runner.finish()
         seconds = time.perf_counter() - started
         _check_answered(runner, stream.name, stopped)
         counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
@@ -207,8 +208,8 @@ def _push_all(
 ) -> tuple[str, bool]:
     """Why the stream was stopped, if it was, and whether the limit ended it."""
     try:
-        with StatusLine(stream.n_frames) as status:
-            for number, frame in enumerate(prefetch(stream, pace=how.pace), start=1):
+        with StatusLine(stream.n_frames) as status, closing(prefetch(stream, pace=how.pace)) as frames:
+            for number, frame in enumerate(frames, start=1):
                 estimate = runner.push(frame)
                 if estimate is not None:
                     shown.take(frame, estimate, runner.true_pose(frame))
@@ -217,9 +218,6 @@ def _push_all(
                     return _INTERRUPTED if stop else "", number == how.limit
     except SourceError as exc:
         return str(exc), False
-    finally:
-        for watcher in shown.watching:
-            watcher.close()
     return "", False
 
 

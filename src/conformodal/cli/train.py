@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +14,7 @@ import typer
 from conformodal.core import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.localization import LandmarkSource
+from conformodal.localization import LandmarkSource, PoseSource
 from conformodal.networks import NETWORKS, find_network
 from conformodal.odometry import (
     Calibration,
@@ -166,12 +167,18 @@ def train(
 
 
 def train_on(
-    sequence: Sequence, config: ModelConfig, out: Path, *, cache_dir: Path, report: StageProgress
+    sequence: Sequence,
+    config: ModelConfig,
+    out: Path,
+    *,
+    cache_dir: Path,
+    report: StageProgress,
+    fitted: Iterable[PoseSource] = (),
 ) -> PoseModel:
-    """Train, calibrate and save; says what a user should know of the model."""
+    """Train, calibrate and save; says what a user should know of the model. `fitted`: see :func:`train_model`."""
     started = time.perf_counter()
     data = prepare_training_data(sequence, config, FeatureCache(cache_dir), report)
-    model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report)
+    model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report, fitted=fitted)
     # at the end: until then, a model that was there before is whole
     save_model(model, out)
     quality = quality_of_training(data, model, config)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -26,8 +28,9 @@ class Watcher(Protocol):
         ...
 
 
-def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images: bool) -> tuple[Watcher, ...]:
-    """The views and recordings that the options of a run ask for.
+@contextmanager
+def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images: bool) -> Iterator[tuple[Watcher, ...]]:
+    """The views and recordings that the options of a run ask for, closed at the end however it comes.
 
     Parameters
     ----------
@@ -48,10 +51,13 @@ def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images:
         If what is needed is not installed, or the file cannot be written.
     """
     ros = save is not None and save.suffix.lower() == ROS_SUFFIX
-    found: list[Watcher] = []
-    if save is not None and ros:
-        found.append(BagWriter(save, images=images))
     rerun = None if ros else save
-    if view or rerun is not None:
-        found.append(LiveView(name, alpha, spawn=view, save=rerun))
-    return tuple(found)
+    found: list[Watcher] = []
+    with ExitStack() as opened:
+        if save is not None and ros:
+            found.append(BagWriter(save, images=images))
+            opened.callback(found[-1].close)
+        if view or rerun is not None:
+            found.append(LiveView(name, alpha, spawn=view, save=rerun))
+            opened.callback(found[-1].close)
+        yield tuple(found)

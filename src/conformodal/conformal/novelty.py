@@ -109,7 +109,9 @@ class NoveltyTest:
             square = _squares(samples[rows], "samples")[:, None] + self._square - 2 * samples[rows] @ self._double.T
             if group is not None:
                 square[group[rows, None] == group] = np.inf
-            found[rows] = np.sqrt(np.maximum(square.min(axis=1), 0))
+            # from the difference itself: what cancels in the products would tell equal samples apart
+            apart = samples[rows] - self._double[square.argmin(axis=1)]
+            found[rows] = np.sqrt((apart**2).sum(axis=1))
         return found
 
 

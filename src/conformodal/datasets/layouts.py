@@ -8,6 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
+from conformodal.core.choices import as_member
 from conformodal.core.words import counted
 
 from .colmap import model_folder, read_colmap
@@ -147,10 +148,7 @@ def read_sequence(
         If the folder is not in the layout, or something in it is missing or damaged.
     """
     place = Path(folder)
-    try:
-        kind = Layout(layout)
-    except ValueError:
-        raise DatasetError(f"layout must be one of {', '.join(Layout)}, got {layout!r}") from None
+    kind = as_member(layout, Layout, "layout", DatasetError)
     kind = recognise(place) if kind is Layout.AUTO else kind
     reader = _READERS[kind]
     outside = {"follow_outside": follow_outside} if kind in _LISTED else {}

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core import BoolArray, IntArray
+from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges, check_shares
 from conformodal.core.words import counted, noun_for
 
@@ -41,6 +42,9 @@ class Split:
     train: IntArray
     calibration: IntArray
     test: IntArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", as_member(self.kind, SplitKind, "split", SplitError))
 
     def part(self, name: str) -> IntArray:
         """Indices of ``"train"``, ``"calibration"`` or ``"test"``."""
@@ -91,10 +95,7 @@ def make_split(
         three recordings, or ``given`` finds no lists.
     """
     n = len(recording)
-    try:
-        kind = SplitKind(kind)
-    except ValueError:
-        raise SplitError(f"split must be one of {[str(k) for k in SplitKind]}, got {kind!r}") from None
+    kind = as_member(kind, SplitKind, "split", SplitError)
     settings = {"test": test, "calibration": calibration, "used": used, "seed": seed, "n_blocks": n_blocks}
     check_ranges(settings, SplitError)
     check_shares(test, calibration, used, SplitError)
@@ -119,7 +120,7 @@ def make_split(
 
 
 def held_out_together(
-    recording: IntArray, kind: SplitKind, n_blocks: int = 25, given_test: BoolArray | None = None
+    recording: IntArray, kind: SplitKind | str, n_blocks: int = 25, given_test: BoolArray | None = None
 ) -> IntArray:
     """Number (n,) of each frame's piece: frames of one piece get into the same part of a split.
 
@@ -131,8 +132,9 @@ def held_out_together(
     Raises
     ------
     SplitError
-        If ``given`` finds no lists.
+        If ``given`` finds no lists, or there is no such split.
     """
+    kind = as_member(kind, SplitKind, "split", SplitError)
     piece = np.empty(len(recording), dtype=np.int64)
     free, listed = _pieces(recording, kind, n_blocks, given_test)
     for number, frames in enumerate([*free, *listed]):

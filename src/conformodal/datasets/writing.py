@@ -12,8 +12,10 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
+from conformodal.poses.metrics import nearest_in_time
 
 from .errors import DatasetError
 from .euroc import MAX_TIME_DIFFERENCE_S as EUROC_TIME_DIFFERENCE_S
@@ -78,7 +80,7 @@ class Written:
 
 def write_layout(
     folder: Path,
-    layout: Layout,
+    layout: Layout | str,
     stream: FrameStream,
     camera: PinholeCamera,
     poses: Trajectory | None,
@@ -117,6 +119,7 @@ def write_layout(
         If the folder holds something, the layout cannot be written or cannot say such a lens, several recordings or no
         poses, a name would be used twice, or nothing is left to write.
     """
+    layout = as_member(layout, Layout, "layout", DatasetError)
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
     if binary and layout is not Layout.COLMAP:
@@ -176,7 +179,9 @@ class _Kept:
         max_difference_s: float,
     ) -> None:
         self.folder, self.layout, self.stream, self.camera = folder, layout, stream, camera
-        self.truth, self.max_difference_s = poses, max_difference_s
+        # in the order of time once, so that the pose of a frame is found without a look at all of them
+        self.truth = None if poses is None else poses[np.argsort(poses.timestamps_s, kind="stable")]
+        self.max_difference_s = max_difference_s
         self.place, self.pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
         self.place.mkdir(parents=True, exist_ok=True)
         self.several = _several(stream)
@@ -278,12 +283,10 @@ def _listed(frames: list[str], why: str) -> str:
 
 
 def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> tuple[float, ...] | None:
-    """The pose nearest in time, ``x y z qw qx qy qz``, or None."""
-    if not np.isfinite(time_s):
+    """The pose nearest in time, ``x y z qw qx qy qz``, or None; `poses` increase in time."""
+    if not len(poses) or not np.isfinite(time_s):
         return None
-    asked = Trajectory(np.array([time_s]), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
-    try:
-        _, (at,) = associate(asked, poses, max_difference_s)
-    except PoseError:
+    at = int(nearest_in_time(poses.timestamps_s, np.array([time_s]))[0])
+    if abs(poses.timestamps_s[at] - time_s) > max_difference_s:
         return None
     return (*poses.positions_xyz[at].tolist(), *poses.orientations_quat_wxyz[at].tolist())

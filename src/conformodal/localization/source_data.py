@@ -12,9 +12,11 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
 from conformodal.core import IntArray, StageProgress, stage_of
+from conformodal.core.choices import as_member
 from conformodal.datasets import Sequence, SplitKind, held_out_together
 from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
 
+from .errors import LocalizationError
 from .local_features import LocalFeatures, Matcher, extract_local_features
 
 
@@ -61,6 +63,9 @@ class SourceData:
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
     _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.split = as_member(self.split, SplitKind, "split", LocalizationError)
 
     def bins_of(self, frames: IntArray) -> QuantileBins:
         """Bins of the targets of some frames."""

@@ -94,6 +94,18 @@ NETWORKS: dict[str, Network] = {
 }
 
 
+def check_network(name: str) -> None:
+    """Refuse a name that is none of :data:`NETWORKS` and does not begin with ``hf:``; needs no torch.
+
+    Raises
+    ------
+    VisionError
+        If there is no such network.
+    """
+    if name not in NETWORKS and not name.startswith(PREFIX):
+        raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
+
+
 def find_network(name: str) -> Network:
     """The network of a name: one of :data:`NETWORKS`, or ``hf:`` and a model of transformers.
 
@@ -102,11 +114,10 @@ def find_network(name: str) -> Network:
     VisionError
         If there is none.
     """
+    check_network(name)
     if name.startswith(PREFIX):
         with needing("train", "a network"):
             from .hub import HubNetwork  # noqa: PLC0415
 
         return HubNetwork(name.removeprefix(PREFIX))
-    if name not in NETWORKS:
-        raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
     return NETWORKS[name]

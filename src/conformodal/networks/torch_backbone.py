@@ -12,6 +12,7 @@ from torch import nn
 
 from conformodal.datasets import THUMBNAIL
 from conformodal.vision import Backbone, BackboneConfig, VisionError
+from conformodal.vision.settings import check_device
 
 from .lite import find_network
 
@@ -47,8 +48,7 @@ def pick_device(name: str) -> torch.device:
     VisionError
         If the name is another, or there is no such device.
     """
-    if name not in ("auto", "cpu", "cuda"):
-        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
+    check_device(name)
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
         raise VisionError("device is cuda, but torch finds no graphics card it can use")

@@ -11,11 +11,13 @@ from conformodal.conformal import QuantileBins
 from conformodal.conformal.calibration import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
-from conformodal.core import needing
+from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges, check_shares
 from conformodal.datasets import SplitKind
 from conformodal.localization import find_source
+from conformodal.networks.lite import check_network
 from conformodal.vision import TrainingConfig
+from conformodal.vision.settings import check_device
 
 from .errors import OdometryError
 
@@ -125,16 +127,16 @@ class ModelConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
     def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            object.__setattr__(self, name, as_member(getattr(self, name), choices, name, OdometryError))
         check_ranges(vars(self), OdometryError)
         check_shares(self.test, self.calibration, self.used, OdometryError)
         as_alpha(self.alpha)
         as_joint(self.joint)
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
-        with needing("train", "training"):
-            from conformodal.networks import find_network, pick_device  # noqa: PLC0415
-        find_network(self.network)
-        pick_device(self.device)
+        check_network(self.network)
+        check_device(self.device)
         if not self.sources or len(set(self.sources)) < len(self.sources):
             raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
         for name in self.sources:
@@ -163,6 +165,12 @@ class ModelConfig:
         return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
 
 
+_CHOICES: dict[str, type[StrEnum]] = {
+    "method": Method,
+    "split": SplitKind,
+    "calibrate_on": Calibration,
+    "runtime": Runtime,
+}
 # What the paper's system is: other values of these are not the paper's.
 _PAPER: dict[str, Any] = {
     "margin": 0.0,
@@ -191,10 +199,6 @@ def config_of(record: Mapping[str, Any]) -> ModelConfig:
     """
     kept = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
     kinds: dict[str, Callable[[Any], Any]] = {
-        "method": Method,
-        "split": SplitKind,
-        "calibrate_on": Calibration,
-        "runtime": Runtime,
         "sources": tuple,
         "training": lambda its: TrainingConfig(**its),
     }

@@ -9,11 +9,13 @@ import numpy.typing as npt
 
 from conformodal.conformal import Regions
 from conformodal.core import IntArray
+from conformodal.core.choices import as_member
 from conformodal.localization import PoseMeasurement
 from conformodal.motion import Corners
 from conformodal.poses import RelativeMotion, Submap, Trajectory
 from conformodal.reasoning import Candidates, Observations
 
+from .errors import OdometryError
 from .model import Localization
 from .paths import METHODS
 from .region_rules import EvidenceKind
@@ -61,6 +63,11 @@ class Estimate:
         Belief and region of this frame alone; None without an image.
     reliable
         False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
+
+    Raises
+    ------
+    OdometryError
+        If `evidence` is not one of :class:`EvidenceKind`.
     """
 
     timestamp_s: float
@@ -80,6 +87,10 @@ class Estimate:
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
     matched: bool = False
+
+    def __post_init__(self) -> None:
+        if self.evidence is not None:
+            object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceKind, "evidence", OdometryError))
 
 
 @dataclass(eq=False)

@@ -92,7 +92,8 @@ class VisualOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
         self._reasoner.reset()
-        self._last_s: float | None = None
+        self._seen_s = None
+        self._last_s: float | None = None  # of the frame answered last
         self._n_steps = 0
         self._before: Candidates | None = None
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.conformal.checks import Alpha
+from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Split
 from conformodal.localization import (
@@ -107,7 +108,7 @@ class PoseModel:
     @property
     def method(self) -> Method:
         """The system that the model belongs to."""
-        return Method(self.configuration.get("method", Method.CONFORMODAL))
+        return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
 
     @property
     def bins(self) -> QuantileBins:

@@ -47,7 +47,7 @@ class Odometry(ABC):
     match_every: int
     budget: FrameBudget | None
     _front_end: FrontEnd
-    _last_s: float | None
+    _seen_s: float | None  # of the last frame, answered or not
 
     @abstractmethod
     def reset(self) -> None:
@@ -63,17 +63,20 @@ class Odometry(ABC):
         Raises
         ------
         OdometryError
-            If the timestamp is not finite, or not later than the one before; nothing has changed then.
+            If the timestamp is not finite, or not later than that of the frame before, usable or not; nothing has
+            changed then.
         """
-        timestamp_s = as_time(timestamp_s, self._last_s)
+        timestamp_s = as_time(timestamp_s, self._seen_s)
         usable = as_image(image, self.model.camera)
         if isinstance(usable, str):
-            return Estimate(timestamp_s, None, None, None, None, None, False, usable)
-        if self.budget is None:
-            return self._answer(usable, timestamp_s)
-        self.budget.start()
-        estimate = self._answer(usable, timestamp_s)
-        self.budget.stop(matched=estimate.matched)
+            estimate = Estimate(timestamp_s, None, None, None, None, None, False, usable)
+        elif self.budget is None:
+            estimate = self._answer(usable, timestamp_s)
+        else:
+            self.budget.start()
+            estimate = self._answer(usable, timestamp_s)
+            self.budget.stop(matched=estimate.matched)
+        self._seen_s = timestamp_s
         return estimate
 
     @abstractmethod

@@ -51,14 +51,13 @@ class PaperOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = EssentialFrontEnd(self.model.camera)
         self._path = Greedy()
-        self._last_s: float | None = None
+        self._seen_s = None
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         found = _localize(self.model, self.model.backbone.features_of(image))
         proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
         path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
-        self._last_s = timestamp_s
         pose = as_trajectory(path)
         reliable = motion is None or motion.reliable
         return Estimate(

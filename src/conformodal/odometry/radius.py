@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core.choices import as_member
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 from .errors import OdometryError
@@ -50,6 +51,11 @@ class PoseRadius:
         How many metres of position weigh as much as one radian: the depth of the scene.
     sizing
         What a new recording's size is found by, see :meth:`size_of`.
+
+    Raises
+    ------
+    OdometryError
+        If `promise` or `sizing` is not one of those there are.
     """
 
     radius_rad: float
@@ -59,6 +65,10 @@ class PoseRadius:
     n_recordings: int
     metres_per_rad: float = METRES_PER_RAD
     sizing: Sizing = Sizing.NONE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "promise", as_member(self.promise, Promise, "promise", OdometryError))
+        object.__setattr__(self, "sizing", as_member(self.sizing, Sizing, "sizing", OdometryError))
 
     @property
     def radius_m(self) -> float:
@@ -118,11 +128,11 @@ def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np
 def fit_pose_radius(
     errors: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]],
     alpha: Alpha,
-    promise: Promise,
+    promise: Promise | str,
     method: str,
     *,
     metres_per_rad: float = METRES_PER_RAD,
-    sizing: Sizing = Sizing.NONE,
+    sizing: Sizing | str = Sizing.NONE,
     sizes: Sequence[npt.ArrayLike] | None = None,
 ) -> PoseRadius:
     """Radius from the errors of held-out recordings.
@@ -142,11 +152,14 @@ def fit_pose_radius(
     Raises
     ------
     OdometryError
-        If `metres_per_rad` or a size is not positive and finite, or there are not as many sizes as recordings.
+        If `metres_per_rad` or a size is not positive and finite, there are not as many sizes as recordings, or
+        `promise` or `sizing` is not one of those there are.
     ConformalError
         If a recording has no frames, errors are NaN, or `alpha` is outside (0, 1).
     """
     check_metres_per_rad(metres_per_rad)
+    promise = as_member(promise, Promise, "promise", OdometryError)
+    sizing = as_member(sizing, Sizing, "sizing", OdometryError)
     if sizes is None:
         sizes = [1.0] * len(errors)
     if len(sizes) != len(errors):

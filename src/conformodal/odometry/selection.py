@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha
 from conformodal.core import StageProgress
+from conformodal.core.choices import as_member
 from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory
@@ -31,9 +32,9 @@ def calibrate_selection(
     model: PoseModel,
     sequence: Sequence,
     alpha: Alpha = 0.1,
-    promise: Promise = Promise.FRAME,
+    promise: Promise | str = Promise.FRAME,
     method: str = METHODS[0],
-    sizing: Sizing = Sizing.NONE,
+    sizing: Sizing | str = Sizing.NONE,
     metres_per_rad: float | None = None,
     *,
     cache: FeatureCache | None = None,
@@ -58,13 +59,16 @@ def calibrate_selection(
     Raises
     ------
     OdometryError
-        If a frame is one of the data set that the model was trained on, the method is unknown, or `metres_per_rad` is
-        not positive and finite. A frame of its test part is refused too: the model knows the recording around it.
+        If a frame is one of the data set that the model was trained on, the method, the promise or the sizing is
+        unknown, or `metres_per_rad` is not positive and finite. A frame of its test part is refused too: the model
+        knows the recording around it.
     PoseError
         If the sequence has no poses.
     """
     if method not in METHODS:
         raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
+    promise = as_member(promise, Promise, "promise", OdometryError)  # before hours of work
+    sizing = as_member(sizing, Sizing, "sizing", OdometryError)
     known = model.known_frames.known(identify(sequence, model.known_frames))
     if known.any():
         raise OdometryError(
@@ -100,7 +104,7 @@ def recording_sizes(
     run: OdometryRun,
     method: str,
     recording: npt.NDArray[np.int64],
-    sizing: Sizing,
+    sizing: Sizing | str,
     alpha: Alpha,
     metres_per_rad: float = METRES_PER_RAD,
 ) -> list[float]:

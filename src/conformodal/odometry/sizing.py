@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
 from conformodal.poses import Trajectory
 
 from .errors import OdometryError
@@ -82,7 +83,7 @@ def roughness(trajectory: Trajectory, metres_per_rad: float = METRES_PER_RAD) ->
 
 
 def recording_size(
-    trajectory: Trajectory, sizing: Sizing, alpha: Alpha, metres_per_rad: float = METRES_PER_RAD
+    trajectory: Trajectory, sizing: Sizing | str, alpha: Alpha, metres_per_rad: float = METRES_PER_RAD
 ) -> float:
     """Size of one recording by its answers: its radius is so many times that of a recording of size 1.
 
@@ -104,7 +105,13 @@ def recording_size(
     -------
     float
         Positive; 1 where fewer than three frames were answered, so that there is no roughness.
+
+    Raises
+    ------
+    OdometryError
+        If `sizing` is not one of :class:`Sizing`.
     """
+    sizing = as_member(sizing, Sizing, "sizing", OdometryError)
     if sizing is Sizing.NONE or len(trajectory) < 3:
         return 1.0
     rough = np.quantile(roughness(trajectory, metres_per_rad), 1 - float(as_alpha(alpha)))

@@ -23,7 +23,7 @@ from safetensors.numpy import save as save_tensors
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core import MissingPackageError, needing
 from conformodal.core.files import write_whole
-from conformodal.datasets import Split, SplitKind
+from conformodal.datasets import Split
 from conformodal.localization import Localizer, PlaceNovelty, PoseSource, SourceState, find_source
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior
@@ -32,9 +32,8 @@ from conformodal.vision import Backbone, BackboneConfig, OnnxBackbone
 from .errors import ModelFileError
 from .identity import FrameIdentities
 from .model import PoseModel
-from .radius import PoseRadius, Promise
+from .radius import PoseRadius
 from .region_rules import RegionRules
-from .sizing import Sizing
 
 _FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
@@ -201,11 +200,11 @@ def _assemble(
     return PoseModel(
         backbone=backbone,
         localizer=Localizer(sources, bins, arrays["sign_reference"]),
-        novelty=_novelty(arrays),
+        novelty=_novelty(arrays, backbone.config.grid),
         rules=_rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays),
         prior=_prior(record["prior"]),
         camera=_camera(record["camera"]),
-        split=Split(SplitKind(split["kind"]), split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
+        split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
@@ -242,10 +241,10 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
 
 
-def _novelty(arrays: dict[str, npt.NDArray[Any]]) -> PlaceNovelty | None:
+def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
-    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]))
+    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), grid)
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:
@@ -267,8 +266,7 @@ def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
     if record is None:
         return None
     limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
-    named = {"promise": Promise(record["promise"]), "sizing": Sizing(record["sizing"])}
-    return PoseRadius(**{**record, "radius_rad": limit, **named})
+    return PoseRadius(**{**record, "radius_rad": limit})
 
 
 def _read_record(path: Path) -> dict[str, Any]:

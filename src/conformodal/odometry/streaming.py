@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class StreamRunner:
 
     Regions and poses are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
     frames at a time; sources of no more than 2000 frames are one window.
+    As a context it ends the thread that answers windows, whatever error ends the stream; :meth:`finish` writes.
 
     Parameters
     ----------
@@ -167,6 +169,12 @@ class StreamRunner:
         """Write the answers that waited for more frames; also what a run that is stopped ends with."""
         self._flush(everything=True)
         self._pool.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._pool.shutdown(cancel_futures=True)  # the window that is being answered still writes
 
     def _note(self, frame: Frame, problem: str) -> None:
         self.n_problems += 1

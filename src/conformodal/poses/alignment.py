@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
 
 from .errors import PoseError
 from .metrics import check_same_length
@@ -57,10 +58,7 @@ def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Traj
     PoseError
         If lengths differ or the alignment is undetermined.
     """
-    try:
-        kind = Alignment(how)
-    except ValueError:
-        raise PoseError(f"alignment must be one of {[str(k) for k in Alignment]}, got {how!r}") from None
+    kind = as_member(how, Alignment, "alignment", PoseError)
     check_same_length(estimate, truth)
     if kind is Alignment.NONE:
         return estimate

@@ -74,11 +74,7 @@ def associate(
         raise PoseError(f"{len(estimate)} estimated and {len(truth)} true poses cannot be paired")
     order = np.argsort(truth.timestamps_s, kind="stable")
     times = truth.timestamps_s[order]
-    right = np.clip(np.searchsorted(times, estimate.timestamps_s), 1, max(len(times) - 1, 1))
-    right = np.minimum(right, len(times) - 1)
-    left = np.maximum(right - 1, 0)
-    closer_left = np.abs(times[left] - estimate.timestamps_s) <= np.abs(times[right] - estimate.timestamps_s)
-    nearest = np.where(closer_left, left, right)
+    nearest = nearest_in_time(times, estimate.timestamps_s)
     matched = np.abs(times[nearest] - estimate.timestamps_s) <= max_difference_s
     if not matched.any():
         raise PoseError(
@@ -87,6 +83,14 @@ def associate(
             f"truth {times.min():.3f} to {times.max():.3f} s"
         )
     return np.flatnonzero(matched), order[nearest[matched]]
+
+
+def nearest_in_time(times_s: FloatArray, asked_s: FloatArray) -> IntArray:
+    """Index of the time nearest to each asked one, the earlier of two; `times_s` increase and hold at least one."""
+    right = np.minimum(np.searchsorted(times_s, asked_s), len(times_s) - 1)
+    left = np.maximum(right - 1, 0)
+    closer_left = np.abs(times_s[left] - asked_s) <= np.abs(times_s[right] - asked_s)
+    return np.where(closer_left, left, right)
 
 
 def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,9 @@ from enum import StrEnum
 import numpy as np
 
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
+
+from .errors import PoseError
 
 # A direction is trusted if its error is claimed to be no larger.
 _TRUSTED_DIRECTION_RAD = np.radians(10.0)
@@ -46,6 +49,11 @@ class RelativeMotion:
         Spread of the rotation's error about each axis.
     direction_sigma_rad
         Spread of the direction's error.
+
+    Raises
+    ------
+    PoseError
+        If `status` is not one of :class:`MotionStatus`.
     """
 
     status: MotionStatus
@@ -56,6 +64,9 @@ class RelativeMotion:
     parallax_rad: float = 0.0
     rotation_sigma_rad: float = np.inf
     direction_sigma_rad: float = np.inf
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "status", as_member(self.status, MotionStatus, "status", PoseError))
 
     @property
     def reliable(self) -> bool:

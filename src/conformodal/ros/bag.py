@@ -111,6 +111,8 @@ class BagWriter:
     def close(self) -> None:
         """Write the last path, and put the file in its place; what a run that was stopped has said is kept.
 
+        Without a single frame there is no file, and one that was there stays.
+
         Raises
         ------
         RosError
@@ -122,8 +124,9 @@ class BagWriter:
         try:
             self._write_path()
             self._writer.close()
-            (written,) = self._folder.glob("*.mcap")
-            written.replace(self.path)
+            if self._last_ns is not None:
+                (written,) = self._folder.glob("*.mcap")
+                written.replace(self.path)
         except OSError as exc:
             raise RosError(f"{self.path}: cannot be written: {exc}") from exc
         finally:

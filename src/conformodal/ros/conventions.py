@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from conformodal.core.choices import as_member
 from conformodal.odometry import Estimate, EvidenceKind
 
 from . import messages as ros
+from .errors import RosError
 
 
 class Covariance(StrEnum):
@@ -41,6 +43,11 @@ class Conventions:
         Poses of the path.
     path_every
         The path is said anew after so many answered frames.
+
+    Raises
+    ------
+    RosError
+        If `covariance` is not one of :class:`Covariance`.
     """
 
     world_frame: str = "map"
@@ -52,6 +59,9 @@ class Conventions:
     range_m: float = 100.0
     longest_path: int = 1000
     path_every: int = 10
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", as_member(self.covariance, Covariance, "covariance", RosError))
 
     def topic(self, name: str) -> str:
         """The whole name of a topic."""

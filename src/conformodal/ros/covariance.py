@@ -6,10 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.core import FloatArray
+from conformodal.core.choices import as_member
 from conformodal.odometry import Estimate
 from conformodal.reasoning import Candidates
 
 from .conventions import Covariance
+from .errors import RosError
 
 _LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
 
@@ -19,7 +21,13 @@ def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
 
     The first three are x, y and z of the world. The others are small rotations about x, y and z of the world, which do
     not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
+
+    Raises
+    ------
+    RosError
+        If `kind` is not one of :class:`Covariance`.
     """
+    kind = as_member(kind, Covariance, "covariance", RosError)
     pose, candidates = estimate.pose, estimate.candidates
     assert pose is not None
     assert candidates is not None

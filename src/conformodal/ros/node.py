@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from conformodal.core import MissingPackageError
+from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
 from conformodal.datasets.streams import COMPRESSED, INFO, RAW, SourceError, camera_of_info, image_of
 from conformodal.odometry import Estimate, Odometry, OdometryError, load_model, odometry_of
@@ -205,8 +206,7 @@ def _parameters_of(node: Any) -> Parameters:
     found = Parameters(**given)
     if not found.model:
         raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
-    if found.covariance not in list(Covariance):
-        raise RosError(f"parameter covariance must be one of {', '.join(Covariance)}, got {found.covariance!r}")
+    as_member(found.covariance, Covariance, "parameter covariance", RosError)
     if not found.silent_s > 0:
         raise RosError(f"parameter silent_s must be more than 0 s, got {found.silent_s}")
     return found

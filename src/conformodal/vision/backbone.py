@@ -45,11 +45,28 @@ def feature_views(n_features: int) -> FeatureViews:
     return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
-def coarse_features(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """The network's map (n, F) averaged over two by two cells, a descriptor that training images have no part in."""
-    rows, columns = BackboneConfig.grid
+def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """The network's map, averaged over two by two cells: a global descriptor that training images have no part in.
+
+    Parameters
+    ----------
+    features
+        (n, F) of a :class:`Backbone`.
+    grid
+        Rows and columns of its map, see :attr:`BackboneConfig.grid`; the last of an odd number stands for itself.
+
+    Raises
+    ------
+    VisionError
+        If no map of that grid has so many features.
+    """
+    rows, columns = grid
     network = features[:, feature_views(features.shape[1]).network]
-    cells = network.reshape(len(features), -1, rows // 2, 2, columns // 2, 2)
+    if network.shape[1] % (rows * columns):
+        raise VisionError(f"a map of {rows} by {columns} cells cannot have {network.shape[1]} features")
+    maps = network.reshape(len(features), -1, rows, columns)
+    maps = np.pad(maps, ((0, 0), (0, 0), (0, rows % 2), (0, columns % 2)), mode="edge")
+    cells = maps.reshape(*maps.shape[:2], (rows + 1) // 2, 2, (columns + 1) // 2, 2)
     return np.asarray(cells.mean(axis=(3, 5)).reshape(len(features), -1), dtype=np.float32)
 
 

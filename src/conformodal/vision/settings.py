@@ -8,6 +8,20 @@ from conformodal.core.ranges import check_ranges
 
 from .errors import VisionError
 
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def check_device(name: str) -> None:
+    """Refuse a name that is none of :data:`DEVICES`; whether there is such a device is told where it is used.
+
+    Raises
+    ------
+    VisionError
+        If it is none.
+    """
+    if name not in DEVICES:
+        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
+
 
 @dataclass(frozen=True)
 class TrainingConfig:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from conformodal.core.choices import as_member
 from conformodal.poses import PinholeCamera
 
 from ..layouts import Layout, read_sequence
@@ -19,7 +20,7 @@ _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*):/{1,2}[^/]", re.IGNORECASE)  # a Pat
 
 def open_stream(
     source: Path | str,
-    layout: Layout = Layout.AUTO,
+    layout: Layout | str = Layout.AUTO,
     *,
     camera: PinholeCamera | None = None,
     topic: str | None = None,
@@ -43,8 +44,9 @@ def open_stream(
     Raises
     ------
     DatasetError
-        If it cannot be opened.
+        If it cannot be opened, or there is no such layout.
     """
+    layout = as_member(layout, Layout, "layout", SourceError)
     match = _CAMERA.match(str(source))
     if match:
         return CameraStream(int(match[1]), camera)

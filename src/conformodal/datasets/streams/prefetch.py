@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
 from enum import StrEnum
 
-from .frames import Frame, FrameStream
+from conformodal.core.choices import as_member
+
+from .frames import Frame, FrameStream, SourceError
 
 DEPTH = 4
 
@@ -20,7 +22,7 @@ class Pace(StrEnum):
     CAMERA = "camera"
 
 
-def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace = Pace.FAST) -> Iterator[Frame]:
+def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Generator[Frame]:
     """Frames of a stream, decoded ahead.
 
     Parameters
@@ -36,8 +38,9 @@ def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace = Pace.FAST) ->
     Raises
     ------
     SourceError
-        Where the stream raises it, after all frames before.
+        Where the stream raises it, after all frames before; or if there is no such pace.
     """
+    pace = as_member(pace, Pace, "pace", SourceError)
     ready: deque[Frame] = deque()
     changed = threading.Condition()
     ended = stopped = False

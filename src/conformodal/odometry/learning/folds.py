@@ -9,9 +9,11 @@ import numpy as np
 from conformodal.conformal import conformal_rank
 from conformodal.conformal.checks import Alpha
 from conformodal.core import IntArray
+from conformodal.core.choices import as_member
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 
 from ..config import Calibration
+from ..errors import OdometryError
 from ..settings import FOLDS
 
 
@@ -51,7 +53,7 @@ class Folds:
 
 
 def make_folds(
-    sequence: Sequence, split: Split, calibration: Calibration = Calibration.AUTO, alpha: Alpha = 0.1
+    sequence: Sequence, split: Split, calibration: Calibration | str = Calibration.AUTO, alpha: Alpha = 0.1
 ) -> Folds:
     """The folds of a sequence; those of stretches are drawn with the split's seed.
 
@@ -63,7 +65,13 @@ def make_folds(
         See :class:`Calibration`.
     alpha
         Miscoverage rate: recordings calibrate where there are enough of them for a finite threshold at it.
+
+    Raises
+    ------
+    OdometryError
+        If `calibration` is not one of :class:`Calibration`.
     """
+    calibration = as_member(calibration, Calibration, "calibration", OdometryError)
     if calibration is Calibration.AUTO:
         by_frame = split.kind is SplitKind.INTERLEAVED
         calibration = Calibration.FRAMES if by_frame else Calibration.STRETCHES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from conformodal.core import StageProgress, needing, stage_of
 from conformodal.datasets import Sequence, make_split, with_random_calibration
-from conformodal.localization import Localizer, PlaceNovelty, pose_targets
+from conformodal.localization import Localizer, PlaceNovelty, PoseSource, pose_targets
 from conformodal.poses import sign_reference
 from conformodal.reasoning import MotionPrior, fit_motion_prior
 from conformodal.vision import Backbone, FeatureCache, extract_features
@@ -35,11 +36,15 @@ def prepare_training_data(
         If a part would be empty, or the sequence has not the recordings or lists that the split needs.
     ImageError
         If an image cannot be read; names the file.
+    VisionError
+        If the device is not there.
+    MissingPackageError
+        If what training needs is not installed.
     """
     with needing("train", "training"):
         from conformodal.networks import TorchBackbone, backbone_config, exported, pick_device, quantised  # noqa: PLC0415
 
-    truth = sequence.require_truth()
+    device, truth = pick_device(config.device), sequence.require_truth()
     split = make_split(
         sequence.recording,
         config.split,
@@ -55,7 +60,7 @@ def prepare_training_data(
     backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
-    backbone.to(pick_device(config.device))
+    backbone.to(device)
     runs: Backbone = backbone
     if config.runtime is not Runtime.TORCH:
         runs = in_onnx = exported(backbone, cache)
@@ -73,21 +78,27 @@ def train_model(
     *,
     checkpoint_dir: Path | None = None,
     progress: StageProgress | None = None,
+    fitted: Iterable[PoseSource] = (),
 ) -> PoseModel:
     """Train on the training part and calibrate; the test part is not touched.
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
     calibration part is answered by sources that learnt from the others, and the model's own learn from all of them.
+
+    `fitted` are sources of another model of the same data that do not look at the network's features: they are taken
+    as they are where they learnt from the frames that they would learn from here.
     """
+    fitted = tuple(fitted)
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, checkpoint_dir, progress)
-    localizers = [Localizer.fit(sources, fold.train, config.sources) for fold in folds.folds]
+    localizers = [Localizer.fit(sources, fold.train, config.sources, fitted) for fold in folds.folds]
     single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
-    localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources)
+    localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources, fitted)
     if config.method is Method.PAPER:  # which has no test for novelty
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
     else:
-        novelty = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
+        known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
+        novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         rules = calibrate_regions(sources, folds, localizers, novelty, config)
     return PoseModel(
         backbone=data.backbone,

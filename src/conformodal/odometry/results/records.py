@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.choices import as_member
 from conformodal.localization import TARGET_NAMES, pose_targets
 from conformodal.poses import RelativeMotion, Trajectory
 
@@ -39,7 +40,13 @@ def region_record(
         (m, 2) a target.
     known_p, kind
         See :class:`~conformodal.odometry.Estimate`.
+
+    Raises
+    ------
+    ResultsError
+        If `kind` is not one of :class:`~conformodal.odometry.EvidenceKind`.
     """
+    kind = as_member(kind, EvidenceKind, "kind", ResultsError)
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,

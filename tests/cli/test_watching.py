@@ -1,0 +1,94 @@
+"""Views, recordings and threads of a run are closed, whatever ends it."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner
+
+from conformodal.cli import run, watching
+from conformodal.cli.main import app
+from conformodal.odometry import StreamRunner
+
+
+class Recorder:
+    """Stands in for a recording."""
+
+    def __init__(self, *arguments, **options):
+        self.open = True
+        opened.append(self)
+
+    def log(self, *frame):
+        pass
+
+    def close(self):
+        self.open = False
+
+
+opened: list[Recorder] = []
+
+
+@pytest.fixture(autouse=True)
+def recorders(monkeypatch):
+    opened.clear()
+    monkeypatch.setattr(watching, "BagWriter", Recorder)
+    monkeypatch.setattr(watching, "LiveView", Recorder)
+
+
+def windows():
+    return [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
+
+
+def test_a_recording_is_closed_where_the_view_cannot_be_opened(monkeypatch, tmp_path):
+    def no_screen(*arguments, **options):
+        raise RuntimeError("no screen")
+
+    monkeypatch.setattr(watching, "LiveView", no_screen)
+    with (
+        pytest.raises(RuntimeError, match="no screen"),
+        watching.watchers("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+    ):
+        pass
+    assert [its.open for its in opened] == [False]
+
+
+def test_a_view_that_fails_to_close_leaves_no_recording_open(monkeypatch, tmp_path):
+    class Broken(Recorder):
+        def close(self):
+            raise OSError("gone")
+
+    monkeypatch.setattr(watching, "LiveView", Broken)
+    with (
+        pytest.raises(OSError, match="gone"),
+        watching.watchers("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+    ):
+        pass
+    assert [its.open for its in opened] == [False, True]
+
+
+def test_a_stream_that_breaks_off_leaves_no_thread():
+    before, started = len(windows()), []
+
+    def break_off():
+        with StreamRunner(SimpleNamespace(reset=lambda: None), None) as runner:
+            runner._pool.submit(len, "").result()
+            started.extend(windows())
+            raise RuntimeError("broken")
+
+    with pytest.raises(RuntimeError, match="broken"):
+        break_off()
+    assert len(started) == before + 1
+    assert len(windows()) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("broken", ["ResultsWriter", "write_metrics", "StatusLine"])
+def test_a_run_that_cannot_write_closes_what_it_has_opened(small_world, tmp_path, monkeypatch, broken):
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(run, broken, full)
+    arguments = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out", "--save", tmp_path / "a.mcap"]
+    found = CliRunner().invoke(app, [str(a) for a in [*arguments, "--view"]])
+    assert found.exit_code != 0
+    assert [its.open for its in opened] == [False, False]

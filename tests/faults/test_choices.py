@@ -1,0 +1,155 @@
+"""Arguments that stand for a member of an enumeration: text is read as the member, anything else is refused."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from conformodal.experiments.table1.conditions import TrainingTask
+
+from conformodal.conformal import ConformodalError
+from conformodal.datasets import Split, SplitKind, make_split, read_sequence
+from conformodal.datasets.splits import held_out_together
+from conformodal.datasets.streams import Frame, Pace, SourceError, open_stream, prefetch
+from conformodal.datasets.writing import write_layout
+from conformodal.localization import SourceData
+from conformodal.odometry import (
+    Calibration,
+    Estimate,
+    EvidenceKind,
+    Method,
+    ModelConfig,
+    PoseModel,
+    PoseRadius,
+    Promise,
+    Runtime,
+    Sizing,
+    calibrate_selection,
+    fit_pose_radius,
+    make_folds,
+    recording_size,
+)
+from conformodal.odometry.results.records import region_record
+from conformodal.poses import RelativeMotion, Trajectory, align
+from conformodal.poses.relative import MotionStatus
+from conformodal.ros import Conventions, Covariance, is_lost
+from conformodal.ros.covariance import pose_covariance
+
+ROWS = np.arange(4)
+STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
+PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
+LOST = (None,) * 5
+TASK = {"seed": 0, "used": 0.8, "network": "efficientnet_lite0", "sigmas": (0.0,), "epochs": 1, "data": ""}
+
+# name: how a value gets there, and what the message calls it
+ENTRIES = {
+    "Conventions.covariance": (lambda v: Conventions(covariance=v), "covariance"),
+    "pose_covariance": (lambda v: pose_covariance(Estimate(0.0, *LOST, False), v), "covariance"),
+    "read_sequence": (lambda v: read_sequence("nowhere", v), "layout"),
+    "open_stream": (lambda v: open_stream("nowhere", v), "layout"),
+    "write_layout": (lambda v: write_layout(None, v, None, None, None), "layout"),
+    "prefetch": (lambda v: next(prefetch(None, pace=v)), "pace"),
+    "Split.kind": (lambda v: Split(v, **PARTS), "split"),
+    "make_split": (lambda v: make_split(ROWS, v), "split"),
+    "held_out_together": (lambda v: held_out_together(ROWS, v), "split"),
+    "SourceData.split": (lambda v: SourceData(None, None, None, None, v), "split"),
+    "align": (lambda v: align(STILL, STILL, v), "alignment"),
+    "RelativeMotion.status": (RelativeMotion, "status"),
+    "ModelConfig.method": (lambda v: ModelConfig(method=v), "method"),
+    "ModelConfig.split": (lambda v: ModelConfig(split=v), "split"),
+    "ModelConfig.calibrate_on": (lambda v: ModelConfig(calibrate_on=v), "calibrate_on"),
+    "ModelConfig.runtime": (lambda v: ModelConfig(runtime=v), "runtime"),
+    "PoseModel.method": (lambda v: PoseModel(*(None,) * 8, configuration={"method": v}).method, "method"),
+    "PoseRadius.promise": (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "promise"),
+    "PoseRadius.sizing": (lambda v: PoseRadius(1.0, 0.1, Promise.FRAME, "online", 9, sizing=v), "sizing"),
+    "fit_pose_radius promise": (lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, v, "online"), "promise"),
+    "fit_pose_radius sizing": (
+        lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, Promise.FRAME, "online", sizing=v),
+        "sizing",
+    ),
+    "calibrate_selection promise": (lambda v: calibrate_selection(None, None, promise=v), "promise"),
+    "calibrate_selection sizing": (lambda v: calibrate_selection(None, None, sizing=v), "sizing"),
+    "recording_size": (lambda v: recording_size(STILL, v, 0.1), "sizing"),
+    "make_folds": (lambda v: make_folds(None, None, v), "calibration"),
+    "Estimate.evidence": (lambda v: Estimate(0.0, *LOST, False, evidence=v), "evidence"),
+    "region_record": (lambda v: region_record("a", 0.0, None, [], kind=v), "kind"),
+    "TrainingTask.method": (lambda v: TrainingTask(method=v, split="blocks", **TASK), "method"),
+    "TrainingTask.split": (lambda v: TrainingTask(method="paper", split=v, **TASK), "split"),
+}
+
+
+@pytest.mark.parametrize("wrong", ["rubbish", 17, None, ["frame"]], ids=str)
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_a_value_that_is_no_member_is_refused_where_it_enters(entry, wrong):
+    if wrong is None and entry == "Estimate.evidence":
+        pytest.skip("None says that there is no image")
+    enter, argument = ENTRIES[entry]
+    with pytest.raises(ConformodalError) as found:
+        enter(wrong)
+    message = str(found.value)
+    assert message.startswith(f"{argument} must be one of ")
+    assert message.endswith(f"got {wrong!r}")
+    assert "\n" not in message
+
+
+FIELDS = [
+    (Conventions(covariance="chosen"), "covariance", Covariance.CHOSEN),
+    (Split("recordings", **PARTS), "kind", SplitKind.RECORDINGS),
+    (SourceData(None, None, None, None, "blocks"), "split", SplitKind.BLOCKS),
+    (RelativeMotion("ok"), "status", MotionStatus.OK),
+    (ModelConfig(method="conformodal"), "method", Method.CONFORMODAL),
+    (ModelConfig(split="recordings"), "split", SplitKind.RECORDINGS),
+    (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
+    (ModelConfig(runtime="int8"), "runtime", Runtime.INT8),
+    (PoseRadius(1.0, 0.1, "recording", "online", 9), "promise", Promise.RECORDING),
+    (PoseRadius(1.0, 0.1, "frame", "online", 9, sizing="roughness"), "sizing", Sizing.ROUGHNESS),
+    (Estimate(0.0, *LOST, False, evidence=np.int64(3)), "evidence", EvidenceKind.UNKNOWN),
+    (TrainingTask(method="paper", split="blocks", **TASK), "method", Method.PAPER),
+]
+
+
+@pytest.mark.parametrize(("thing", "name", "member"), FIELDS, ids=lambda v: v if isinstance(v, str) else "")
+def test_text_becomes_the_member_that_code_compares_with(thing, name, member):
+    assert getattr(thing, name) is member
+    assert getattr(dataclasses.replace(thing), name) is member
+
+
+def test_the_papers_method_by_name_is_checked_as_the_papers():
+    with pytest.raises(ConformodalError, match="no settings"):
+        ModelConfig(method="paper")
+
+
+def test_an_estimate_without_a_known_place_is_lost_whatever_number_says_so():
+    assert is_lost(Estimate(0.0, STILL[:1], *(None,) * 4, False, evidence=3))
+
+
+def test_functions_take_text_as_the_member():
+    recording = np.repeat([0, 1, 2], 4)
+    found, expected = held_out_together(recording, "recordings"), held_out_together(recording, SplitKind.RECORDINGS)
+    np.testing.assert_array_equal(found, expected)
+    assert recording_size(STILL, "none", 0.1) == 1.0
+    assert region_record("a", 0.0, None, [np.empty((0, 2))] * 7, kind=3)["reliable"] is False
+    every = [([0.1, 9.0], [0.1, 9.0])] * 20
+    assert fit_pose_radius(every, 0.1, "recording", "online").radius_rad == 9.0
+
+
+def test_the_pace_of_a_camera_by_name_loses_frames_that_nobody_takes():
+    class Stored:
+        live, n_frames, name, camera = False, 20, "stored", None
+
+        def __iter__(self):
+            return (Frame(str(i), i / 1000, None) for i in range(20))
+
+    def taken(pace):
+        frames = prefetch(Stored(), 2, pace)
+        found = [next(frames)]
+        time.sleep(0.2)
+        return len(found + list(frames))
+
+    assert taken("camera") == taken(Pace.CAMERA) < taken("fast") == 20
+
+
+def test_a_video_is_taken_for_one_where_the_layout_is_auto_by_name(tmp_path):
+    (tmp_path / "clip.mp4").write_bytes(b"")
+    with pytest.raises(SourceError, match="as a video"):
+        open_stream(tmp_path / "clip.mp4", "auto")
