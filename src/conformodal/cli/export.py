@@ -59,7 +59,7 @@ def export(
             sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
             _check_same_data(loaded, sequence, model)
             with progress_bars() as report:
-                config = replace(config_of(loaded.configuration), runtime=Runtime.INT8)
+                config = replace(config_of(loaded.settings), runtime=Runtime.INT8)
                 made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
         head = made.localizer.find(HeadSource)
         if head is not None:

@@ -113,7 +113,7 @@ def run(
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
-        watching = watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images)
+        watching = watchers(stream.name, loaded.alpha, view=view, save=save, images=save_images)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
         metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)

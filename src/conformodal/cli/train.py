@@ -230,7 +230,7 @@ def train_on(
         "command": "train",
         "model": model_digest(out),
         "provenance": provenance(),
-        "configuration": model.configuration,
+        "configuration": model.settings,
         "seed": config.seed,
         "split": {
             "kind": str(split.kind),

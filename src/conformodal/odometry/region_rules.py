@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal
-from conformodal.conformal.checks import Alpha
+from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core import BoolArray
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -89,8 +89,9 @@ class RegionRules:
 
     def at(self, alpha: Alpha) -> RegionRules:
         """The same calibration at another miscoverage rate."""
-        matched = None if self.matched is None else self.matched.at(alpha)
-        return replace(self, overall=self.overall.at(alpha), matched=matched)
+        rate = float(as_alpha(alpha))
+        matched = None if self.matched is None else self.matched.at(rate)
+        return replace(self, overall=self.overall.at(rate), matched=matched)
 
 
 def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:

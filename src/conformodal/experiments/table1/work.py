@@ -56,6 +56,6 @@ class Table1Worker:
         results = paper_results(trained, found)
         place = self._runs.keep(task, found)
         if place is not None:  # says whose answer it is
-            configuration = trained.model.configuration
+            configuration = trained.model.settings
             write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": configuration})
         return results
