@@ -13,7 +13,7 @@ from .odometry import Odometry
 from .paper_odometry import PaperOdometry, odometry_of
 from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
 from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
-from .region_rules import EvidenceKind, RegionRules
+from .region_rules import EvidenceKind, RegionRules, Sharing
 from .results import (
     METRICS,
     RegionStatistics,
@@ -63,6 +63,7 @@ __all__ = [
     "ResultsError",
     "ResultsWriter",
     "Runtime",
+    "Sharing",
     "Sizing",
     "StreamRunner",
     "TrainingData",
