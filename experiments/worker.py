@@ -110,7 +110,7 @@ class Table1Worker:
         if self.runs is not None and task.seed == 0:
             place = self.runs / run_name(task.key, sigma)
             write_run(place, run, [path.name for path in paths], truth)
-            write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": model.configuration})
+            write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": model.settings})
         return {
             "errors": error_table(run.trajectories, truth),
             "region": region_numbers(run, model, features, truth),

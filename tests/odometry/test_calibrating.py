@@ -1,12 +1,23 @@
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from conformodal.conformal import QuantileBins
 from conformodal.localization import SourceAnswer, SourceState, register_source
 from conformodal.localization import source as registry
-from conformodal.odometry import Calibration, ModelConfig, OdometryError, prepare_training_data, train_model
+from conformodal.odometry import (
+    Calibration,
+    EvidenceKind,
+    ModelConfig,
+    OdometryError,
+    prepare_training_data,
+    train_model,
+)
+from conformodal.odometry.learning.calibrating import calibrate_regions
+from conformodal.odometry.learning.folds import Fold, Folds
 from conformodal.vision import FeatureCache
 
 
@@ -41,3 +52,43 @@ def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_w
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
     with pytest.raises(OdometryError, match=r"pose source 'sees-all' has seen frame \d+, and (\d+) of the \1 frames"):
         train_model(data, config)
+
+
+class Recognises:
+    """Beliefs that are the same for all images; in some, a place is recognised."""
+
+    sources = ()
+    local = True
+    cells = QuantileBins.from_edges([np.linspace(-4, 4, 41)] * 7)
+
+    def __init__(self, recognised):
+        self.recognised = recognised
+
+    def beliefs(self, evidence):
+        return SimpleNamespace(recognised=self.recognised[: len(evidence)])
+
+    def marginals_by_part(self, beliefs):
+        n = len(beliefs.recognised)
+        yield slice(0, n), [np.full((n, 40), 1 / 40)] * 7
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "n_recognised", "joint"),
+    [(100, 60, "max"), (100, 100, "bonferroni"), (140, 70, "bonferroni"), (140, 68, "max"), (100, 5, "bonferroni")],
+)
+def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_frames, n_recognised, joint):
+    """At alpha / 7 a type needs 69 frames; with 60 of 100 recognised, one threshold for all targets is finite."""
+    rng = np.random.default_rng(0)
+    data = SimpleNamespace(
+        features=np.zeros((n_frames + 20, 2), dtype=np.float32),
+        targets=rng.uniform(-1, 1, (n_frames + 20, 7)),
+        local_features=lambda frames: [None] * len(frames),
+        bins_of=lambda frames: Recognises.cells,
+    )
+    order = np.arange(n_frames + 20)
+    folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
+    config = ModelConfig(joint="bonferroni", score="lac")
+    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config)
+    assert rules.overall.joint == rules.matched.joint == joint
+    kinds = np.array([EvidenceKind.GLOBAL, EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS])
+    assert np.isfinite(rules.thresholds(kinds)).all()

@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from conformodal.odometry import (
     RegionStatistics,
     Sizing,
     VisualOdometry,
+    config_of,
     coverage_table,
     load_model,
     prepare_training_data,
@@ -59,6 +61,21 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
     assert back.prior == model.prior
     assert back.camera == model.camera
     assert back.configuration == {**model.configuration, "sources": list(model.configuration["sources"])}
+
+
+@pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])
+def test_alpha_has_one_form_before_and_after_saving(small_world, tmp_path, alpha):
+    model = load_model(small_world.model)
+    assert [rule.alpha for rule in model.rules.of.values()] == [0.2] * len(model.rules.of)
+    model.recalibrate(alpha)
+    model.set_novelty_level(0.25)
+    save_model(model, tmp_path)
+    for one in (model, load_model(tmp_path)):
+        for held in (one.calibration.alpha, one.alpha, one.settings["alpha"], one.configuration.get("alpha", 0.3)):
+            assert held == 0.3
+            assert isinstance(held, float)
+        assert one.settings["novelty_level"] == one.configuration.get("novelty_level", 0.25) == 0.25
+        assert config_of(one.settings).alpha == 0.3
 
 
 def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile
-from conformodal.odometry import EvidenceKind, RegionRules
+from conformodal.odometry import EvidenceKind, RegionRules, Sharing
 
 GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
 
@@ -65,14 +65,62 @@ def test_a_higher_level_moves_frames_to_the_unknown(bins, rules):
     assert sizes == [80, (rules.known_p > 0.05).sum(), (rules.known_p > 0.5).sum()]
 
 
-@pytest.mark.parametrize(("n_matched", "finite"), [(8, False), (9, True)])
-def test_a_kind_of_too_few_frames_has_the_whole_space(bins, n_matched, finite):
-    matched = np.arange(80) < n_matched
-    rules = RegionRules(calibrated(bins), calibrated(bins), matched, np.ones(80), 0.01).at(0.1)
+@pytest.mark.parametrize(
+    ("n_matched", "sharing"), [(0, Sharing.SHARED), (8, Sharing.SHARED), (9, Sharing.WIDER), (10, Sharing.OWN)]
+)
+def test_a_type_of_too_few_frames_shares_the_thresholds_of_the_other(bins, n_matched, sharing):
+    whole = calibrated(bins)
+    rules = RegionRules(whole, whole, np.arange(80) < n_matched, np.ones(80), 0.01).at(0.1)
+    assert rules.sharing is sharing
     kinds = np.array([GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN])
-    found = np.isfinite(rules.thresholds(kinds)).all(axis=1)
-    assert found.tolist() == [True, True, finite, False]
-    assert (np.isinf(rules.thresholds(kinds)[~found])).all()
+    found = rules.thresholds(kinds)
+    assert np.isfinite(found).all(axis=1).tolist() == [True, True, True, False]
+    both = conformal_quantile(whole.scores_.max(axis=1), 0.1)
+    own = [conformal_quantile(part.max(axis=1), 0.1) for part in (whole.scores_[n_matched:], whole.scores_[:n_matched])]
+    expected = {Sharing.SHARED: [both, both], Sharing.WIDER: np.maximum(own, both), Sharing.OWN: own}[sharing]
+    np.testing.assert_array_equal(found[1:3, 0], expected)
+
+
+def test_types_are_bounded_that_share_stretches_and_weigh_half_of_each(bins):
+    """Twelve stretches, half of each recognised: each type weighs six, and both together are enough."""
+    whole = calibrated(bins, 48, groups=np.repeat(np.arange(12), 4)).at(0.1)
+    rules = RegionRules(whole, whole, np.tile([True, True, False, False], 12), np.ones(48), 0.0)
+    assert [float(rule.weight) for rule in rules.own.values()] == [12, 6, 6]
+    assert np.isfinite(rules.thresholds(np.array([GLOBAL, UNMATCHED, LANDMARKS]))).all()
+
+
+def drawn(rng, n_units, n_members):
+    """Types (n, m) and scores (n, m, 2) of units that are of one type mostly, which one differs."""
+    recognised = rng.random((n_units, n_members)) < rng.choice([0.05, 0.95], (n_units, 1), p=[0.4, 0.6])
+    unlike = np.where(recognised, 0.0, rng.choice([0.0, 2.0]))
+    return recognised, rng.random((n_units, n_members, 2)) + rng.random((n_units, 1, 1)) + unlike[..., None]
+
+
+@pytest.mark.parametrize(("joint", "alpha"), [("none", 0.25), ("bonferroni", 0.5), ("max", 0.25)])
+@pytest.mark.parametrize("n_members", [1, 3])
+def test_the_guarantee_holds_however_types_share_thresholds(joint, alpha, n_members):
+    """Each of the units is the new one once: of exchangeable units, this average is their law, without noise."""
+    rng, met = np.random.default_rng(n_members), set()
+    cells = QuantileBins.from_edges([np.arange(3.0)] * 2)
+    for _ in range(25):
+        n_units = int(rng.integers(8, 13))
+        recognised, scores = drawn(rng, n_units, n_members)
+        missed = np.empty(scores.shape, dtype=bool)
+        decided = set()
+        for new in range(n_units):
+            others = np.delete(np.arange(n_units), new)
+            groups = None if n_members == 1 else np.repeat(others, n_members)
+            whole = SplitConformal(cells, alpha, "hpd", joint).calibrate_scores(scores[others].reshape(-1, 2), groups)
+            rules = RegionRules(whole, whole, recognised[others].ravel(), np.ones(len(whole.scores_)), 0.0)
+            missed[new] = scores[new] > rules.thresholds(np.where(recognised[new], LANDMARKS, UNMATCHED))
+            decided.add(rules.sharing)
+        events = missed.any(axis=2, keepdims=True) if joint != "none" else missed
+        assert (events.mean(axis=(0, 1)) <= alpha + 1e-12).all()
+        for chosen in (recognised, ~recognised):
+            if decided == {Sharing.OWN} and chosen.any():  # then it holds in each type
+                assert (events[chosen].mean(axis=0) <= alpha + 1e-12).all()
+        met |= decided
+    assert met == set(Sharing)
 
 
 def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
@@ -98,8 +146,8 @@ def test_thresholds_of_stretches_keep_their_groups(bins, joint):
         whole = rules.overall if kind == GLOBAL else rules.matched
         sizes = np.full(chosen.sum(), 4)  # of the whole stretches
         again = SplitConformal(bins, 0.2, "hpd", joint).calibrate_scores(whole.scores_[chosen], groups[chosen], sizes)
-        np.testing.assert_array_equal(rules.of[kind].thresholds_, again.thresholds_)
-        assert rules.of[kind].n_units == 20
+        np.testing.assert_array_equal(rules.own[kind].thresholds_, again.thresholds_)
+        assert rules.own[kind].n_units == 20
 
 
 def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):

@@ -63,7 +63,7 @@ def export(
             sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
             _check_same_data(loaded, sequence, model)
             with progress_bars() as report:
-                config = replace(config_of(loaded.configuration), runtime=Runtime.INT8)
+                config = replace(config_of(loaded.settings), runtime=Runtime.INT8)
                 # landmarks look at local features alone, which are the same in eight bits
                 landmarks = [source for source in loaded.localizer.sources if isinstance(source, LandmarkSource)]
                 made = train_on(sequence, config, out, cache_dir=cache_dir, report=report, fitted=landmarks)

@@ -47,7 +47,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "seed": split.seed,
         "camera": {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy},
         "sources": [source.name for source in model.localizer.sources],
-        "alpha": float(rules.overall.alpha),
+        "alpha": model.alpha,
         "joint": rules.overall.joint,
         "calibrated_on": model.configuration.get("calibrate_on"),
         "n_calibration": model.n_calibration,

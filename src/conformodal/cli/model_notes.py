@@ -11,8 +11,8 @@ from conformodal.core import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization import TARGET_NAMES, LandmarkSource
-from conformodal.odometry import Method, ModelConfig, PoseModel
-from conformodal.odometry.quality import WHERE
+from conformodal.odometry import Method, ModelConfig, PoseModel, Sharing
+from conformodal.odometry.quality import WHERE, describe_sharing, describe_units, promises
 from conformodal.poses import PinholeCamera
 
 _NEAR_FRAMES = 5
@@ -101,10 +101,12 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
             f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
+        least = min((one for one in promises(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): alpha / {len(TARGET_NAMES)} would need {_units_needed(config.alpha)} "
-            f"{'frames' if by_frame else units} at alpha {config.alpha}, and there {noun_for(n, 'is', 'are')} {n}"
+            f"{config.joint}): at alpha {model.alpha:g}, alpha / {len(TARGET_NAMES)} needs "
+            f"{_units_needed(model.alpha)} {'frames' if by_frame else units} of each evidence type, and those "
+            f"{WHERE[least.evidence]} weigh {least.weight:.4g}"
         )
     if config.method is Method.PAPER:
         said.append("images are not tested for unknown places: the paper has no such test")
@@ -129,19 +131,22 @@ def _units_needed(alpha: Alpha) -> int:
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
 
 
-def said_of_whole_space(model: PoseModel, config: ModelConfig) -> list[str]:
-    """Kinds of evidence whose region is the whole space in some target, with the reason."""
-    by_frame = model.calibration.groups_ is None
+def said_of_whole_space(model: PoseModel) -> list[str]:
+    """Evidence types whose region is unbounded in some target or that share thresholds, with the reason."""
     said: list[str] = []
-    unit, units = ("frame", "frames") if by_frame else ("stretch or recording", "stretches or recordings")
-    for kind, rule in model.rules.of.items():
-        if not len(rule.scores_):
-            said.append(f"no frame calibrates the regions {WHERE[kind]}: there the region is the whole space")
-        elif np.isposinf(rule.thresholds_).any():
+    for promise in promises(model):
+        where = WHERE[promise.evidence]
+        if promise.finite:
+            if promise.sharing is not Sharing.OWN:
+                said.append(f"{where}, {describe_units(promise)} calibrate: {describe_sharing(promise)}")
+        elif not promise.n_frames:
+            said.append(f"no frame calibrates the regions {where}: there the region is unbounded")
+        else:
             said.append(
-                f"The region is unbounded in some target {WHERE[kind]}: "
-                f"{counted(rule.n_units, unit, units)} {noun_for(rule.n_units, 'calibrates', 'calibrate')} it, too few "
-                f"for alpha = {config.alpha} (joint {rule.joint}), or too many of them lie beyond the training range. "
-                f"Take a larger alpha, or more {'frames' if by_frame else 'recordings'}."
+                f"The region is unbounded in some target {where}: {describe_units(promise)} "
+                f"{noun_for(promise.n_frames, 'calibrates', 'calibrate')} it, too few for alpha = {model.alpha:g} "
+                f"(joint {model.calibration.joint}), which needs a weight of {promise.weight_needed:g} of frames "
+                f"within the training range. Take a larger alpha, or more "
+                f"{'frames' if promise.by_frame else 'recordings'}."
             )
     return said

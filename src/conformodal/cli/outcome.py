@@ -131,11 +131,10 @@ def run_metrics(
     recording
         (n,) number of each frame's recording, see :func:`~conformodal.odometry.radius_table`.
     """
-    in_force = {"alpha": float(model.calibration.alpha), "novelty_level": float(model.rules.level)}
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
-        "configuration": {**model.configuration, **in_force, "part": str(part)},
+        "configuration": {**model.settings, "part": str(part)},
         "seed": model.split.seed,
         "split": str(model.split.kind),
         "split_note": _split_note(model, part, counts["n_answered"]),
@@ -174,7 +173,7 @@ def unfinished_metrics(model: PoseModel, part: Part, digest: str | None) -> dict
         "unfinished": True,
         "model": digest,
         "provenance": provenance(),
-        "configuration": {**model.configuration, "alpha": float(model.calibration.alpha), "part": str(part)},
+        "configuration": {**model.settings, "part": str(part)},
         "seed": model.split.seed,
         "sign_reference_quat_wxyz": model.sign_reference.tolist(),
     }

@@ -115,7 +115,7 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
-        with watchers(stream.name, loaded.calibration.alpha, view=view, save=save, images=save_images) as watching:
+        with watchers(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
     if metrics["stopped"]:

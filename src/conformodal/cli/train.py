@@ -190,7 +190,7 @@ def train_on(
         "command": "train",
         "model": model_digest(out),
         "provenance": provenance(),
-        "configuration": model.configuration,
+        "configuration": model.settings,
         "seed": config.seed,
         "split": {
             "kind": str(split.kind),
@@ -214,7 +214,7 @@ def train_on(
         console.print(said_of_landmarks(model.landmarks, model.camera))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
         say_line(line)
-    for line in said_of_whole_space(model, config):
+    for line in said_of_whole_space(model):
         say_strongly(line)
     if quality is not None:
         say_shortly(quality, sequence)

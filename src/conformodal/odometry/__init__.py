@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .paper_odometry import PaperOdometry, odometry_of
     from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
     from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
-    from .region_rules import EvidenceKind, RegionRules
+    from .region_rules import EvidenceKind, RegionRules, Sharing
     from .results import (
         METRICS,
         RegionStatistics,
@@ -69,6 +69,7 @@ __all__ = [
     "ResultsError",
     "ResultsWriter",
     "Runtime",
+    "Sharing",
     "Sizing",
     "StreamRunner",
     "TrainingData",
@@ -133,7 +134,7 @@ _find = late(
         **dict.fromkeys(("PaperOdometry", "odometry_of"), ".paper_odometry"),
         **dict.fromkeys(("METHODS", "ONLINE", "as_trajectory", "rows_by_recording", "whole_paths"), ".paths"),
         **dict.fromkeys(("PoseRadius", "Promise", "fit_pose_radius", "pose_errors", "recordings_needed"), ".radius"),
-        **dict.fromkeys(("EvidenceKind", "RegionRules"), ".region_rules"),
+        **dict.fromkeys(("EvidenceKind", "RegionRules", "Sharing"), ".region_rules"),
         **dict.fromkeys(
             (
                 "METRICS",

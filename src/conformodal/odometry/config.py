@@ -131,7 +131,7 @@ class ModelConfig:
             object.__setattr__(self, name, as_member(getattr(self, name), choices, name, OdometryError))
         check_ranges(vars(self), OdometryError)
         check_shares(self.test, self.calibration, self.used, OdometryError)
-        as_alpha(self.alpha)
+        object.__setattr__(self, "alpha", float(as_alpha(self.alpha)))
         as_joint(self.joint)
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin)
@@ -184,13 +184,17 @@ _PAPER: dict[str, Any] = {
 
 
 def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-    """The settings of a model as its record stores them, with the name and size of its data set."""
+    """The settings of a model as its record stores them, with the name and size of its data set.
+
+    Without those that a model can change later, alpha and the novelty level: the model alone holds them.
+    """
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
-    return {**asdict(config), **names, "data": data, "n_frames": n_frames}
+    kept = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
+    return {**kept, **names, "data": data, "n_frames": n_frames}
 
 
 def config_of(record: Mapping[str, Any]) -> ModelConfig:
-    """The settings of a model, from its record.
+    """The settings of a model, from :attr:`~conformodal.odometry.PoseModel.settings`.
 
     Raises
     ------

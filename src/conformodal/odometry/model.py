@@ -89,7 +89,7 @@ class PoseModel:
     known_frames
         All frames of the training data, in the order that `split` numbers them in, to know them again.
     configuration
-        Settings behind the model, for the record.
+        Settings behind the model but alpha and the novelty level, which can change, see :attr:`settings`.
     radius
         Promise for the chosen pose, see :class:`~conformodal.odometry.PoseRadius`; None before it was calibrated.
     """
@@ -109,6 +109,16 @@ class PoseModel:
     def method(self) -> Method:
         """The system that the model belongs to."""
         return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
+
+    @property
+    def alpha(self) -> float:
+        """Miscoverage rate of the regions."""
+        return float(self.rules.overall.alpha)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings in force, as records of results state them."""
+        return {**self.configuration, "alpha": self.alpha, "novelty_level": float(self.rules.level)}
 
     @property
     def bins(self) -> QuantileBins:

@@ -86,7 +86,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "backbone_fingerprint": model.backbone.fingerprint,
         "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
         "calibration": {
-            "alpha": str(rules.overall.alpha),
+            "alpha": model.alpha,
             "score": rules.overall.score.name,
             "joint": rules.overall.joint,
             "novelty_level": rules.level,
@@ -235,7 +235,7 @@ def _rules(cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArr
 def _calibration(
     bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], scores: str
 ) -> SplitConformal:
-    calibration = SplitConformal(bins, how["alpha"], how["score"], how["joint"])
+    calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))

@@ -11,6 +11,7 @@ from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
 from conformodal.datasets import SplitKind
 from conformodal.odometry import EvidenceKind, RegionRules
 from conformodal.odometry.quality import least_alpha, promises, said_of_promise
+from conformodal.odometry.quality.advice import _more_units
 from conformodal.odometry.quality.promise import N_NEW
 
 BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
@@ -68,7 +69,6 @@ def test_each_kind_of_evidence_promises_for_itself():
     }
     for one in found.values():
         n = one.n_units
-        assert one.least_alpha == Fraction(1, n + 1)
         assert conformal_rank(one.n_needed, 0.1) <= one.n_needed
         assert conformal_rank(one.n_needed - 1, 0.1) > one.n_needed - 1
         # the share of new frames that is covered follows this law
@@ -76,7 +76,7 @@ def test_each_kind_of_evidence_promises_for_itself():
         law = betabinom(N_NEW, k, n + 1 - k)
         assert one.band == pytest.approx((law.ppf(0.005) / N_NEW, law.ppf(0.995) / N_NEW))
     said = said_of_promise(found[EvidenceKind.LANDMARKS])
-    assert "20 frames calibrate them, finite from alpha = 0.0477" in said  # 1 / 21, rounded up
+    assert "20 frames calibrate them, finite from alpha = 0.0164" in said  # 1 / 61, with the other type, rounded up
     assert "at alpha = 0.1 (99 % band)" in said
 
 
@@ -96,3 +96,61 @@ def test_too_few_are_said_to_give_the_whole_space():
     assert not one.finite
     assert one.n_needed == 9
     assert said_of_promise(one).endswith("5 frames calibrate them, finite from alpha = 0.1667")
+
+
+SHARED = {
+    "frames": (60, 20, None),
+    "few of one type": (60, 4, None),
+    "all of one type": (60, 0, None),
+    "frames beyond the range": (60, 20, 5),
+    "stretches of both types": (48, 20, None),
+}
+
+
+@pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])
+@pytest.mark.parametrize("case", SHARED)
+def test_regions_are_bounded_from_the_least_alpha_on(case, joint):
+    n, n_recognised, infinite = SHARED[case]
+    groups = np.arange(n) % 16 if case.startswith("stretches") else None
+    whole = rule(n, infinite=infinite or 0, joint=joint, groups=groups)
+    rules = RegionRules(whole, whole, np.arange(n) < n_recognised, np.ones(n), 0.0)
+    for one in promises(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))):
+        kind, least = np.array([one.evidence]), one.least_alpha
+        larger = [least, *(least + (1 - least) * Fraction(k, 10) for k in range(1, 10))]
+        for alpha in larger:
+            assert np.isfinite(exactly(rules, alpha).thresholds(kind)).all()
+        assert np.isinf(exactly(rules, least - A_BIT).thresholds(kind)).any()
+
+
+def exactly(rules, alpha):
+    return RegionRules(rules.overall.at(alpha), rules.matched.at(alpha), rules.recognised, rules.known_p, rules.level)
+
+
+def stretches(n_units, joint="max"):
+    """Regions that are calibrated on stretches in which one of four frames is recognised, and one is unknown."""
+    whole = rule(4 * n_units, joint=joint, groups=np.repeat(np.arange(n_units), 4))
+    known_p = np.tile([1.0, 1.0, 1.0, 0.0], n_units)
+    rules = RegionRules(whole, whole, np.tile([True, False, False, False], n_units), known_p, 0.0)
+    return SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))
+
+
+@pytest.mark.parametrize("joint", ["max", "bonferroni"])
+def test_as_many_stretches_as_are_said_to_be_needed_give_bounded_regions(joint):
+    """Nine stretches are too few where a quarter of their frames is unknown: those that count weigh less than nine."""
+    for one in promises(stretches(9, joint)):
+        assert not one.finite
+        assert one.n_needed > 9
+        assert f"takes {one.n_needed} stretches" in _more_units(one)
+        after = {new.evidence: new.finite for new in promises(stretches(one.n_needed, joint))}
+        before = {new.evidence: new.finite for new in promises(stretches(one.n_needed - 1, joint))}
+        assert after[one.evidence]
+        assert not before[one.evidence]
+
+
+def test_more_of_the_same_is_not_advised_where_too_many_frames_lie_beyond_the_range():
+    made = rule(60, infinite=7, joint="max")
+    rules = RegionRules(made, None, np.zeros(60, dtype=bool), np.ones(60), 0.0)
+    (one,) = promises(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
+    assert not one.finite
+    assert one.n_needed is None
+    assert "beyond the training range" in _more_units(one)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from fractions import Fraction
 from itertools import accumulate
 from math import lcm
 from typing import Any, Self
@@ -71,6 +72,21 @@ class SplitConformal(Calibrator):
         """Exchangeable units behind the thresholds: calibration samples, or their groups."""
         n = self._calibrated().shape[0]
         return n if self.groups_ is None else len(factorise(self.groups_)[0])
+
+    @property
+    def weights(self) -> list[Fraction]:
+        """Weight of each calibration sample, in exchangeable units: 1, or its share of its whole group."""
+        n = len(self._calibrated())
+        if self.groups_ is None:
+            return [Fraction(1)] * n
+        codes = factorise(self.groups_)[1]
+        sizes = np.bincount(codes)[codes] if self.group_sizes_ is None else self.group_sizes_
+        return [Fraction(1, size) for size in sizes.tolist()]
+
+    @property
+    def weight(self) -> Fraction:
+        """Sum of :attr:`weights`: thresholds are finite only from ``1 / alpha_per_target - 1`` on."""
+        return sum(self.weights, Fraction(0))
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
         """Score the calibration samples and set the thresholds.

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
+from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.calibration import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core import IntArray
 from conformodal.localization import (
-    TARGET_NAMES,
     Beliefs,
     FrameEvidence,
     Localizer,
@@ -62,23 +61,23 @@ def calibrate_regions(
         _check_unseen(localizer, fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    joint = _choose_joint(config, len(held_out) if units is None else len(np.unique(units)))
     # scores per unit of the target are compared in units of its spread, which no calibration frame chose
     spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
 
-    def rule(cells: QuantileBins) -> SplitConformal:
+    def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
         made = SplitConformal(cells, config.alpha, config.score, joint)
         made.rule.keep_scale()
         if is_per_unit(made.score):
             made.rule.scale_ = 1 / spread
         return made
 
+    asked = as_joint(config.joint)
     overall: list[FloatArray] = []
     matched: list[FloatArray] = []
     recognised: list[npt.NDArray[np.bool_]] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
-        targets, own = data.targets[frames], rule(localizer.cells)
+        targets, own = data.targets[frames], rule(localizer.cells, asked)
         images = FrameEvidence(data.features[frames])
         overall.append(score_beliefs(own, localizer, localizer.beliefs(images), targets))
         if localizer.local:
@@ -88,13 +87,20 @@ def calibrate_regions(
     # a fold without landmarks leaves nothing to calibrate them on
     local = len(matched) == len(localizers)
     cells = belief_cells(data.bins_of(folds.region_frames))
-    return RegionRules(
-        overall=rule(cells).calibrate_scores(np.concatenate(overall), units),
-        matched=rule(cells).calibrate_scores(np.concatenate(matched), units) if local else None,
-        recognised=np.concatenate(recognised) if local else np.zeros(len(held_out), dtype=bool),
-        known_p=np.ones(len(held_out)) if novelty is None else _p_values(novelty, folds, data),
-        level=0.0 if novelty is None else novelty.level(config.novelty_level),
-    )
+    places = np.concatenate(recognised) if local else np.zeros(len(held_out), dtype=bool)
+    known_p = np.ones(len(held_out)) if novelty is None else _p_values(novelty, folds, data)
+
+    def calibrated(joint: Joint) -> RegionRules:
+        return RegionRules(
+            overall=rule(cells, joint).calibrate_scores(np.concatenate(overall), units),
+            matched=rule(cells, joint).calibrate_scores(np.concatenate(matched), units) if local else None,
+            recognised=places,
+            known_p=known_p,
+            level=0.0 if novelty is None else novelty.level(config.novelty_level),
+        )
+
+    rules = calibrated(asked)
+    return calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
 
 
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
@@ -118,21 +124,15 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     return RegionRules(rule.calibrate(proba, data.targets[held_out]), None, np.zeros(n, dtype=bool), np.ones(n), 0.0)
 
 
-def _choose_joint(config: ModelConfig, n_units: int) -> Joint:
-    """The rule for the whole pose that was asked for; ``max`` where ``bonferroni`` has too few frames for each target.
+def _has_type_for_max_only(rules: RegionRules) -> bool:
+    """Whether an evidence type weighs enough for a finite threshold at alpha, and not for one per target at its share.
 
-    Parameters
-    ----------
-    config
-        Says alpha and what is asked for.
-    n_units
-        Frames that calibrate, or stretches where these do.
+    The choice looks at what the types weigh, never at scores. Where one unit more would change it, coverage can fall
+    short of ``1 - alpha``, by at most alpha; otherwise it costs nothing.
     """
-    joint, rate = as_joint(config.joint), as_alpha(config.alpha)
-    enough = conformal_rank(n_units, rate / len(TARGET_NAMES)) <= n_units
-    if joint == "bonferroni" and not enough and conformal_rank(n_units, rate) <= n_units:
-        return "max"
-    return joint
+    for_max = 1 / as_alpha(rules.overall.alpha) - 1
+    for_each = 1 / rules.overall.alpha_per_target - 1
+    return any(for_max <= rule.weight < for_each for rule in rules.own.values())
 
 
 def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> npt.NDArray[np.float64]:

@@ -1,6 +1,14 @@
 """Whether a recording is good enough: where it is thin, fast or ambiguous, what it can promise, what to record next."""
 
-from .advice import WHERE, Names, record_next, said_of_promise, said_of_quality
+from .advice import (
+    WHERE,
+    Names,
+    describe_sharing,
+    describe_units,
+    record_next,
+    said_of_promise,
+    said_of_quality,
+)
 from .examining import RecordingQuality, examine, examine_training
 from .place_ambiguity import Ambiguity, AmbiguousStretch
 from .promise import KindPromise, least_alpha, promises
@@ -22,6 +30,8 @@ __all__ = [
     "RecordingQuality",
     "ThinStretch",
     "ViewScale",
+    "describe_sharing",
+    "describe_units",
     "examine",
     "examine_training",
     "least_alpha",

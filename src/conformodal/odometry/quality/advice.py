@@ -10,7 +10,7 @@ from conformodal.core import FloatArray
 from conformodal.core.words import counted, listed, noun_for
 from conformodal.datasets import Sequence
 
-from ..region_rules import EvidenceKind
+from ..region_rules import EvidenceKind, Sharing
 from .examining import RecordingQuality
 from .place_ambiguity import AmbiguousStretch
 from .promise import N_NEW, KindPromise
@@ -143,31 +143,60 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
 
 
 def said_of_promise(promise: KindPromise) -> str:
-    """What the regions of one kind of evidence can promise."""
+    """What the regions of one evidence type can promise."""
     where = f"regions {WHERE[promise.evidence]}"
-    if not promise.n_frames:
-        return f"{where}: no frame calibrates them, they are the whole space"
-    units = (
-        ""
-        if promise.n_units == promise.n_frames
-        else f" of {counted(promise.n_units, 'stretch', 'stretches')} or recordings"
-    )
-    least = f"finite from alpha = {promise.least_alpha_shown:g}" if promise.least_alpha < 1 else "finite at no alpha"
-    calibrate = noun_for(promise.n_frames, "calibrates", "calibrate")
-    said = f"{where}: {counted(promise.n_frames, 'frame')}{units} {calibrate} them, {least}"
+    if not promise.n_frames and promise.sharing is Sharing.OWN:
+        return f"{where}: no frame calibrates them, they are unbounded"
+    said = f"{where}: {describe_units(promise)} {noun_for(promise.n_frames, 'calibrates', 'calibrate')} them"
+    if promise.sharing is not Sharing.OWN:
+        said += f"; {describe_sharing(promise)}"
+    bounded = promise.least_alpha < 1
+    said += f", finite from alpha = {promise.least_alpha_shown:g}" if bounded else ", finite at no alpha"
     if promise.band is not None and promise.finite:
         low, high = promise.band
         said += f"; of {N_NEW} new frames {low:.3f} to {high:.3f} are covered at alpha = {promise.alpha:g} (99 % band)"
     return said
 
 
-def _more_units(promise: KindPromise) -> str:
-    unit = "frames" if promise.n_units == promise.n_frames else "stretches or recordings"
-    calibrate = noun_for(promise.n_units, "calibrates", "calibrate")
+def describe_units(promise: KindPromise) -> str:
+    """The frames of an evidence type that calibrate, and what they weigh."""
+    frames = counted(promise.n_frames, "frame")
+    if promise.by_frame:
+        return frames
+    units = counted(promise.n_units, "stretch or recording", "stretches or recordings")
+    return f"{frames} of {units}, which weigh {promise.weight:.1f} whole ones,"
+
+
+def describe_sharing(promise: KindPromise) -> str:
+    """Whose thresholds an evidence type has that shares them, and what that guarantees."""
+    both = "those of all frames whose local features were matched"
+    if promise.sharing is Sharing.WIDER:
+        return f"one evidence type is at the limit of too few, thresholds are the larger of its own and {both}"
     return (
-        f"Record more {unit} {WHERE[promise.evidence]}: regions are the whole space there, because "
-        f"{promise.n_units} {calibrate} them; alpha = {promise.alpha:g} needs at least {promise.n_needed}, none "
-        "of them beyond the training range."
+        f"thresholds are {both}, because one evidence type has too few for its own, and the guarantee is about both "
+        "types together"
+    )
+
+
+def _more_units(promise: KindPromise) -> str:
+    where, alpha = WHERE[promise.evidence], promise.alpha
+    shared = promise.sharing is Sharing.SHARED
+    them = "them, together with those of the other evidence type," if shared else "them"
+    if promise.n_needed is None:
+        return (
+            f"Record again with training data that reaches further: regions are unbounded {where}, because more than "
+            f"alpha = {alpha:g} of the frames that calibrate {them} lie beyond the training range."
+        )
+    if promise.by_frame:
+        return (
+            f"Record more frames {where}: regions are unbounded there, because "
+            f"{counted(promise.n_frames, 'frame')} {noun_for(promise.n_frames, 'calibrates', 'calibrate')} {them}; "
+            f"alpha = {alpha:g} needs at least {promise.n_needed}{' in all' if shared else ''}."
+        )
+    return (
+        f"Record more: regions are unbounded {where}. {describe_units(promise)} calibrate {them}; alpha = {alpha:g} "
+        f"needs a weight of {promise.weight_needed:g}, which takes {promise.n_needed} stretches or recordings like "
+        "these."
     )
 
 

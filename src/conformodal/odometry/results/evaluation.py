@@ -15,7 +15,7 @@ from conformodal.poses import Trajectory, trajectory_errors
 from ..model import PoseModel
 from ..paths import ONLINE
 from ..radius import PoseRadius
-from ..region_rules import EvidenceKind
+from ..region_rules import EvidenceKind, RegionRules, Sharing
 from .statistics import RegionStatistics
 
 _ASSUMPTION_HELD = (
@@ -30,6 +30,11 @@ _ASSUMPTION_EACH = (
 _ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
     "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
+)
+_ASSUMPTION_SHARED = (
+    "Frames were split at random, so calibration and test frames are exchangeable. One of the two evidence types of "
+    "matched local features has too few calibration frames for thresholds of its own, so the guarantee is about both "
+    "types together; there is no exact band for the count."
 )
 _ASSUMPTION_STRETCHES = (
     "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
@@ -78,11 +83,17 @@ def coverage_table(
     inside, finite = statistics.inside, np.asarray(~statistics.unbounded.any(axis=1))
     rules = model.rules
     kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
-    met = [(rule.n_units, count) for _, rule, count in kinds if count]
+    # types that share thresholds are one in the law
+    laws: dict[int, tuple[int, int]] = {}
+    for _, rule, count in kinds:
+        laws[id(rule)] = (rule.n_units, laws.get(id(rule), (0, 0))[1] + count)
+    met = [(n, count) for n, count in laws.values() if count]
     met += [(0, int((statistics.kinds == EvidenceKind.UNKNOWN).sum()))]  # always covered
     by_frame = rules.overall.groups_ is None
     # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
     one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
+    shared = rules.matched is not None and rules.sharing is not Sharing.OWN
+    one_law = one_law and (not shared or _shared_whatever(rules, kinds))
     calibration = model.calibration_of(local=matched_all)
     held = np.asarray(inside.all(axis=1))
     whole = calibration.joint == "max"
@@ -102,6 +113,7 @@ def coverage_table(
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
+                "thresholds": str(Sharing.OWN if kind is EvidenceKind.GLOBAL else rules.sharing),
                 "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
                 **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
             }
@@ -112,7 +124,14 @@ def coverage_table(
         "joint_band_99": None if band is None else list(band),
         "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, matched_all=matched_all),
-        "assumption": _assumption(exchangeable and by_frame, by_frame, whole, one_law, seen),
+        "assumption": _assumption(
+            exchangeable and by_frame,
+            by_frame,
+            whole,
+            one_law,
+            seen,
+            shared=shared and matched_all,
+        ),
     }
 
 
@@ -126,6 +145,12 @@ def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]
     """
     n = int(bounded.sum())
     return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
+
+
+def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceKind, SplitConformal, int]]) -> bool:
+    """Whether two types share thresholds however these frames and those that calibrate are drawn from all together."""
+    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind is not EvidenceKind.GLOBAL]
+    return min(both) + 1 < 1 / rules.overall.alpha_per_target
 
 
 def _target_row(
@@ -145,8 +170,18 @@ def _target_row(
     return row
 
 
-def _assumption(promised: bool, by_frame: bool, whole: bool, one_law: bool, seen: bool) -> str:
+def _assumption(
+    promised: bool,
+    by_frame: bool,
+    whole: bool,
+    one_law: bool,
+    seen: bool,
+    *,
+    shared: bool,
+) -> str:
     """What the coverage rests on, for people."""
+    if promised and shared and not one_law:
+        return _ASSUMPTION_SHARED
     if promised:
         return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
     if seen:
