@@ -110,7 +110,6 @@ def run_metrics(
     *,
     whole: bool = True,
     matched_all: bool = True,
-    recording: IntArray | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -128,8 +127,6 @@ def run_metrics(
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
     matched_all
         Whether local features were matched in all of them, as when a radius is calibrated.
-    recording
-        (n,) number of each frame's recording, see :func:`~conformodal.odometry.radius_table`.
     """
     in_force = {"alpha": float(model.calibration.alpha), "novelty_level": float(model.rules.level)}
     metrics: dict[str, Any] = {
@@ -145,7 +142,7 @@ def run_metrics(
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     radius = model.radius if whole and matched_all and part is Part.ALL else None
     truth, frames = (None, None) if known is None else (known.truth, known.frames)
-    metrics["radius"] = radius_table(radius, trajectories, truth, recording, frames)
+    metrics["radius"] = radius_table(radius, trajectories, truth, frames)
     if known is not None:
         metrics["n_with_truth"] = len(known.truth)
         if frames is not None:
@@ -281,9 +278,7 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
 def _size(radius: dict[str, Any]) -> str:
     if radius["radius_m"] is None or radius["radius_deg"] is None:
         return "infinity, for want of recordings to calibrate it on"
-    low, high = min(radius["sizes"]), max(radius["sizes"])
-    over = f", the mean over recordings of sizes {low:.2f} to {high:.2f}" if low < high else ""
-    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees{over}"
+    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 
 def _n_frames(model: PoseModel, part: Part) -> int | None:

@@ -247,7 +247,6 @@ def _write_results(
         counts,
         whole=whole,
         matched_all=runner.matched_all,
-        recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
     )
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra

@@ -12,7 +12,15 @@ from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
 from .paper_odometry import PaperOdometry, odometry_of
 from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
-from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
+from .radius import (
+    METRES_PER_RAD,
+    PoseRadius,
+    Promise,
+    fit_pose_radius,
+    joint_error,
+    pose_errors,
+    recordings_needed,
+)
 from .region_rules import EvidenceKind, RegionRules
 from .results import (
     METRICS,
@@ -31,8 +39,7 @@ from .results import (
     write_run,
 )
 from .results.evaluation import bounded_coverage, coverage_table, error_table, is_exchangeable, radius_table
-from .selection import calibrate_selection, recording_errors, recording_sizes
-from .sizing import METRES_PER_RAD, Sizing, joint_error, recording_size, roughness
+from .selection import calibrate_selection, recording_errors
 from .store import load_model, model_digest, save_model
 from .streaming import StreamRunner
 
@@ -64,7 +71,6 @@ __all__ = [
     "ResultsError",
     "ResultsWriter",
     "Runtime",
-    "Sizing",
     "StreamRunner",
     "TrainingData",
     "VisualOdometry",
@@ -96,11 +102,8 @@ __all__ = [
     "read_trajectories",
     "read_unfinished",
     "recording_errors",
-    "recording_size",
-    "recording_sizes",
     "recordings_needed",
     "records_contain",
-    "roughness",
     "rows_by_recording",
     "save_model",
     "train_model",

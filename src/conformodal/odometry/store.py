@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -34,7 +35,6 @@ from .identity import FrameIdentities
 from .model import PoseModel
 from .radius import PoseRadius, Promise
 from .region_rules import RegionRules
-from .sizing import Sizing
 
 _FORMAT = "conformodal-model-12"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
@@ -208,7 +208,7 @@ def _assemble(
         split=Split(SplitKind(split["kind"]), split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
-        radius=_radius(record["radius"]),
+        radius=_radius(record["radius"], folder),
     )
 
 
@@ -263,12 +263,18 @@ def _prior(record: dict[str, Any]) -> MotionPrior:
     return MotionPrior(**{**record, **tables, **depths})
 
 
-def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
+def _radius(record: dict[str, Any] | None, folder: Path) -> PoseRadius | None:
     if record is None:
         return None
+    if record.pop("sizing", "none") != "none":
+        warnings.warn(
+            f"{folder}: its radius depends on the recording, which is no longer supported, and is left out: run "
+            "`conformodal calibrate` again",
+            stacklevel=4,
+        )
+        return None
     limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
-    named = {"promise": Promise(record["promise"]), "sizing": Sizing(record["sizing"])}
-    return PoseRadius(**{**record, "radius_rad": limit, **named})
+    return PoseRadius(**{**record, "radius_rad": limit, "promise": Promise(record["promise"])})
 
 
 def _read_record(path: Path) -> dict[str, Any]:

@@ -66,8 +66,6 @@ class StreamRunner:
         Places in the data set of those whose true pose is known.
     known
         Which of the answers these are, counted from 0.
-    by_recording
-        How many of them in each recording, by its number and in the order of the stream.
     motion
         How often which motion status.
     problems
@@ -92,7 +90,6 @@ class StreamRunner:
         self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.known: list[int] = []
-        self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
@@ -181,7 +178,6 @@ class StreamRunner:
         assert estimate.corners is not None
         assert estimate.evidence is not None
         self.n_answered += 1
-        self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
         self.n_matched += estimate.matched
         self.n_localized += bool(estimate.estimates)
