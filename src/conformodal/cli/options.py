@@ -63,7 +63,6 @@ RANGES = {
     "workers": _Range(1, 1024),
     "limit": _Range(1),
     "match_every": _Range(1),
-    "budget_ms": _Range(0, low_open=True),
     "metres_per_radian": _Range(0, low_open=True),
 }
 # Options that have an effect only where another option has a certain value.

@@ -184,7 +184,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
-    lines += [f"{line}." for line in (*_said_of_budget(metrics), *_said_of_unknown(metrics))]
+    lines += [f"{line}." for line in _said_of_unknown(metrics)]
     if metrics["radius"] is not None:
         radius = metrics["radius"]
         lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
@@ -198,8 +198,6 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
     console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
-    for line in _said_of_budget(metrics):
-        say_line(line)
     for name, why in list(metrics["problems"].items())[:3]:
         say_line(f"  {name}: {why}")
     for line in _said_of_unknown(metrics):
@@ -220,24 +218,6 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
             f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
             f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
-
-
-def _said_of_budget(metrics: dict[str, Any]) -> list[str]:
-    """How a budget was kept; nothing if there was none."""
-    kept = metrics.get("budget")
-    if kept is None or kept["median_ms"] is None:
-        return []
-    said = [
-        f"local features were matched in {metrics['n_matched']} of {metrics['n_answered']} frames; a frame took "
-        f"{kept['median_ms']:.1f} ms (median; 99th percentile {kept['p99_ms']:.1f} ms), the budget is "
-        f"{kept['budget_ms']:g} ms"
-    ]
-    if kept["out_of_reach"]:
-        said.append(
-            f"The budget cannot be kept: without matching a frame took {kept['unmatched_ms']:.1f} ms (median); give "
-            "frames more time, or train a model with a smaller network"
-        )
-    return said
 
 
 def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:

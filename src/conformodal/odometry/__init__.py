@@ -1,8 +1,7 @@
 """The estimator: trained models, streams and sequences."""
 
-from .budget import BudgetRecord, FrameBudget
 from .config import Calibration, Method, ModelConfig, Runtime, config_of
-from .errors import BudgetWarning, ModelFileError, OdometryError, ResultsError
+from .errors import ModelFileError, OdometryError, ResultsError
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .identity import data_digest, identify
@@ -48,12 +47,9 @@ __all__ = [
     "METRES_PER_RAD",
     "METRICS",
     "ONLINE",
-    "BudgetRecord",
-    "BudgetWarning",
     "Calibration",
     "Estimate",
     "EvidenceKind",
-    "FrameBudget",
     "Localization",
     "Method",
     "ModelConfig",

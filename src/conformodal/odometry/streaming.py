@@ -113,8 +113,7 @@ class StreamRunner:
     @property
     def matched_all(self) -> bool:
         """Whether local features of all answered frames were matched, if the model looks at them."""
-        asked = self.odometry.match_every == 1 and self.odometry.budget is None
-        return asked or self.n_matched == self.n_answered
+        return self.odometry.match_every == 1 or self.n_matched == self.n_answered
 
     @property
     def truth(self) -> Trajectory | None:
