@@ -31,7 +31,7 @@ from conformodal.odometry import (
 )
 from conformodal.odometry.quality import QUALITY, ViewScale, pose_coverage
 from conformodal.odometry.quality.place_ambiguity import most_probable
-from conformodal.odometry.sizing import depth_or_default
+from conformodal.odometry.radius import depth_or_default
 from conformodal.poses import position_errors_m
 from conformodal.vision import FeatureCache, default_cache_dir
 

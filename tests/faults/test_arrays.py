@@ -29,7 +29,6 @@ from conformodal.conformal import (
     ConformalRegressor,
     CrossConformal,
     Density,
-    DtAci,
     Lac,
     LinearDensity,
     MondrianConformal,
@@ -426,7 +425,7 @@ TAKES_RATE = [
     lambda a: SplitConformal(BINS, a),
     SPLIT["lac"].at,
     lambda a: OnlineConformal(BINS, a),
-    lambda a: OnlineConformal(BINS, a, method="dtaci"),
+    lambda a: OnlineConformal(BINS, a, method="pid"),
     ConformalPid,
     lambda a: conformal_rank(9, a),
     lambda a: grouped_quantile([[1.0]], a),
@@ -451,7 +450,6 @@ COUNTS = {
     "n_bins": lambda v: QuantileBins(v).fit(Y),
     "n_bins of a regressor": lambda v: tree().set_params(n_bins=v).fit(X, Y) if v is not None else QuantileBins(v),
     "refine": BINS.refine,
-    "interval": lambda v: DtAci(interval=v),
     "strata": lambda v: coverage_by_size(HELD, W, 99, 0.1, strata=v if v != 3 * 10**9 else -1),
     "repeats": lambda v: check_uniformity(W, W, v if v != 3 * 10**9 else -1),
     "cells": lambda v: SplitConformal(BINS, 0.1, LinearDensity(v)),
@@ -560,9 +558,6 @@ REFUSED = {
     "edges of a density": (lambda: StackedDensity().fit_bins(X, W, [1, 0]), "increasing"),
     "estimator that is a number": (lambda: ConformalRegressor(5).fit(X, Y), "estimator"),
     "estimator that is a class": (lambda: ConformalRegressor(DecisionTreeClassifier).fit(X, Y), "estimator"),
-    "gammas of none": (lambda: DtAci(gammas=[]), "gammas"),
-    "gammas of an array with zero": (lambda: DtAci(gammas=np.array([0.0, 0.1])), "gammas"),
-    "gammas of words": (lambda: DtAci(gammas=["a"]), "gammas"),
     "window of a float": (lambda: Aci(window=2.5), "window"),
     "start of NaN": (lambda: ConformalPid(start=np.nan), "start"),
     "forecast that is a number": (lambda: ConformalPid(forecast=5), "forecast"),
@@ -581,7 +576,7 @@ def test_refused(case):
 SCORES_OF_TRACKERS = [np.nan, None, "1", 1j, [1.0], np.array([1.0]), np.ma.masked, Missing(), 10**400, True]
 
 
-@pytest.mark.parametrize("make", [Aci, DtAci, ConformalPid])
+@pytest.mark.parametrize("make", [Aci, ConformalPid])
 @pytest.mark.parametrize("score", SCORES_OF_TRACKERS, ids=lambda s: type(s).__name__)
 def test_trackers_learn_nothing_from_what_is_no_score(make, score):
     tracker = make(0.1)

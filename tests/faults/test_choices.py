@@ -23,11 +23,9 @@ from conformodal.odometry import (
     PoseRadius,
     Promise,
     Runtime,
-    Sizing,
     calibrate_selection,
     fit_pose_radius,
     make_folds,
-    recording_size,
 )
 from conformodal.odometry.results.records import region_record
 from conformodal.poses import RelativeMotion, Trajectory, align
@@ -61,15 +59,8 @@ ENTRIES = {
     "ModelConfig.runtime": (lambda v: ModelConfig(runtime=v), "runtime"),
     "PoseModel.method": (lambda v: PoseModel(*(None,) * 8, configuration={"method": v}).method, "method"),
     "PoseRadius.promise": (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "promise"),
-    "PoseRadius.sizing": (lambda v: PoseRadius(1.0, 0.1, Promise.FRAME, "online", 9, sizing=v), "sizing"),
     "fit_pose_radius promise": (lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, v, "online"), "promise"),
-    "fit_pose_radius sizing": (
-        lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, Promise.FRAME, "online", sizing=v),
-        "sizing",
-    ),
     "calibrate_selection promise": (lambda v: calibrate_selection(None, None, promise=v), "promise"),
-    "calibrate_selection sizing": (lambda v: calibrate_selection(None, None, sizing=v), "sizing"),
-    "recording_size": (lambda v: recording_size(STILL, v, 0.1), "sizing"),
     "make_folds": (lambda v: make_folds(None, None, v), "calibration"),
     "Estimate.evidence": (lambda v: Estimate(0.0, *LOST, False, evidence=v), "evidence"),
     "region_record": (lambda v: region_record("a", 0.0, None, [], kind=v), "kind"),
@@ -102,7 +93,6 @@ FIELDS = [
     (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
     (ModelConfig(runtime="int8"), "runtime", Runtime.INT8),
     (PoseRadius(1.0, 0.1, "recording", "online", 9), "promise", Promise.RECORDING),
-    (PoseRadius(1.0, 0.1, "frame", "online", 9, sizing="roughness"), "sizing", Sizing.ROUGHNESS),
     (Estimate(0.0, *LOST, False, evidence=np.int64(3)), "evidence", EvidenceKind.UNKNOWN),
     (TrainingTask(method="paper", split="blocks", **TASK), "method", Method.PAPER),
 ]
@@ -127,7 +117,6 @@ def test_functions_take_text_as_the_member():
     recording = np.repeat([0, 1, 2], 4)
     found, expected = held_out_together(recording, "recordings"), held_out_together(recording, SplitKind.RECORDINGS)
     np.testing.assert_array_equal(found, expected)
-    assert recording_size(STILL, "none", 0.1) == 1.0
     assert region_record("a", 0.0, None, [np.empty((0, 2))] * 7, kind=3)["reliable"] is False
     every = [([0.1, 9.0], [0.1, 9.0])] * 20
     assert fit_pose_radius(every, 0.1, "recording", "online").radius_rad == 9.0

@@ -6,7 +6,7 @@ from math import inf, nextafter, pi, sqrt
 import numpy as np
 import pytest
 
-from conformodal.conformal import Aci, ConformalPid, DtAci, OnlineConformal, QuantileBins
+from conformodal.conformal import Aci, ConformalPid, OnlineConformal, QuantileBins
 
 T = 1200
 
@@ -111,22 +111,6 @@ def test_pid_keeps_its_bound_whatever_is_forecast(forecast):
     assert abs(missed.mean() - 0.1) <= (pi / 2 * sqrt(T) + 1) / T
 
 
-@pytest.mark.parametrize("adversary", ADVERSARIES)
-def test_experts_of_dtaci_keep_the_bound_of_aci_each_for_itself(adversary):
-    tracker = DtAci(0.1)
-    play(tracker, ADVERSARIES[adversary])
-    misses = T * 0.1 - (tracker.experts - 0.1) / tracker.gammas
-    assert (np.abs(misses / T - 0.1) <= (0.9 + tracker.gammas) / (T * tracker.gammas) + 1e-9).all()
-    assert np.isfinite(tracker.weights).all()
-    assert abs(tracker.weights.sum() - 1) < 1e-9
-
-
-def test_the_mean_of_dtaci_has_no_bound_as_its_docstring_says():
-    assert play(DtAci(0.1), just_above, 8000).mean() > 0.19
-    for word in ("drawn at random", "expectation", "fall to zero", "does not hold"):
-        assert word in " ".join(DtAci.__doc__.split())
-
-
 # pushes the truth into the bin of the largest score: the worst that a set over bins can meet
 @pytest.mark.parametrize(
     ("method", "bound"),
@@ -153,12 +137,12 @@ def test_the_default_is_the_method_with_the_bound():
     bins = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
     trackers = OnlineConformal(bins, 0.1).trackers
     assert [type(tracker) for tracker in trackers] == [Aci, Aci]
-    # the mean of DtACI is at 0.2 here, and PID that saturates at 5 t / log(t) misses thousands in a row
+    # PID that saturates at 5 t / log(t) misses thousands in a row
     assert abs(play(trackers[0], just_above, 8000).mean() - 0.1) <= (0.9 + 0.005) / (0.005 * 8000)
     assert abs(play(ConformalPid(0.1), just_above, 8000).mean() - 0.1) <= (pi / 2 * sqrt(8000) + 1) / 8000
 
 
-@pytest.mark.parametrize("method", ["aci", "dtaci", "pid"])
+@pytest.mark.parametrize("method", ["aci", "pid"])
 def test_coverage_follows_a_drift(method):
     rng = np.random.default_rng(1)
     scores = np.abs(rng.normal(size=6000)) * (1 + 3 * (np.arange(6000) > 3000))
@@ -169,14 +153,14 @@ def test_coverage_follows_a_drift(method):
     assert abs(missed[3000:].mean() - 0.1) < 0.02
 
 
-@pytest.mark.parametrize("make", [Aci, DtAci, ConformalPid])
+@pytest.mark.parametrize("make", [Aci, ConformalPid])
 def test_a_window_bounds_what_is_kept(make):
     tracker = make(0.1, window=50)
     play(tracker, ADVERSARIES["walk"], 500)
     assert len(tracker.past) == 50
 
 
-@pytest.mark.parametrize("cls", [Aci, DtAci, ConformalPid, OnlineConformal])
+@pytest.mark.parametrize("cls", [Aci, ConformalPid, OnlineConformal])
 def test_docstrings_say_that_memory_grows(cls):
     assert "memory" in cls.__doc__
     assert "grows with the stream" in " ".join(cls.__doc__.split())

@@ -261,7 +261,6 @@ SAY_NOTHING = {
     "convert: a topic": (("data", "convert", "DATA", "--topic", "/image"), "--topic says something with a ROS"),
     "convert: a camera": (("data", "convert", "DATA", "--camera", "DATA"), "--camera is for sources that say no"),
     "paper: a level of novelty": (("run", "PAPER", "DATA", "--novelty-level", "0.1"), "no test for unknown places"),
-    "paper: a budget": (("run", "PAPER", "DATA", "--budget-ms", "30"), "looks at no local features"),
     "paper: matching at times": (("run", "PAPER", "DATA", "--match-every", "3"), "looks at no local features"),
 }
 

@@ -217,7 +217,7 @@ def test_a_part_with_another_camera_is_refused(model, sequence):
     assert len(part_frames(model, same, Part.TEST)) == len(model.split.test)
 
 
-@pytest.mark.parametrize("layout", [Layout.TUM, Layout.KITTI, Layout.NERF, Layout.IMAGES])
+@pytest.mark.parametrize("layout", [Layout.TUM, Layout.COLMAP, Layout.IMAGES])
 def test_a_part_is_found_in_another_layout(model, sequence, tmp_path, layout):
     write_layout(tmp_path / "there", layout, SequenceStream(sequence), sequence.camera, sequence.truth)
     here = read_sequence(tmp_path / "there", layout)

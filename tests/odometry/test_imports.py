@@ -12,7 +12,7 @@ def run(script):
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
 
 
-@pytest.mark.parametrize("module", ["region_rules", "radius", "sizing", "errors"])
+@pytest.mark.parametrize("module", ["region_rules", "radius", "errors"])
 def test_rules_of_regions_and_radii_need_no_package_for_images(module):
     found = run(f"""
         import sys

@@ -1,3 +1,4 @@
+import hashlib
 import json
 from dataclasses import replace
 from fractions import Fraction
@@ -18,7 +19,6 @@ from conformodal.odometry import (
     Promise,
     RegionRules,
     RegionStatistics,
-    Sizing,
     VisualOdometry,
     config_of,
     coverage_table,
@@ -86,11 +86,27 @@ def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
 
 @pytest.mark.parametrize("limit", [0.25, np.inf])
 def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
-    radius = PoseRadius(limit, 0.1, Promise.FRAME, "smoothed", 9, metres_per_rad=3.0, sizing=Sizing.ROUGHNESS)
+    radius = PoseRadius(limit, 0.1, Promise.FRAME, "smoothed", 9, metres_per_rad=3.0)
     save_model(replace(model, radius=radius), tmp_path)
     back = load_model(tmp_path).radius
     assert back == radius
     assert back.radius_m == 3 * limit
+
+
+@pytest.mark.parametrize("sizing", ["none", "roughness"])
+def test_a_radius_that_depends_on_the_recording_is_left_out(model, tmp_path, sizing):
+    radius = PoseRadius(0.25, 0.1, Promise.FRAME, "smoothed", 9)
+    save_model(replace(model, radius=radius), tmp_path)
+    record = json.loads((tmp_path / "model.json").read_text())
+    del record["sha256"]
+    record["radius"]["sizing"] = sizing
+    record["sha256"] = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+    (tmp_path / "model.json").write_text(json.dumps(record))
+    if sizing == "none":
+        assert load_model(tmp_path).radius == radius
+    else:
+        with pytest.warns(UserWarning, match="run `conformodal calibrate` again"):
+            assert load_model(tmp_path).radius is None
 
 
 def edit_json(change):

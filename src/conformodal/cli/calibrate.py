@@ -15,7 +15,6 @@ from conformodal.odometry import (
     Method,
     OdometryError,
     Promise,
-    Sizing,
     calibrate_selection,
     load_model,
     recordings_needed,
@@ -40,9 +39,6 @@ def calibrate(
         Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
     ] = Promise.FRAME,
     method: Annotated[str, typer.Option(help="Whose answer the radius is about.")] = METHODS[0],
-    sizing: Annotated[
-        Sizing, typer.Option(help="roughness: larger in recordings whose answers jump from frame to frame.")
-    ] = Sizing.NONE,
     metres_per_radian: Annotated[
         float | None,
         typer.Option(help="Metres that weigh as much as one radian; the scene's depth by default."),
@@ -66,7 +62,6 @@ def calibrate(
                 alpha,
                 promise,
                 method,
-                sizing,
                 metres_per_radian,
                 cache=features,
                 progress=report,
@@ -74,8 +69,7 @@ def calibrate(
         loaded.radius = radius
         save_model(loaded, model)
     if isfinite(radius.radius_m):
-        size = "" if sizing is Sizing.NONE else ", times the size of the recording"
-        console.print(f"radius {radius.radius_m:.4f} m and {radius.degrees():.2f} degrees{size}. ", end="")
+        console.print(f"radius {radius.radius_m:.4f} m and {radius.radius_deg:.2f} degrees. ", end="")
         say_line(radius.assumption)
     else:
         say_strongly(

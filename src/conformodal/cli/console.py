@@ -8,7 +8,6 @@ import io
 import os
 import sys
 import time
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -54,23 +53,6 @@ class PlainConsole(Console):
 
 console = PlainConsole()
 _errors = PlainConsole(stderr=True)
-
-
-@contextmanager
-def said_strongly(category: type[Warning]) -> Iterator[None]:
-    """Warnings of a category are said at once, in words alone; others stay as they are."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", category)
-        others = warnings.showwarning
-
-        def show(message: Warning | str, kind: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(kind, category):
-                say_strongly(str(message))
-            else:
-                others(message, kind, *where, **more)
-
-        warnings.showwarning = show  # type: ignore[assignment]
-        yield
 
 
 def kind_errors(command: Callable[P, None]) -> Callable[P, None]:

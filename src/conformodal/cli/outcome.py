@@ -110,7 +110,6 @@ def run_metrics(
     *,
     whole: bool = True,
     matched_all: bool = True,
-    recording: IntArray | None = None,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
@@ -128,8 +127,6 @@ def run_metrics(
         Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
     matched_all
         Whether local features were matched in all of them, as when a radius is calibrated.
-    recording
-        (n,) number of each frame's recording, see :func:`~conformodal.odometry.radius_table`.
     """
     metrics: dict[str, Any] = {
         "command": "run",
@@ -144,7 +141,7 @@ def run_metrics(
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
     radius = model.radius if whole and matched_all and part is Part.ALL else None
     truth, frames = (None, None) if known is None else (known.truth, known.frames)
-    metrics["radius"] = radius_table(radius, trajectories, truth, recording, frames)
+    metrics["radius"] = radius_table(radius, trajectories, truth, frames)
     if known is not None:
         metrics["n_with_truth"] = len(known.truth)
         if frames is not None:
@@ -186,7 +183,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
-    lines += [f"{line}." for line in (*_said_of_budget(metrics), *_said_of_unknown(metrics))]
+    lines += [f"{line}." for line in _said_of_unknown(metrics)]
     if metrics["radius"] is not None:
         radius = metrics["radius"]
         lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
@@ -200,8 +197,6 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
     console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
-    for line in _said_of_budget(metrics):
-        say_line(line)
     for name, why in list(metrics["problems"].items())[:3]:
         say_line(f"  {name}: {why}")
     for line in _said_of_unknown(metrics):
@@ -222,24 +217,6 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
             f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
             f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
-
-
-def _said_of_budget(metrics: dict[str, Any]) -> list[str]:
-    """How a budget was kept; nothing if there was none."""
-    kept = metrics.get("budget")
-    if kept is None or kept["median_ms"] is None:
-        return []
-    said = [
-        f"local features were matched in {metrics['n_matched']} of {metrics['n_answered']} frames; a frame took "
-        f"{kept['median_ms']:.1f} ms (median; 99th percentile {kept['p99_ms']:.1f} ms), the budget is "
-        f"{kept['budget_ms']:g} ms"
-    ]
-    if kept["out_of_reach"]:
-        said.append(
-            f"The budget cannot be kept: without matching a frame took {kept['unmatched_ms']:.1f} ms (median); give "
-            "frames more time, or train a model with a smaller network"
-        )
-    return said
 
 
 def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
@@ -280,9 +257,7 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
 def _size(radius: dict[str, Any]) -> str:
     if radius["radius_m"] is None or radius["radius_deg"] is None:
         return "infinity, for want of recordings to calibrate it on"
-    low, high = min(radius["sizes"]), max(radius["sizes"])
-    over = f", the mean over recordings of sizes {low:.2f} to {high:.2f}" if low < high else ""
-    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees{over}"
+    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 
 def _n_frames(model: PoseModel, part: Part) -> int | None:

@@ -22,7 +22,6 @@ from conformodal.datasets.streams import (
     prefetch,
 )
 from conformodal.odometry import (
-    BudgetWarning,
     Estimate,
     EvidenceKind,
     OdometryError,
@@ -41,7 +40,7 @@ from conformodal.poses import Trajectory
 from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
 
 from .arguments import FollowOutside, SavedModel
-from .console import StatusLine, kind_errors, print_where, said_strongly, say_strongly
+from .console import StatusLine, kind_errors, print_where, say_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
 from .outcome import Known, Part, part_frames, run_metrics, say, summary, unfinished_metrics
@@ -83,10 +82,6 @@ def run(
             help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
         ),
     ] = None,
-    budget_ms: Annotated[
-        float | None,
-        typer.Option(help="Milliseconds a frame may take: local features are matched where this leaves time for it."),
-    ] = None,
     limit: Annotated[int | None, typer.Option(help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
@@ -101,7 +96,7 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
-        _check_for(loaded, novelty_level, match_every, budget_ms)
+        _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
         as_trained = part is not Part.ALL
@@ -114,7 +109,7 @@ def run(
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
-        how = _StreamOptions(part, pace, limit, match_every, model_digest(model), budget_ms)
+        how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
         with watchers(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
     say(metrics, whole_space=whole_space)
@@ -133,7 +128,7 @@ class _StreamOptions:
 
     Attributes
     ----------
-    part, pace, limit, match_every, budget_ms
+    part, pace, limit, match_every
         As for :func:`run`.
     digest
         Of the model, for the record.
@@ -144,7 +139,6 @@ class _StreamOptions:
     limit: int | None = None
     match_every: int | None = None
     digest: str | None = None
-    budget_ms: float | None = None
 
 
 @dataclass(eq=False)
@@ -179,16 +173,10 @@ def _stream_through(
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
-    # a budget leaves out what there is no time for
-    seldom = MATCH_EVERY_LIVE if lossy and how.budget_ms is None else 1
-    odometry = odometry_of(model, how.match_every or seldom, how.budget_ms)
+    odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
-    with (
-        stopping(gently=True) as stop,
-        ResultsWriter(out, answer=odometry.answer) as writer,
-        said_strongly(BudgetWarning),
-    ):
+    with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
         write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
         truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
         with StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
@@ -245,7 +233,6 @@ def _write_results(
         counts,
         whole=whole,
         matched_all=runner.matched_all,
-        recording=np.repeat(list(runner.by_recording), list(runner.by_recording.values())),
     )
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra
@@ -256,14 +243,12 @@ def _write_results(
     return metrics
 
 
-def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None, budget_ms: float | None) -> None:
+def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
     """Refuse options that say nothing with this model."""
     if novelty_level and model.novelty is None:
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
     if match_every not in (None, 1) and not model.looks_at_local_features:
         raise OptionError(f"--match-every: the model looks at no local features, got {match_every}")
-    if budget_ms is not None and not model.looks_at_local_features:
-        raise OptionError(f"--budget-ms: the model looks at no local features to leave out, got {budget_ms:g}")
 
 
 def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
@@ -273,12 +258,10 @@ def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
 
 
 def _counts(runner: StreamRunner) -> dict[str, Any]:
-    budget = runner.odometry.budget
     return {
         "n_answered": runner.n_answered,
         "match_every": runner.odometry.match_every,
         "n_matched": runner.n_matched,
-        "budget": None if budget is None else budget.record.table(),
         "results": result_digests(runner.writer.place),
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,

@@ -22,7 +22,7 @@ from .calibration import (
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning
 from .novelty import NoveltyTest
-from .online import Aci, ConformalPid, DtAci, OnlineConformal
+from .online import Aci, ConformalPid, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
@@ -45,7 +45,6 @@ __all__ = [
     "CrossConformal",
     "Density",
     "Diagnosis",
-    "DtAci",
     "Lac",
     "LinearDensity",
     "MondrianConformal",

@@ -64,7 +64,6 @@ RANGES = {
     "workers": _whole(1, 1024),
     "limit": _whole(1),
     "match_every": _whole(1),
-    "budget_ms": _POSITIVE,
     "metres_per_radian": _POSITIVE,
 }
 

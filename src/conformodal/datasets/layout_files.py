@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +13,10 @@ from conformodal.poses import PinholeCamera, Trajectory
 
 from .colmap_writing import write_colmap
 from .layouts import Layout
-from .nerf import FILE, OPENGL_AXES
 
 _UNEVEN = 0.2  # of a frame's time
 _MOST_NUMBERED = 999_999  # six digits
 _USUAL_HZ = 30.0
-_EUROC_TRUTH = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,63 +112,6 @@ def _finish_images(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -
     return []
 
 
-def _finish_kitti(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
-    """Write times, calibration and poses, which every frame has."""
-    row = f"{camera.fx!r} 0 {camera.cx!r} 0 0 {camera.fy!r} {camera.cy!r} 0 0 0 1 0"
-    _write_lines(folder / "calib.txt", [f"P{k}: {row}" for k in range(4)])
-    _times(folder, frames)
-    _, truth = frames.posed()
-    if truth is not None:
-        np.savetxt(folder / "poses.txt", truth.poses_se3[:, :3].reshape(-1, 12), fmt="%.17g")
-    return []
-
-
-def _finish_nerf(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
-    """Write camera and poses, which every frame has, and the times."""
-    lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
-    _, truth = frames.posed()
-    assert truth is not None
-    named = [
-        {"file_path": f"images/{name}", "transform_matrix": pose.tolist()}
-        for name, pose in zip(frames.names, truth.poses_se3 @ OPENGL_AXES, strict=True)
-    ]
-    content: dict[str, object] = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, **lens}
-    content |= {"w": camera.width, "h": camera.height, "frames": named}
-    (folder / FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    _times(folder, frames)
-    return []
-
-
-def _finish_euroc(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
-    """Write the list of images, the calibration and the poses of the body, which the camera's frame is here."""
-    root = folder / "mav0"
-    stamps = [nanoseconds(time) for time in frames.times.tolist()]
-    rows = [f"{stamp},{name}" for stamp, name in zip(stamps, frames.names, strict=True)]
-    _write_lines(root / "cam0" / "data.csv", ["#timestamp [ns],filename", *rows])
-    lens = [*(camera.distortion or (0.0,) * 4)][:4]
-    calibration = [
-        "sensor_type: camera",
-        "T_BS:",
-        "  cols: 4",
-        "  rows: 4",
-        f"  data: {np.eye(4).ravel().tolist()}",
-        f"rate_hz: {_numbered_by_time(frames.times, frames.recording)[0]:.6g}",
-        f"resolution: [{camera.width}, {camera.height}]",
-        "camera_model: pinhole",
-        f"intrinsics: {[float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)]}",
-        "distortion_model: radial-tangential",
-        f"distortion_coefficients: {[float(v) for v in lens]}",
-    ]
-    _write_lines(root / "cam0" / "sensor.yaml", calibration)
-    at, truth = frames.posed()
-    if truth is not None:
-        poses = np.column_stack((truth.positions_xyz, truth.orientations_quat_wxyz)).tolist()
-        lines = [f"{stamps[i]},{','.join(map(repr, pose))}" for i, pose in zip(at, poses, strict=True)]
-        (root / "state_groundtruth_estimate0").mkdir()
-        _write_lines(root / "state_groundtruth_estimate0" / "data.csv", [_EUROC_TRUTH, *lines])
-    return []
-
-
 def _finish_colmap(folder: Path, frames: WrittenFrames, camera: PinholeCamera) -> list[str]:
     """Write a model as text, in which frames without a pose are not registered, and the times of all."""
     return _write_model(folder, frames, camera, binary=False)
@@ -188,11 +128,6 @@ def _write_model(folder: Path, frames: WrittenFrames, camera: PinholeCamera, *, 
     write_colmap(folder / "sparse" / "0", [frames.names[i] for i in at], truth, camera, binary=binary)
     _times(folder, frames)
     return []
-
-
-def nanoseconds(time_s: float) -> int:
-    """A time as EuRoC writes it."""
-    return round(time_s * 1e9)
 
 
 def _times(folder: Path, frames: WrittenFrames) -> None:
@@ -223,9 +158,6 @@ def _write_lines(path: Path, lines: list[str]) -> None:
 FINISH: dict[Layout, Finish] = {
     Layout.SEVENSCENES: _finish_sevenscenes,
     Layout.TUM: _finish_tum,
-    Layout.KITTI: _finish_kitti,
     Layout.IMAGES: _finish_images,
-    Layout.NERF: _finish_nerf,
     Layout.COLMAP: _finish_colmap,
-    Layout.EUROC: _finish_euroc,
 }

@@ -18,33 +18,22 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 from conformodal.poses.metrics import nearest_in_time
 
 from .errors import DatasetError
-from .euroc import MAX_TIME_DIFFERENCE_S as EUROC_TIME_DIFFERENCE_S
-from .layout_files import FINISH, WrittenFrames, finish_colmap_binary, nanoseconds
+from .layout_files import FINISH, WrittenFrames, finish_colmap_binary
 from .layouts import Layout
 from .reading import MAX_TIME_DIFFERENCE_S
 from .staging import staged
 from .streams import Frame, FrameStream, SequenceStream
 
-# Where images go, and how they are named: by number, or time in seconds or nanoseconds.
+# Where images go, and how they are named: by number, or time in seconds.
 _PLACES: dict[Layout, tuple[str, str]] = {
     Layout.SEVENSCENES: ("", "frame-{number:06d}.color"),
     Layout.TUM: ("rgb", "{time_s:.6f}"),
-    Layout.KITTI: ("image_2", "{number:06d}"),
     Layout.IMAGES: ("", "{number:06d}"),
-    Layout.NERF: ("images", "{number:06d}"),
     Layout.COLMAP: ("images", "{number:06d}"),
-    Layout.EUROC: ("mav0/cam0/data", "{time_ns}"),
 }
 WRITABLE = tuple(_PLACES)
-# Frames without a pose have no place in these layouts.
-_POSE_FOR_EVERY_FRAME = (Layout.KITTI, Layout.NERF)
-_SOME_POSE = (Layout.NERF, Layout.COLMAP)
-# Readers pair frames with poses by time in these: a frame without one would be lent a pose as near as this.
-_PAIRED_WITHIN_S = {
-    Layout.TUM: MAX_TIME_DIFFERENCE_S,
-    Layout.IMAGES: MAX_TIME_DIFFERENCE_S,
-    Layout.EUROC: EUROC_TIME_DIFFERENCE_S,
-}
+# Readers pair frames with poses by time in these: a frame without one would be lent a pose that is near enough.
+_PAIRED_BY_TIME = (Layout.TUM, Layout.IMAGES)
 _ROUNDED_S = 2e-6
 _MOST_NAMES = 20
 _NO_IMAGE, _NO_TIME, _NO_POSE, _LENT = (
@@ -104,8 +93,7 @@ def write_layout(
     camera
         Intrinsics.
     poses
-        Of the frames, paired by time. Frames without one are kept without, and left out of ``kitti`` and ``nerf``. None
-        writes no poses.
+        Of the frames, paired by time. Frames without one are kept without. None writes no poses.
     progress
         Called with frames done.
     max_difference_s
@@ -116,18 +104,16 @@ def write_layout(
     Raises
     ------
     DatasetError
-        If the folder holds something, the layout cannot be written or cannot say such a lens, several recordings or no
-        poses, a name would be used twice, or nothing is left to write.
+        If the folder holds something, the layout cannot be written or cannot hold several recordings or no poses, a
+        name would be used twice, or nothing is left to write.
     """
     layout = as_member(layout, Layout, "layout", DatasetError)
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
     if binary and layout is not Layout.COLMAP:
         raise DatasetError(f"{layout} has no binary files; only a COLMAP model has")
-    _check_lens(layout, camera)
-    if poses is None and layout in _SOME_POSE:
-        each = "a pose for every frame" if layout in _POSE_FOR_EVERY_FRAME else "poses"
-        raise DatasetError(f"{layout} needs {each}")
+    if poses is None and layout is Layout.COLMAP:
+        raise DatasetError(f"{layout} needs poses")
     if isinstance(stream, SequenceStream):
         _check(stream, layout, poses, max_difference_s)
     with staged(folder) as part:
@@ -137,13 +123,6 @@ def write_layout(
             if progress is not None:
                 progress(number)
         return kept.finish(binary=binary)
-
-
-def _check_lens(layout: Layout, camera: PinholeCamera) -> None:
-    if camera.distortion and layout is Layout.KITTI:
-        raise DatasetError("kitti has no place for the lens's distortion; write another layout")
-    if any(camera.distortion[4:]) and layout is Layout.EUROC:
-        raise DatasetError(f"euroc has no place for k3 = {camera.distortion[4]:g} of the lens; write another layout")
 
 
 def _check(stream: SequenceStream, layout: Layout, poses: Trajectory | None, max_difference_s: float) -> None:
@@ -191,7 +170,7 @@ class _Kept:
         self.recording: list[int] = []
         self.counts: Counter[int] = Counter()  # frames by recording
         self.poses: list[tuple[float, ...]] = []
-        self.left: dict[str, list[str]] = {why: [] for why in (_NO_POSE, _NO_IMAGE, _NO_TIME, _LENT)}
+        self.left: dict[str, list[str]] = {why: [] for why in (_NO_IMAGE, _NO_TIME, _LENT)}
 
     def take(self, frame: Frame) -> None:
         """Write a frame's image, or take up why it is left out."""
@@ -202,8 +181,6 @@ class _Kept:
             self.left[_NO_IMAGE].append(frame.name)
         elif not np.isfinite(frame.timestamp_s) or (self.times and frame.timestamp_s <= self.times[-1]):
             self.left[_NO_TIME].append(frame.name)
-        elif self.truth is not None and pose is None and self.layout in _POSE_FOR_EVERY_FRAME:
-            self.left[_NO_POSE].append(frame.name)
         else:
             self.names.append(self._image(frame))
             self.sources.append(frame.name)
@@ -217,7 +194,7 @@ class _Kept:
         if self.several:
             place = place / f"seq-{frame.recording + 1:02d}"
             place.mkdir(exist_ok=True)
-        stem = self.pattern.format(number=number, time_s=frame.timestamp_s, time_ns=nanoseconds(frame.timestamp_s))
+        stem = self.pattern.format(number=number, time_s=frame.timestamp_s)
         stream = self.stream
         source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else None
         suffix = source.suffix if source is not None and source.suffix in (".png", ".jpg") else ".png"
@@ -255,7 +232,7 @@ class _Kept:
         write = finish_colmap_binary if binary else FINISH[self.layout]
         lost = write(self.folder, frames, self.camera)
         done.n_frames, done.n_posed = len(kept), int(posed[kept].sum())
-        done.n_without_pose = len(self.left[_NO_POSE]) + len(self.left[_LENT])
+        done.n_without_pose = len(self.left[_LENT])
         done.notes = [f"left out {_listed(names, why)}" for why, names in self.left.items() if names]
         without = [self.sources[i] for i in kept if not posed[i]]
         if self.truth is not None and without:
@@ -266,14 +243,13 @@ class _Kept:
     def _lent(self, posed: np.ndarray) -> np.ndarray:
         """Which frames without a pose would be read back with another frame's."""
         lent = np.zeros(len(posed), dtype=np.bool_)
-        within = _PAIRED_WITHIN_S.get(self.layout)
-        if within is not None:
+        if self.layout in _PAIRED_BY_TIME:
             times: FloatArray = np.array(self.times)
             near = times[posed]
             after = np.clip(np.searchsorted(near, times), 0, len(near) - 1)
             before = np.maximum(after - 1, 0)
             away = np.minimum(np.abs(near[after] - times), np.abs(near[before] - times))
-            lent = ~posed & (away <= within + _ROUNDED_S)
+            lent = ~posed & (away <= MAX_TIME_DIFFERENCE_S + _ROUNDED_S)
         return lent
 
 

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Any
 from conformodal.core.late import late
 
 if TYPE_CHECKING:
-    from .budget import BudgetRecord, FrameBudget
     from .config import Calibration, Method, ModelConfig, Runtime, config_of
-    from .errors import BudgetWarning, ModelFileError, OdometryError, ResultsError
+    from .errors import ModelFileError, OdometryError, ResultsError
     from .estimates import Estimate, OdometryRun
     from .estimator import VisualOdometry
     from .identity import data_digest, identify
@@ -17,7 +16,15 @@ if TYPE_CHECKING:
     from .odometry import Odometry
     from .paper_odometry import PaperOdometry, odometry_of
     from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
-    from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors, recordings_needed
+    from .radius import (
+        METRES_PER_RAD,
+        PoseRadius,
+        Promise,
+        fit_pose_radius,
+        joint_error,
+        pose_errors,
+        recordings_needed,
+    )
     from .region_rules import EvidenceKind, RegionRules, Sharing
     from .results import (
         METRICS,
@@ -36,8 +43,7 @@ if TYPE_CHECKING:
         write_run,
     )
     from .results.evaluation import bounded_coverage, coverage_table, error_table, is_exchangeable, radius_table
-    from .selection import calibrate_selection, recording_errors, recording_sizes
-    from .sizing import METRES_PER_RAD, Sizing, joint_error, recording_size, roughness
+    from .selection import calibrate_selection, recording_errors
     from .store import load_model, model_digest, save_model
     from .streaming import StreamRunner
 
@@ -46,12 +52,9 @@ __all__ = [
     "METRES_PER_RAD",
     "METRICS",
     "ONLINE",
-    "BudgetRecord",
-    "BudgetWarning",
     "Calibration",
     "Estimate",
     "EvidenceKind",
-    "FrameBudget",
     "Localization",
     "Method",
     "ModelConfig",
@@ -70,7 +73,6 @@ __all__ = [
     "ResultsWriter",
     "Runtime",
     "Sharing",
-    "Sizing",
     "StreamRunner",
     "TrainingData",
     "VisualOdometry",
@@ -102,11 +104,8 @@ __all__ = [
     "read_trajectories",
     "read_unfinished",
     "recording_errors",
-    "recording_size",
-    "recording_sizes",
     "recordings_needed",
     "records_contain",
-    "roughness",
     "rows_by_recording",
     "save_model",
     "train_model",
@@ -119,9 +118,8 @@ __all__ = [
 _find = late(
     __name__,
     {
-        **dict.fromkeys(("BudgetRecord", "FrameBudget"), ".budget"),
         **dict.fromkeys(("Calibration", "Method", "ModelConfig", "Runtime", "config_of"), ".config"),
-        **dict.fromkeys(("BudgetWarning", "ModelFileError", "OdometryError", "ResultsError"), ".errors"),
+        **dict.fromkeys(("ModelFileError", "OdometryError", "ResultsError"), ".errors"),
         **dict.fromkeys(("Estimate", "OdometryRun"), ".estimates"),
         "VisualOdometry": ".estimator",
         **dict.fromkeys(("data_digest", "identify"), ".identity"),
@@ -133,7 +131,18 @@ _find = late(
         "Odometry": ".odometry",
         **dict.fromkeys(("PaperOdometry", "odometry_of"), ".paper_odometry"),
         **dict.fromkeys(("METHODS", "ONLINE", "as_trajectory", "rows_by_recording", "whole_paths"), ".paths"),
-        **dict.fromkeys(("PoseRadius", "Promise", "fit_pose_radius", "pose_errors", "recordings_needed"), ".radius"),
+        **dict.fromkeys(
+            (
+                "METRES_PER_RAD",
+                "PoseRadius",
+                "Promise",
+                "fit_pose_radius",
+                "joint_error",
+                "pose_errors",
+                "recordings_needed",
+            ),
+            ".radius",
+        ),
         **dict.fromkeys(("EvidenceKind", "RegionRules", "Sharing"), ".region_rules"),
         **dict.fromkeys(
             (
@@ -158,8 +167,7 @@ _find = late(
             ("bounded_coverage", "coverage_table", "error_table", "is_exchangeable", "radius_table"),
             ".results.evaluation",
         ),
-        **dict.fromkeys(("calibrate_selection", "recording_errors", "recording_sizes"), ".selection"),
-        **dict.fromkeys(("METRES_PER_RAD", "Sizing", "joint_error", "recording_size", "roughness"), ".sizing"),
+        **dict.fromkeys(("calibrate_selection", "recording_errors"), ".selection"),
         **dict.fromkeys(("load_model", "model_digest", "save_model"), ".store"),
         "StreamRunner": ".streaming",
     },

@@ -9,10 +9,6 @@ class ModelFileError(ConformodalError):
     """A saved model that is missing, incomplete, of another version, or not as it was saved; names the file."""
 
 
-class BudgetWarning(UserWarning):
-    """A budget of time that cannot be kept."""
-
-
 class OdometryError(ConformodalError):
     """Frames, parts or results that a model cannot work with."""
 

@@ -24,7 +24,6 @@ from conformodal.reasoning import (
     predict_candidates,
 )
 
-from .budget import FrameBudget, as_budget
 from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
@@ -50,30 +49,23 @@ class VisualOdometry(Odometry):
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
         Regions of the others are wider. :meth:`run` matches them in all.
-    budget_ms
-        Milliseconds that the answer to a frame of a stream may take, or a :class:`~conformodal.odometry.FrameBudget`:
-        local features are matched in fewer frames, or in none, where this keeps it. :meth:`run` does without.
 
     Raises
     ------
     OdometryError
-        If `match_every` is less than 1, `budget_ms` is not positive, or the model is the paper's, which
-        :class:`PaperOdometry` runs.
+        If `match_every` is less than 1, or the model is the paper's, which :class:`PaperOdometry` runs.
     """
 
     answer = METHODS[0]
     whole_paths = True  # better answers than those of a stream follow, from whole paths
 
-    def __init__(
-        self, model: PoseModel, lag: int = LAG, match_every: int = 1, budget_ms: float | FrameBudget | None = None
-    ) -> None:
+    def __init__(self, model: PoseModel, lag: int = LAG, match_every: int = 1) -> None:
         check_ranges({"match_every": match_every}, OdometryError)
         if model.method is Method.PAPER:
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
         self.lag = lag
         self.match_every = match_every
-        self.budget = None if budget_ms is None else as_budget(budget_ms)
         self._reasoner = OnlineReasoner(model.prior, lag)
         self.reset()
 
@@ -155,7 +147,6 @@ class VisualOdometry(Odometry):
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0
         self._n_steps += 1
-        due = due and (self.budget is None or self.budget.has_room)
         if not (due and self.model.looks_at_local_features):
             return None
         return extract_local_features(image, self.model.camera)

@@ -13,7 +13,6 @@ from conformodal.motion import FrontEnd
 from conformodal.poses import Trajectory
 from conformodal.vision import FeatureCache, extract_features
 
-from .budget import FrameBudget
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
 from .frame import as_frames, as_image, as_time
@@ -36,8 +35,6 @@ class Odometry(ABC):
         Frames of a stream whose answer may still change.
     match_every
         Interval, in frames of a stream, at which local features are matched.
-    budget
-        Of the time that the answer to a frame of a stream may take; None where there is none.
     """
 
     model: PoseModel
@@ -45,7 +42,6 @@ class Odometry(ABC):
     whole_paths: bool
     lag: int
     match_every: int
-    budget: FrameBudget | None
     _front_end: FrontEnd
     _seen_s: float | None  # of the last frame, answered or not
 
@@ -70,12 +66,8 @@ class Odometry(ABC):
         usable = as_image(image, self.model.camera)
         if isinstance(usable, str):
             estimate = Estimate(timestamp_s, None, None, None, None, None, False, usable)
-        elif self.budget is None:
-            estimate = self._answer(usable, timestamp_s)
         else:
-            self.budget.start()
             estimate = self._answer(usable, timestamp_s)
-            self.budget.stop(matched=estimate.matched)
         self._seen_s = timestamp_s
         return estimate
 

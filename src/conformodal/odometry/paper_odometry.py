@@ -38,7 +38,7 @@ class PaperOdometry(Odometry):
     """
 
     answer = PAPERS_METHOD
-    lag, match_every, budget = 0, 1, None
+    lag, match_every = 0, 1
     whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
@@ -115,16 +115,16 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
 
 
-def odometry_of(model: PoseModel, match_every: int = 1, budget_ms: float | None = None) -> Odometry:
+def odometry_of(model: PoseModel, match_every: int = 1) -> Odometry:
     """The system that runs a model, by the model's method.
 
     Parameters
     ----------
     model
         Trained and calibrated.
-    match_every, budget_ms
+    match_every
         See :class:`VisualOdometry`; the paper's system looks at no local features.
     """
     if model.method is Method.PAPER:
         return PaperOdometry(model)
-    return VisualOdometry(model, match_every=match_every, budget_ms=budget_ms)
+    return VisualOdometry(model, match_every=match_every)

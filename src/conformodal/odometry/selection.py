@@ -24,8 +24,7 @@ from .estimator import VisualOdometry
 from .identity import identify
 from .model import PoseModel
 from .paths import METHODS
-from .radius import PoseRadius, Promise, fit_pose_radius, pose_errors
-from .sizing import METRES_PER_RAD, Sizing, check_metres_per_rad, depth_or_default, recording_size
+from .radius import PoseRadius, Promise, check_metres_per_rad, depth_or_default, fit_pose_radius, pose_errors
 
 
 def calibrate_selection(
@@ -34,7 +33,6 @@ def calibrate_selection(
     alpha: Alpha = 0.1,
     promise: Promise | str = Promise.FRAME,
     method: str = METHODS[0],
-    sizing: Sizing | str = Sizing.NONE,
     metres_per_rad: float | None = None,
     *,
     cache: FeatureCache | None = None,
@@ -48,7 +46,7 @@ def calibrate_selection(
         Trained on other recordings.
     sequence
         Recordings to calibrate on, the more the better: fewer than ``1 / alpha - 1`` leave the radius infinite.
-    alpha, promise, method, sizing
+    alpha, promise, method
         See :class:`PoseRadius`.
     metres_per_rad
         How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
@@ -59,7 +57,7 @@ def calibrate_selection(
     Raises
     ------
     OdometryError
-        If a frame is one of the data set that the model was trained on, the method, the promise or the sizing is
+        If a frame is one of the data set that the model was trained on, the method or the promise is
         unknown, or `metres_per_rad` is not positive and finite. A frame of its test part is refused too: the model
         knows the recording around it.
     PoseError
@@ -68,7 +66,6 @@ def calibrate_selection(
     if method not in METHODS:
         raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
     promise = as_member(promise, Promise, "promise", OdometryError)  # before hours of work
-    sizing = as_member(sizing, Sizing, "sizing", OdometryError)
     known = model.known_frames.known(identify(sequence, model.known_frames))
     if known.any():
         raise OdometryError(
@@ -86,8 +83,6 @@ def calibrate_selection(
         promise,
         method,
         metres_per_rad=depth,
-        sizing=sizing,
-        sizes=recording_sizes(run, method, sequence.recording, sizing, alpha, depth),
     )
 
 
@@ -98,16 +93,3 @@ def recording_errors(
     position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
     position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
     return [(position[recording == k], angle[recording == k]) for k in np.unique(recording)]
-
-
-def recording_sizes(
-    run: OdometryRun,
-    method: str,
-    recording: npt.NDArray[np.int64],
-    sizing: Sizing | str,
-    alpha: Alpha,
-    metres_per_rad: float = METRES_PER_RAD,
-) -> list[float]:
-    """Sizes of a run's recordings, one each, see :func:`recording_size`; 1 where too few frames could be read."""
-    own, answers = recording[run.frames], run.trajectories[method]
-    return [recording_size(answers[own == k], sizing, alpha, metres_per_rad) for k in np.unique(recording)]

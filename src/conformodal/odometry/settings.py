@@ -41,29 +41,4 @@ class _DepthSettings:
     least_spread: float = 0.1
 
 
-@dataclass(frozen=True)
-class _SizingSettings:
-    """How large a recording's radius is beside that of others, see :mod:`conformodal.odometry.sizing`.
-
-    Attributes
-    ----------
-    metres_per_rad
-        Metres of position that weigh as much as one radian, where no scene's depth is known: a pose d metres off moves
-        the view of things at a depth of z metres as much as one turned by d / z radians, and rooms are some two metres
-        deep. Other values: benchmarks/results/radius.md.
-    reference_rad
-        A recording of this roughness has size 1. A unit only: thresholds take it back.
-    power
-        Of roughness. Less than proportional, because only a part of an error shows in neighbouring frames: what a map
-        has wrong moves all of them alike. Chosen in benchmarks/radius.py on one reference truth, and tested on another.
-    least_rad
-        No recording counts as smoother, so that a size is never zero.
-    """
-
-    metres_per_rad: float = 2.0
-    reference_rad: float = 0.01
-    power: float = 0.25
-    least_rad: float = 1e-6
-
-
-FOLDS, DEPTHS, SIZING = _FoldSettings(), _DepthSettings(), _SizingSettings()
+FOLDS, DEPTHS = _FoldSettings(), _DepthSettings()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -207,7 +208,7 @@ def _assemble(
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
-        radius=_radius(record["radius"]),
+        radius=_radius(record["radius"], folder),
     )
 
 
@@ -262,8 +263,15 @@ def _prior(record: dict[str, Any]) -> MotionPrior:
     return MotionPrior(**{**record, **tables, **depths})
 
 
-def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
+def _radius(record: dict[str, Any] | None, folder: Path) -> PoseRadius | None:
     if record is None:
+        return None
+    if record.pop("sizing", "none") != "none":
+        warnings.warn(
+            f"{folder}: its radius depends on the recording, which is no longer supported, and is left out: run "
+            "`conformodal calibrate` again",
+            stacklevel=4,
+        )
         return None
     limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
     return PoseRadius(**{**record, "radius_rad": limit})

@@ -68,8 +68,6 @@ class StreamRunner:
         Places in the data set of those whose true pose is known.
     known
         Which of the answers these are, counted from 0.
-    by_recording
-        How many of them in each recording, by its number and in the order of the stream.
     motion
         How often which motion status.
     problems
@@ -94,7 +92,6 @@ class StreamRunner:
         self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.known: list[int] = []
-        self.by_recording: Counter[int] = Counter()
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
@@ -118,8 +115,7 @@ class StreamRunner:
     @property
     def matched_all(self) -> bool:
         """Whether local features of all answered frames were matched, if the model looks at them."""
-        asked = self.odometry.match_every == 1 and self.odometry.budget is None
-        return asked or self.n_matched == self.n_answered
+        return self.odometry.match_every == 1 or self.n_matched == self.n_answered
 
     @property
     def truth(self) -> Trajectory | None:
@@ -189,7 +185,6 @@ class StreamRunner:
         assert estimate.corners is not None
         assert estimate.evidence is not None
         self.n_answered += 1
-        self.by_recording[frame.recording] += 1
         self.n_unreliable += not estimate.reliable
         self.n_matched += estimate.matched
         self.n_localized += bool(estimate.estimates)

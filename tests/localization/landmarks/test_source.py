@@ -16,10 +16,8 @@ from conformodal.localization import (
     extract_local_features,
     pose_targets,
 )
-from conformodal.motion import MotionFrontEnd
 from conformodal.odometry import (
     EvidenceKind,
-    FrameBudget,
     ModelConfig,
     OdometryError,
     RegionStatistics,
@@ -152,32 +150,6 @@ def test_a_stream_is_matched_as_often_as_asked(model, sequence, monkeypatch):
     assert len(asked) == 4  # the first frame of every recording
     with pytest.raises(OdometryError, match="match_every"):
         VisualOdometry(model, match_every=0)
-
-
-def test_a_stream_is_matched_as_its_budget_allows_whatever_it_shows(model, sequence, monkeypatch):
-    """Three frames are not counted; two of those that take too long, and there is no matching."""
-    now = [0.0]
-
-    def slowed(work, seconds):
-        def done(*given):
-            now[0] += seconds
-            return work(*given)
-
-        return done
-
-    monkeypatch.setattr("conformodal.odometry.estimator.extract_local_features", slowed(extract_local_features, 0.015))
-    monkeypatch.setattr(MotionFrontEnd, "measure", slowed(MotionFrontEnd.measure, 0.020))
-    black = np.zeros_like(sequence.image(0))
-    for budget_ms, matched in ((34.9, 5), (35.1, 8), (19.9, 5)):
-        for images in ([sequence.image(i) for i in range(8)], [black] * 8):
-            odometry = VisualOdometry(model, budget_ms=FrameBudget(budget_ms, lambda: now[0]))
-            answers = [odometry.step(image, sequence.timestamps_s[i]) for i, image in enumerate(images)]
-            assert [a.matched for a in answers] == [True] * matched + [False] * (8 - matched)
-            assert all(a.evidence in (EvidenceKind.GLOBAL, EvidenceKind.UNKNOWN) for a in answers[matched:])
-            record = odometry.budget.record
-            assert (record.n_frames, record.n_over) == (5, {34.9: 2, 35.1: 0, 19.9: 5}[budget_ms])
-    with pytest.raises(OdometryError, match="budget_ms"):
-        VisualOdometry(model, budget_ms=0)
 
 
 def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):

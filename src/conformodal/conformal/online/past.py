@@ -45,10 +45,6 @@ class PastScores:
             return inf
         return self._sorted[k - 1] if k >= 1 else -inf
 
-    def p_value(self, score: float) -> float:
-        """``(1 + number of scores at least as large) / (n + 1)``: the smallest alpha at which `score` is missed."""
-        return (1 + len(self) - bisect_left(self._sorted, score)) / (len(self) + 1)
-
     def spread(self) -> float:
         """Largest less smallest finite score, at most the largest float; 1 where there is none."""
         finite = bisect_left(self._sorted, inf)

@@ -17,7 +17,7 @@ from ..errors import ConformalError
 from ..regions import Regions
 from ..scalars import brief
 from ..scores import Score
-from .aci import Aci, DtAci
+from .aci import Aci
 from .pid import ConformalPid
 
 
@@ -33,7 +33,7 @@ class Tracker(Protocol):
         ...
 
 
-METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "dtaci": DtAci, "pid": ConformalPid}
+METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPid}
 
 
 class OnlineConformal:
@@ -44,8 +44,6 @@ class OnlineConformal:
     - ``"aci"`` (:class:`Aci`): nothing is assumed about the sequence; over T samples the share of misses differs from
       alpha by at most ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)``.
     - ``"pid"`` (:class:`ConformalPid`): nothing is assumed; by at most ``(pi/2 sqrt(T) + 1) / T``.
-    - ``"dtaci"`` (:class:`DtAci`): follows a drift fastest, but has no bound on the share of misses: an adversary can
-      double it. See there.
 
     Bounds say nothing about how large sets are: against an adversary most of them are the whole space.
 
@@ -58,9 +56,9 @@ class OnlineConformal:
     score
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     method
-        ``"aci"``, ``"dtaci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha.
-        ``"aci"`` and ``"dtaci"`` keep all past scores, so that memory grows with the stream (about 40 bytes a sample
-        and target); ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
+        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha.
+        ``"aci"`` keeps all past scores, so that memory grows with the stream (about 40 bytes per sample and target);
+        ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
     empty
         ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
         but still counts as a miss.

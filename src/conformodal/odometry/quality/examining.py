@@ -17,7 +17,7 @@ from conformodal.vision import FeatureCache, extract_features
 from ..identity import identify
 from ..learning import TrainingData, measure_depths
 from ..model import PoseModel
-from ..sizing import depth_or_default
+from ..radius import depth_or_default
 from .place_ambiguity import Ambiguity, ambiguity, most_probable
 from .promise import KindPromise, promises
 from .settings import QUALITY

@@ -193,7 +193,6 @@ def radius_table(
     radius: PoseRadius | None,
     trajectories: dict[str, Trajectory],
     truth: Trajectory | None,
-    recording: npt.NDArray[np.int64] | None = None,
     frames: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any] | None:
     """The chosen pose's radius, what it promises, and how many frames it held if the truth is known.
@@ -206,24 +205,17 @@ def radius_table(
         By method.
     truth
         Of the same frames, or of `frames`; or None.
-    recording
-        (n,) number of each frame's recording; None where all are one. A sized radius is the mean over recordings.
     frames
         Indices of the frames that `truth` is of; None for all.
     """
     if radius is None:
         return None
     estimate = trajectories[radius.method]
-    numbers = np.zeros(len(estimate), dtype=np.int64) if recording is None else recording
-    sizes = radius.sizes_of(estimate, numbers)
     of = np.arange(len(estimate)) if frames is None else frames
-    held = None if truth is None else float(radius.holds(estimate[of], truth, sizes[of]).mean())
-    by_recording = [float(sizes[numbers == k][0]) for k in np.unique(numbers)]
+    held = None if truth is None else float(radius.holds(estimate[of], truth).mean())
     return {
-        "radius_m": _finite(np.mean([radius.radius_m * size for size in by_recording])),
-        "radius_deg": _finite(np.mean([radius.degrees(size) for size in by_recording])),
-        "sizing": str(radius.sizing),
-        "sizes": by_recording,
+        "radius_m": _finite(radius.radius_m),
+        "radius_deg": _finite(radius.radius_deg),
         "alpha": radius.alpha,
         "promise": str(radius.promise),
         "method": radius.method,
