@@ -51,7 +51,7 @@ def run_tasks(
     folder: Path,
     progress: Callable[[str, int, int], None] | None = None,
     *,
-    workers: int | None = 1,
+    workers: int | None = None,
     engine: Engine = Engine.LOCAL,
     address: str | None = None,
 ) -> list[Result]:
@@ -138,6 +138,8 @@ def _stored(path: Path, settings: Result) -> Result | None:
 @contextmanager
 def _on_ray(address: str | None) -> Iterator[None]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anyone
+    # a thread that a failed task leaves behind must not connect again
+    os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")
     try:
         import ray  # noqa: PLC0415 - an extra
         from ray.util.joblib import register_ray  # noqa: PLC0415

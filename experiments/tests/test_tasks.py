@@ -9,6 +9,7 @@ import pytest
 
 from experiments.tasks import Engine, ExperimentError, run_tasks
 
+os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")  # as run_tasks sets it; read when ray is imported
 ROOT = Path(__file__).resolve().parents[2]
 
 
