@@ -5,7 +5,6 @@ import time
 
 import numpy as np
 import pytest
-from conformodal.experiments.table1.conditions import TrainingTask
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import Split, SplitKind, make_split, read_sequence
@@ -32,6 +31,7 @@ from conformodal.poses import RelativeMotion, Trajectory, align
 from conformodal.poses.relative import MotionStatus
 from conformodal.ros import Conventions, Covariance, is_lost
 from conformodal.ros.covariance import pose_covariance
+from experiments.conditions import TrainingTask
 
 ROWS = np.arange(4)
 STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
