@@ -630,59 +630,7 @@ def test_edges_and_thresholds_of_another_byte_order_are_written_to_arrow():
     cal = SplitConformal(bins).calibrate(proba, np.full(20, 0.5))
     cal.thresholds_ = pickle.loads(pickle.dumps(cal.thresholds_.astype(">f8")))
     regions = cal.predict(proba)
-    np.testing.assert_array_equal(Regions.from_arrow(regions.to_arrow()).masks[0], regions.masks[0])
-
-
-def damaged(change):
-    import pyarrow as pa
-
-    table = REGIONS[:3].to_arrow()
-    kind = pa.list_(pa.list_(pa.float64(), 2))
-
-    def column(values, kind=kind):
-        return table.set_column(0, "target_0", pa.array(values, kind))
-
-    return {
-        "no edges": lambda: table.replace_schema_metadata({}),
-        "damaged edges": lambda: table.replace_schema_metadata({b"conformodal.edges": b"[[0, 1"}),
-        "edges of words": lambda: table.replace_schema_metadata({b"conformodal.edges": b'[["a", "b"]]'}),
-        "edges that are a number": lambda: table.replace_schema_metadata({b"conformodal.edges": b"5"}),
-        "edges that are no text": lambda: table.replace_schema_metadata({b"conformodal.edges": b"\xff\xfe"}),
-        "a column less": lambda: table.drop_columns(["target_1"]),
-        "a missing row": lambda: column([None, [], []]),
-        "a missing interval": lambda: column([[None], [], []]),
-        "a missing end": lambda: column([[[0.0, None]], [], []]),
-        "a NaN end": lambda: column([[[0.0, np.nan]], [], []]),
-        "an interval backwards": lambda: column([[[2.0, 0.0]], [], []]),
-        "an empty interval": lambda: column([[[2.0, 2.0]], [], []]),
-        "an end off the edges": lambda: column([[[0.0, 0.3]], [], []]),
-        "one infinite end": lambda: column([[[0.0, np.inf]], [], []]),
-        "infinite ends backwards": lambda: column([[[np.inf, -np.inf]], [], []]),
-        "numbers": lambda: column([1.0, 2.0, 3.0], pa.float64()),
-        "text": lambda: column(["a", "b", "c"], pa.string()),
-        "lists of numbers": lambda: column([[1.0], [], []], pa.list_(pa.float64())),
-        "lists of text pairs": lambda: column([[["a", "b"]], [], []], pa.list_(pa.list_(pa.string(), 2))),
-        "lists of threes": lambda: column([[[0.0, 0.125, 0.5]], [], []], pa.list_(pa.list_(pa.float64(), 3))),
-        "lists of ones and threes": lambda: column(
-            [[[0.0], [0.0, 0.125, 0.5]], [], []], pa.list_(pa.list_(pa.float64()))
-        ),
-        "no table": lambda: {"target_0": [1]},
-    }[change]()
-
-
-TABLES = [
-    "no edges", "damaged edges", "edges of words", "edges that are a number", "edges that are no text",
-    "a column less", "a missing row", "a missing interval", "a missing end", "a NaN end", "an interval backwards",
-    "an empty interval", "an end off the edges", "one infinite end", "infinite ends backwards", "numbers", "text",
-    "lists of numbers", "lists of text pairs", "lists of threes", "lists of ones and threes", "no table",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("change", TABLES)
-def test_damaged_tables_are_refused(change):
-    pytest.importorskip("pyarrow")
-    with pytest.raises(ConformalError):
-        Regions.from_arrow(damaged(change))
+    assert regions.to_arrow().column("target_0").to_pylist() == [regions.intervals(i)[0].tolist() for i in range(20)]
 
 
 def test_plain_arrays_are_not_copied():

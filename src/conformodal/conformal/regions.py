@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core import BoolArray, FloatArray, IntArray
 
-from .arrow import from_table, to_table
+from .arrow import to_table
 from .bins import QuantileBins
 from .blocks import for_blocks
 from .checks import as_array, as_flags, as_targets
@@ -260,17 +260,6 @@ class Regions:
     def to_arrow(self) -> pa.Table:
         """As an Arrow table, one row a sample; see :mod:`conformodal.conformal.arrow` for the columns."""
         return to_table(self.bins, [self.flat_intervals(j) for j in range(self.bins.n_targets)])
-
-    @classmethod
-    def from_arrow(cls, table: pa.Table) -> Regions:
-        """Regions from a table that :meth:`to_arrow` made.
-
-        Raises
-        ------
-        ConformalError
-            If the table is no such table.
-        """
-        return cls(*from_table(table))
 
     def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
         out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
