@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 from common import RESULTS, mean_interval, without_limits, without_rotation, write_page
+from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor import Renderer, TurnedRooms, visiting_path, write_flight
-from conformodal.datasets.corridor.turned_rooms import ROOM_X
+from conformodal.datasets.corridor import Renderer, write_flight
 from conformodal.odometry import ModelConfig, PoseModel, VisualOdometry, prepare_training_data, train_model
 from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning import Candidates, MotionPrior, Observations, PosePath, online, smooth, viterbi

@@ -1,9 +1,14 @@
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from conformodal.datasets.corridor import Renderer, TurnedRooms, half_turn, same_views, visiting_path
+from conformodal.datasets.corridor import Renderer, same_views
 from conformodal.datasets.corridor.path import rotation_world_cam
-from conformodal.datasets.corridor.turned_rooms import ROOM_X
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from turned_rooms_world import ROOM_X, TurnedRooms, half_turn, visiting_path
 
 
 @pytest.fixture(scope="module")

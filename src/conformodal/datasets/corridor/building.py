@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import trimesh
-from scipy.spatial.transform import Rotation
 
 Vector = tuple[float, float, float]
 
@@ -23,12 +22,6 @@ class Panel:
     v: Vector
     material: str
     uv: tuple[float, float] = (0.0, 0.0)
-
-    def moved(self, quarter_turns: int, shift: Vector = (0.0, 0.0, 0.0)) -> Panel:
-        """Turned about the z axis by a number of quarter turns, then shifted."""
-        corner, u, v = (_turned(vector, quarter_turns) for vector in (self.corner, self.u, self.v))
-        x, y, z = (a + b for a, b in zip(corner, shift, strict=True))
-        return Panel((x, y, z), u, v, self.material, self.uv)
 
 
 class Building(ABC):
@@ -81,17 +74,3 @@ def mesh_of(panels: Sequence[Panel]) -> trimesh.Trimesh:
     quad = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (quad[None] + 4 * np.arange(len(panels))[:, None, None]).reshape(-1, 3)
     return trimesh.Trimesh(vertices, faces, process=False)
-
-
-def half_turn(T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A pose (4, 4) turned by 180 degrees about the z axis of the world."""
-    turn = np.eye(4)
-    turn[:3, :3] = Rotation.from_euler("z", 180, degrees=True).as_matrix().round()
-    return np.asarray(turn @ T_world_cam)
-
-
-def _turned(vector: Vector, quarters: int) -> Vector:
-    x, y, z = vector
-    for _ in range(quarters % 4):
-        x, y = -y, x
-    return (x, y, z)

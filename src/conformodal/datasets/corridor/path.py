@@ -1,4 +1,4 @@
-"""Smooth, drone-like paths: along the corridor and back, into every room; and from a lobby into either room."""
+"""Smooth, drone-like paths along the corridor and back, into every room."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.poses import Trajectory
 
-from .turned_rooms import ROOM_X
 from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
 
 FRAME_RATE_HZ = 10.0
@@ -40,33 +39,6 @@ def drone_path(world: CorridorWorld, n_laps: int = 2, seed: int = 0) -> Trajecto
         Of the gusts.
     """
     return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed))
-
-
-def visiting_path(n_visits: int = 12, seed: int = 0) -> Trajectory:
-    """Poses ``T_world_cam`` of a flight through :class:`TurnedRooms`, seeded, at 10 frames a second.
-
-    Each visit starts in the middle of the lobby, looks at the poster's wall or at the one opposite, turns to one of the
-    rooms, flies in, looks around, backs out and turns away. Wall and room are random in the first half of the flight;
-    the second half is the half-turn of the first, so that whatever is seen on one side is seen on the other as often.
-
-    Parameters
-    ----------
-    n_visits
-        Into either room; an odd one more is flown.
-    seed
-        Of the choices and the gusts.
-    """
-    rng = np.random.default_rng(seed)
-    half = [(rng.choice((90.0, -90.0)), rng.choice((0.0, 180.0))) for _ in range((n_visits + 1) // 2)]
-    waypoints: list[Waypoint] = []
-    for wall, side in [*half, *((wall + 180.0, side + 180.0) for wall, side in half)]:
-        sign = 1.0 if side % 360.0 == 0.0 else -1.0
-        ahead = [(0.0, 0.0, 0.0), (ROOM_X + 0.4, 0.0, 0.0), (ROOM_X + 1.2, 0.4, 55.0), (ROOM_X + 1.2, -0.4, -55.0)]
-        waypoints.append((0.0, 0.0, wall))
-        waypoints += [(sign * x, sign * y, yaw + side) for x, y, yaw in [*ahead, *ahead[1::-1]]]
-    waypoints.append((0.0, 0.0, half[0][0]))
-    yaw = np.degrees(np.unwrap(np.radians([point[2] for point in waypoints])))
-    return fly([(x, y, turned) for (x, y, _), turned in zip(waypoints, yaw.tolist(), strict=True)], rng)
 
 
 def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
