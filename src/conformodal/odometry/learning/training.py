@@ -18,7 +18,7 @@ from conformodal.vision import Backbone, FeatureCache, extract_features
 from ..config import Method, ModelConfig, Runtime, record_of
 from ..identity import identify
 from ..model import PoseModel
-from .calibrating import calibrate_regions, paper_rules
+from .calibrating import calibrate_regions, compare_sources, paper_rules
 from .folds import make_folds
 from .training_data import TrainingData
 
@@ -80,10 +80,11 @@ def train_model(
     progress: StageProgress | None = None,
     fitted: Iterable[PoseSource] = (),
 ) -> PoseModel:
-    """Train on the training part and calibrate; the test part is not touched.
+    """Train on the training part and calibrate; nothing is chosen on the test part.
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
-    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them.
+    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
+    both then answer some frames of the test part, to compare their scores.
 
     `fitted` are sources of another model of the same data that do not look at the network's features: they are taken
     as they are where they learnt from the frames that they would learn from here.
@@ -100,6 +101,7 @@ def train_model(
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         rules = calibrate_regions(sources, folds, localizers, novelty, config)
+    stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,
         localizer=localizer,
@@ -109,9 +111,8 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
-        configuration=record_of(
-            config, data.sequence.name, len(data.sequence), "frames" if folds.units is None else "stretches"
-        ),
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames"),
+        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
     )
 
 
