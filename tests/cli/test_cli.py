@@ -217,7 +217,8 @@ def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
     n = model.calibration.n_units
     assert 9 <= n < 69
     assert f"regions are calibrated on {n} stretches, {model.n_calibration} frames" in said
-    assert f"(joint bonferroni): alpha / 7 would need 69 stretches at alpha 0.1, and there are {n}" in said
+    assert "(joint bonferroni): at alpha 0.1, alpha / 7 needs 69 stretches of each evidence type" in said
+    assert model.comparison.describe() in said
     assert "taken for an unknown place where its p-value is at most 0.1" in said
     result = invoke("run", tmp_path / "m", small_world.folder, "--out", tmp_path / "o", "--part", "test")
     assert result.exit_code == 0, result.output

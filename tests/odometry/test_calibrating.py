@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.localization import SourceAnswer, SourceState, register_source
@@ -16,9 +17,11 @@ from conformodal.odometry import (
     prepare_training_data,
     train_model,
 )
-from conformodal.odometry.learning.calibrating import calibrate_regions
+from conformodal.odometry.learning.calibrating import calibrate_regions, compare_sources
 from conformodal.odometry.learning.folds import Fold, Folds
 from conformodal.vision import FeatureCache
+
+BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,3 +95,44 @@ def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_fr
     assert rules.overall.joint == rules.matched.joint == joint
     kinds = np.array([EvidenceKind.GLOBAL, EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS])
     assert np.isfinite(rules.thresholds(kinds)).all()
+
+
+class Claims:
+    """Normal beliefs with errors of one size that claim another; an image's features are its targets."""
+
+    sources = ()
+    local = False
+    cells = QuantileBins.from_edges([np.linspace(-8, 8, 161)] * 7)
+
+    def __init__(self, error, claimed):
+        self.error, self.claimed = error, claimed
+
+    def beliefs(self, evidence):
+        rng = np.random.default_rng(int(1e6 * np.abs(evidence.features).sum()))
+        noise = rng.normal(0, self.error, (len(evidence), 7))
+        return SimpleNamespace(means=evidence.features + noise, recognised=np.zeros(len(evidence), dtype=bool))
+
+    def marginals_by_part(self, beliefs):
+        edges = self.cells.edges_[0]
+        mass = np.diff(norm.cdf((edges - beliefs.means[..., None]) / self.claimed), axis=-1)
+        mass /= mass.sum(axis=-1, keepdims=True)
+        yield slice(0, len(beliefs.means)), list(mass.transpose(1, 0, 2))
+
+
+@pytest.mark.parametrize(("claimed", "too_sure"), [(0.5, True), (0.8, False)])
+def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sure):
+    """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
+    targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
+    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS)
+    order, parts = np.arange(280), np.arange(280) // 56
+    folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
+    localizers = [Claims(1.0, 1.0)] * 5
+    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd"))
+    found = compare_sources(data, localizers, Claims(0.8, claimed), None, rules, np.arange(280, 400))
+    assert found.n_frames == 120
+    by_model, by_folds = found.covered
+    assert by_folds > 0.85
+    assert (by_model < 0.85) == too_sure
+    assert found.too_sure == too_sure
+    assert found.larger > 0.5 or not too_sure
+    assert f"hold {by_model:.3f} of the poses" in found.describe()

@@ -1,8 +1,11 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile
-from conformodal.odometry import EvidenceKind, RegionRules, Sharing
+from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile, grouped_coverage_band
+from conformodal.odometry import EvidenceKind, RegionRules, Sharing, coverage_table
+from conformodal.odometry.results import RegionStatistics
 
 GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
 
@@ -156,3 +159,25 @@ def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
     scores = np.random.default_rng(0).normal(size=(60, 7))
     rules = RegionRules(whole.calibrate_scores(scores), None, np.zeros(60, bool), np.ones(60), 0.0)
     np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)
+
+
+@pytest.mark.parametrize(
+    ("n_recognised", "n_new", "law"), [(20, 30, [(60, 70), (20, 30)]), (4, 3, [(80, 100)]), (4, 30, None), (9, 3, None)]
+)
+def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins, n_recognised, n_new, law):
+    """Of 80 frames that calibrate and 100 new ones, drawn again: the law is exact if the types share them always."""
+    whole = calibrated(bins)
+    rules = RegionRules(whole, whole, np.arange(80) < n_recognised, np.ones(80), 0.0).at(0.1)
+    statistics = RegionStatistics(
+        inside=np.ones((100, 7), dtype=bool),
+        unbounded=np.zeros((100, 7), dtype=bool),
+        length=np.ones((100, 7)),
+        n_intervals=np.ones((100, 7), dtype=np.int64),
+        kinds=np.where(np.arange(100) < n_new, LANDMARKS, UNMATCHED).astype(np.int64),
+    )
+    sources = SimpleNamespace(sources=[SimpleNamespace(name="landmarks")])
+    model = SimpleNamespace(rules=rules, n_calibration=80, localizer=sources, comparison=None)
+    model.calibration_of = lambda local: rules.matched
+    table = coverage_table(statistics, model, exchangeable=True)
+    assert table["joint_band_99"] == (None if law is None else list(grouped_coverage_band(law, 0.1)))
+    assert table["by_evidence"]["landmarks"]["thresholds"] == str(rules.sharing)

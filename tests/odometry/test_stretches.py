@@ -74,6 +74,8 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     evidence = FrameEvidence(data.features[data.split.test])
     one, other = model.localize(evidence), back.localize(evidence)
     np.testing.assert_array_equal(one.known_p, other.known_p)
+    assert back.comparison == model.comparison
+    assert 0 < model.comparison.n_frames <= len(data.split.test)
     np.testing.assert_array_equal(one.regions.length, other.regions.length)
     back.recalibrate(0.5)
     assert (back.rules.thresholds(kinds[:2]) <= model.rules.thresholds(kinds[:2])).all()

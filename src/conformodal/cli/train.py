@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -238,6 +238,7 @@ def train_on(
             **distances(split, sequence.recording),
             "n_test_same_picture": repeated,
         },
+        "source_comparison": None if model.comparison is None else asdict(model.comparison),
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "quality": None if quality is None else quality_record(quality, sequence, short=True),
         "seconds": round(time.perf_counter() - started, 2),
@@ -254,6 +255,13 @@ def train_on(
         console.print(said_of_landmarks(model.landmarks, model.camera))
     for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
         say_line(line)
+    if model.comparison is not None:
+        say_line(model.comparison.describe())
+        if model.comparison.too_sure:
+            say_strongly(
+                "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
+                "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
+            )
     for line in said_of_whole_space(model):
         say_strongly(line)
     if quality is not None:

@@ -24,6 +24,7 @@ from conformodal.poses import PinholeCamera
 from conformodal.reasoning import Candidates, MotionPrior
 from conformodal.vision import Backbone
 
+from .comparison import SourceComparison
 from .config import Method
 from .errors import OdometryError
 from .identity import FrameIdentities
@@ -90,6 +91,8 @@ class PoseModel:
         Settings behind the model but alpha and the novelty level, which can change, see :attr:`settings`.
     radius
         Promise for the chosen pose, see :class:`~conformodal.odometry.PoseRadius`; None before it was calibrated.
+    comparison
+        Where stretches calibrate, whether held-out scores are those of the sources that calibrated.
     """
 
     backbone: Backbone
@@ -102,6 +105,7 @@ class PoseModel:
     known_frames: FrameIdentities
     configuration: dict[str, Any] = field(default_factory=dict)
     radius: PoseRadius | None = None
+    comparison: SourceComparison | None = None
 
     @property
     def method(self) -> Method:

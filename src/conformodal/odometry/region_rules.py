@@ -147,7 +147,10 @@ class RegionRules:
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:
-        """The same calibration at another miscoverage rate."""
+        """The same calibration at another miscoverage rate.
+
+        Regions of a lower rate hold those of a higher one, unless the types share thresholds at one of the two only.
+        """
         rate = float(as_alpha(alpha))
         matched = None if self.matched is None else self.matched.at(rate)
         return replace(self, overall=self.overall.at(rate), matched=matched)

@@ -29,6 +29,7 @@ from conformodal.poses import PinholeCamera
 from conformodal.reasoning import MotionPrior
 from conformodal.vision import Backbone, BackboneConfig, OnnxBackbone
 
+from .comparison import SourceComparison
 from .errors import ModelFileError
 from .identity import FrameIdentities
 from .model import PoseModel
@@ -99,6 +100,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
+        "comparison": None if model.comparison is None else asdict(model.comparison),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
         "network": None,
     }
@@ -216,6 +218,7 @@ def _assemble(
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
+        comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
     )
 
 

@@ -12,7 +12,7 @@ from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.calibration import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
-from conformodal.core import IntArray
+from conformodal.core import BoolArray, IntArray
 from conformodal.localization import (
     Beliefs,
     FrameEvidence,
@@ -22,12 +22,15 @@ from conformodal.localization import (
     belief_cells,
 )
 
+from ..comparison import SourceComparison
 from ..config import ModelConfig
 from ..errors import OdometryError
 from ..region_rules import RegionRules
 from .folds import Folds
 
 FloatArray = npt.NDArray[np.floating[Any]]
+
+_MOST_COMPARED = 120  # each is answered twice
 
 
 def score_beliefs(
@@ -101,6 +104,65 @@ def calibrate_regions(
 
     rules = calibrated(asked)
     return calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
+
+
+def compare_sources(
+    data: SourceData,
+    localizers: Sequence[Localizer],
+    localizer: Localizer,
+    novelty: PlaceNovelty | None,
+    rules: RegionRules,
+    frames: IntArray,
+) -> SourceComparison | None:
+    """Scores of frames that no source has seen: by the model's own sources, and by those of the folds.
+
+    Parameters
+    ----------
+    data, novelty
+        As in calibration.
+    localizers
+        One a fold; each answers a share of the frames.
+    localizer
+        The model's.
+    rules
+        Its thresholds.
+    frames
+        Held out from all of them, such as the test part; at most `_MOST_COMPARED` are looked at.
+
+    Returns
+    -------
+    The comparison, or None if no frame shows a known place.
+    """
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_COMPARED)).round().astype(int))]
+    known_p = np.ones(len(frames)) if novelty is None else novelty.p_values(data.features[frames])
+
+    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, FloatArray]:
+        local = () if rules.matched is None else data.local_features(frames[rows])
+        images = FrameEvidence(data.features[frames[rows]], local)
+        beliefs = own.beliefs(images)
+        scorer = SplitConformal(own.cells, rules.overall.alpha, rules.overall.score)
+        scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
+        kinds = rules.kinds(known_p[rows], images.has_local_features, beliefs.recognised)
+        held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
+        return held, rules.overall.rule.columns(scores).mean(axis=1)
+
+    n = len(frames)
+    by_model, score = answered(localizer, np.arange(n))
+    by_folds, other = np.empty(n, dtype=bool), np.empty(n)
+    for k, own in enumerate(localizers):
+        rows = np.arange(k, n, len(localizers))
+        if rows.size:
+            by_folds[rows], other[rows] = answered(own, rows)
+    shown = known_p > rules.level
+    if not shown.any():
+        return None
+    return SourceComparison(
+        n_frames=int(shown.sum()),
+        n_both=int((by_model & by_folds & shown).sum()),
+        n_model_only=int((by_model & ~by_folds & shown).sum()),
+        n_folds_only=int((~by_model & by_folds & shown).sum()),
+        larger=float((score > other)[shown].mean()),
+    )
 
 
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:

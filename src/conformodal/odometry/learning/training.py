@@ -18,7 +18,7 @@ from conformodal.vision import Backbone, FeatureCache, extract_features
 from ..config import Method, ModelConfig, Runtime, record_of
 from ..identity import identify
 from ..model import PoseModel
-from .calibrating import calibrate_regions, paper_rules
+from .calibrating import calibrate_regions, compare_sources, paper_rules
 from .folds import make_folds
 from .training_data import TrainingData
 
@@ -84,10 +84,11 @@ def train_model(
     checkpoint_dir: Path | None = None,
     progress: StageProgress | None = None,
 ) -> PoseModel:
-    """Train on the training part and calibrate; the test part is not touched.
+    """Train on the training part and calibrate; nothing is chosen on the test part.
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
-    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them.
+    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
+    both then answer some frames of the test part, to compare their scores.
     """
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, checkpoint_dir, progress)
@@ -99,6 +100,7 @@ def train_model(
     else:
         novelty = PlaceNovelty.fit(data.features[folds.region_frames], folds.pieces[folds.region_frames])
         rules = calibrate_regions(sources, folds, localizers, novelty, config)
+    stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,
         localizer=localizer,
@@ -108,9 +110,8 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
-        configuration=record_of(
-            config, data.sequence.name, len(data.sequence), "frames" if folds.units is None else "stretches"
-        ),
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames"),
+        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
     )
 
 

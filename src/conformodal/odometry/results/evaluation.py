@@ -12,6 +12,7 @@ from conformodal.datasets import SplitKind
 from conformodal.localization import TARGET_NAMES
 from conformodal.poses import Trajectory, trajectory_errors
 
+from ..comparison import SourceComparison
 from ..model import PoseModel
 from ..radius import PoseRadius
 from ..region_rules import EvidenceKind, RegionRules, Sharing
@@ -37,8 +38,9 @@ _ASSUMPTION_SHARED = (
 )
 _ASSUMPTION_STRETCHES = (
     "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
-    "is about a frame drawn at random from a new stretch, if stretches are exchangeable and the sources, which now "
-    "know all of them, err no more than those that lacked some. Where stretches calibrate, other stretches of the same "
+    "is about a frame drawn at random from a new stretch, if stretches are exchangeable and the nonconformity scores "
+    "of the sources, which now know all of them, are no larger than those of sources that lacked some; smaller errors "
+    "are not enough. Where stretches calibrate, other stretches of the same "
     "recording were known: the promise does not reach a recording of which nothing was known. Coverage here is an "
     "observation."
 )
@@ -127,6 +129,7 @@ def coverage_table(
             one_law,
             seen,
             shared=shared and matched_all,
+            comparison=model.comparison,
         ),
     }
 
@@ -161,6 +164,7 @@ def _assumption(
     seen: bool,
     *,
     shared: bool,
+    comparison: SourceComparison | None,
 ) -> str:
     """What the coverage rests on, for people."""
     if promised and shared and not one_law:
@@ -169,7 +173,9 @@ def _assumption(
         return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
     if seen:
         return _ASSUMPTION_SEEN
-    return _ASSUMPTION_BROKEN if by_frame else _ASSUMPTION_STRETCHES
+    if by_frame:
+        return _ASSUMPTION_BROKEN
+    return _ASSUMPTION_STRETCHES if comparison is None else f"{_ASSUMPTION_STRETCHES} {comparison.describe()}."
 
 
 def radius_table(
