@@ -3,6 +3,7 @@
 pip install --no-deps -r benchmarks/peers/requirements.txt
 python benchmarks/peers/run.py                # everything; finished runs are kept, so it resumes
 python benchmarks/peers/run.py concrete bio   # some tables
+python benchmarks/peers/run.py --classifiers  # no peers: classifiers as the estimator, beside the default learner
 """
 
 from __future__ import annotations
@@ -131,15 +132,23 @@ def main() -> None:
     parser.add_argument("tables", nargs="*", default=[*TABLES, "bimodal"])
     parser.add_argument("--store", type=Path, default=Path(__file__).with_name("runs.jsonl"))
     parser.add_argument("--methods", nargs="*", default=list(METHODS))
+    parser.add_argument(
+        "--classifiers", action="store_true", help="the default learner and classifiers, a table of its own"
+    )
     parser.add_argument("--no-table", action="store_true", help="run, but leave the committed table as it is")
     args = parser.parse_args()
-    run_all(args.tables, args.store, args.methods)
+    methods = [OURS, *CLASSIFIERS] if args.classifiers else args.methods
+    run_all(args.tables, args.store, methods)
     if args.no_table:
         return
-    rows, ratios = summarise(load(args.store))
+    rows, ratios = summarise([run for run in load(args.store) if run["method"] in methods])
     names = ("mapie", "torchcp", "crepes", "R2CCP", "quantile-forest", "scikit-learn")
+    if args.classifiers:
+        names, compared = names[-1:], "Size of the sets relative to those of the default learner, geometric mean"
+    else:
+        compared = "Size of `conformodal`'s sets relative to the best peer with valid coverage, median over seeds"
     notes = (
-        f"Size of `conformodal`'s sets relative to the best peer with valid coverage, median over seeds:\n\n{ratios}\n\n"
+        f"{compared}:\n\n{ratios}\n\n"
         "60 % training, 20 % calibration, 20 % test, drawn at random, so samples are exchangeable. Sizes in standard "
         "deviations of the training targets, geometric mean over a table's targets; median (range) over seeds 0 and 1 "
         "for concrete and bimodal, seed 0 alone for the others. A target with fewer distinct values than a fifth of its "
@@ -147,14 +156,15 @@ def main() -> None:
         "brackets the exact 99 % Beta-binomial band of one split's coverage; then how many single coverages lie in it. "
         "Valid: no run failed (an error, or every set empty), none below its 99.99 % band. What each peer is and how it "
         "is tuned: `benchmarks/peers/methods.py`. Seconds include tuning; the machine had other work, so they tell orders only.\n\n"
-        + "Peers: "
+        + "Versions: "
         + ", ".join(f"{n} {version(n)}" for n in names)
         + "."
     )
     header = ["data", "method", "coverage", "in band", "size", "components", "seconds", "failed"]
-    write_table(
-        "peers", "Sets of conformodal and its peers, alpha = 0.1", "python benchmarks/peers/run.py", header, rows, notes
-    )
+    command, name, title = "python benchmarks/peers/run.py", "peers", "Sets of conformodal and its peers, alpha = 0.1"
+    if args.classifiers:
+        command, name, title = f"{command} --classifiers", "classifiers", "Sets with any classifier, alpha = 0.1"
+    write_table(name, title, command, header, rows, notes)
 
 
 if __name__ == "__main__":
