@@ -121,3 +121,35 @@ def test_errors_name_the_argument():
     ):
         with pytest.raises(ConformalError, match=match):
             bad()
+
+
+@pytest.mark.parametrize(("level", "chance"), [(0.99, 0.01), (0.995, 0.005), (0.8, 0.2)])
+def test_the_text_says_how_often_honest_splits_lie_outside(level, chance):
+    cal, proba, y, _ = problem("none")
+    found = diagnose(cal, proba, y, level=level)
+    text = " ".join(str(found).split())
+    assert f"with probability up to {chance:g} (one of 2: up to {2 * chance:g})" in text
+    assert f"{100 * level:g} % band" in text
+    # what the text says is true: the band holds all but so much of the law
+    check = found.columns[0].coverage
+    law = stats.betabinom(check.n_test, check.rank, check.n_calibration + 1 - check.rank)
+    low, high = round(check.low * check.n_test), round(check.high * check.n_test)
+    assert law.cdf(low - 1) + law.sf(high) <= chance
+
+
+def test_many_samples_are_tested_by_a_random_part():
+    rng = np.random.default_rng(0)
+    known, new = rng.random(20_000), rng.random(6000)
+    found = check_uniformity(known, new, repeats=99)
+    assert (found.n_calibration, found.n_test, found.p_values.size) == (5000, 5000, 6000)
+    assert found.p_value == check_uniformity(known, new, repeats=99).p_value
+    few = check_uniformity(known[:900], new, repeats=99)
+    assert (few.n_calibration, few.n_test) == (900, 5000)
+    assert check_uniformity(np.sort(known), np.sort(new) + 0.1, repeats=99).p_value == 0.01  # drawn, not the first
+
+
+def test_of_many_samples_five_thousand_choose_the_slab_and_all_others_judge():
+    rng = np.random.default_rng(0)
+    X, inside = rng.random((20_000, 1)), rng.random(20_000) < 0.9
+    assert worst_slab(inside, X, 2000, 0.1, mass=1.0).coverage.n_test >= 14_900
+    assert worst_slab(inside[:9000], X[:9000], 2000, 0.1, mass=1.0).coverage.n_test <= 4500

@@ -26,11 +26,19 @@ from .uniformity import UniformityCheck, check_uniformity
 
 _ASSUMPTION = (
     "The band of all samples and the p-values hold if the calibration and test samples are exchangeable (split at "
-    "random, say), neither was learnt from, and scores have no ties. Outside this band, one of these fails. Nothing is "
-    "promised for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
+    "random, say), neither was learnt from, and scores have no ties. Even then coverage lies outside its {level} band "
+    "with probability up to {chance}{of_any}. Outside, at least one of these assumptions is likely violated. Nothing "
+    "is promised for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
     "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
     "sequence, such as frames of a video, coverage is an observation and no promise."
 )
+
+
+def describe_assumption(level: float, n_bands: int) -> str:
+    """What the bands of all samples, of probability `level`, say and do not say, in words."""
+    chance = 1 - level
+    of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * chance):.2g})" if n_bands > 1 else ""
+    return _ASSUMPTION.format(level=f"{100 * level:g} %", chance=f"{chance:.2g}", of_any=of_any)
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class ColumnDiagnosis:
         found += [(f"size {name}", check) for name, check in self.by_size.items()]
         found += [(f"group {name}", check) for name, check in self.by_group.items()]
         if self.slab is not None and self.slab.coverage is not None:
-            found.append(("worst slab, other half", self.slab.coverage))
+            found.append(("worst slab, other samples", self.slab.coverage))
         return found
 
 
@@ -125,19 +133,21 @@ class Diagnosis:
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
             promise = "" if self.joint == "none" else f" (promised on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
-        return "\n".join([*lines, "", *textwrap.wrap(_ASSUMPTION, 110)])
+        assumption = describe_assumption(self.columns[0].coverage.level, len(self.columns))
+        return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
 
 
 def _table(column: ColumnDiagnosis) -> list[str]:
     rows = column.rows()
     width = max(len(label) for label, _ in rows)
-    level = f"{column.coverage.level:.0%}"
+    level = f"{100 * column.coverage.level:g}%"
     lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {level} band"]
     for label, c in rows:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
     u = column.uniformity
-    lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}")
+    some = f" ({u.n_calibration} and {u.n_test} samples)" if u.n_test < u.p_values.size else ""
+    lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}{some}")
     return lines
 
 

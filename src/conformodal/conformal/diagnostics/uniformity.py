@@ -14,6 +14,9 @@ from ..checks import as_doubles
 from ..errors import ConformalError
 from ..scalars import as_count, as_random
 
+# samples of either kind that are tested; of more, as many drawn at random
+_MOST_TESTED = 5000
+
 
 @dataclass(frozen=True)
 class UniformityCheck:
@@ -27,11 +30,15 @@ class UniformityCheck:
         Of the hypothesis that calibration and test samples are exchangeable.
     p_values
         (n_test,) conformal p-values, ties broken at random, sorted.
+    n_calibration, n_test
+        Samples that `distance` and `p_value` are of: all, or 5000 of either kind, drawn at random.
     """
 
     distance: float
     p_value: float
     p_values: FloatArray
+    n_calibration: int
+    n_test: int
 
 
 def check_uniformity(
@@ -41,7 +48,8 @@ def check_uniformity(
 
     All test samples share one calibration set, so their p-values depend on each other and the usual tests of
     uniformity reject too often. Exchangeable samples without ties fall in every order equally often; the law of the
-    distance is simulated from that, and the p-value is exact for any number of repeats. Ties are broken at random.
+    distance is simulated from that, and the p-value is exact for any number of repeats. Ties are broken at random. Of
+    more than 5000 calibration or test samples as many are drawn at random, for which the p-value is as exact.
 
     Source: Bates, Candes, Lei, Romano and Sesia (2023) on the dependence; Dwass (1957) on Monte Carlo p-values.
 
@@ -66,14 +74,21 @@ def check_uniformity(
         if scores.ndim != 1 or scores.size == 0 or np.isnan(scores).any():
             raise ConformalError(f"{name} must be a vector without NaN, at least one score, got shape {scores.shape}")
     repeats, random = as_count(repeats, "repeats", 1), as_random(random_state)
-    n, m = known.size, new.size
-    is_new = np.arange(n + m) >= n
-    order = np.lexsort((random.random_sample(n + m), np.concatenate((known, new))))
-    larger = _larger(is_new[order], n)
+    p_values = np.sort((1 + _ranked(known, new, random)[1]) / (known.size + 1))
+    known, new = (random.choice(s, min(s.size, _MOST_TESTED), replace=False) for s in (known, new))
+    is_new, larger = _ranked(known, new, random)
+    n = known.size
     observed = _distance(larger, n)
     simulated = [_distance(_larger(random.permutation(is_new), n), n) for _ in range(repeats)]
     extreme = 1 + int(np.sum(np.array(simulated) >= observed))
-    return UniformityCheck(observed, extreme / (repeats + 1), np.sort((1 + larger) / (n + 1)))
+    return UniformityCheck(observed, extreme / (repeats + 1), p_values, n, new.size)
+
+
+def _ranked(known: FloatArray, new: FloatArray, random: np.random.RandomState) -> tuple[BoolArray, IntArray]:
+    """Which of all scores (n + m,), in their order, are new, ties broken at random; and what :func:`_larger` gives."""
+    is_new = np.arange(known.size + new.size) >= known.size
+    ranked = is_new[np.lexsort((random.random_sample(is_new.size), np.concatenate((known, new))))]
+    return ranked, _larger(ranked, known.size)
 
 
 def _larger(is_new: BoolArray, n: int) -> IntArray:
