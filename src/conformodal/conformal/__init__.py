@@ -20,7 +20,7 @@ from .calibration import (
     weighted_quantile,
 )
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
-from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning
+from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, DtAci, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
@@ -60,6 +60,7 @@ __all__ = [
     "SplitConformal",
     "StackedDensity",
     "WeightedConformal",
+    "WholeRangeWarning",
     "check_coverage",
     "conformal_quantile",
     "conformal_rank",

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from conformodal.core.errors import ConformodalError
 
-__all__ = ["ConformalError", "ConformalTypeError", "ConformodalError", "NotCalibratedError", "SlowFitWarning"]
+__all__ = [
+    "ConformalError",
+    "ConformalTypeError",
+    "ConformodalError",
+    "NotCalibratedError",
+    "SlowFitWarning",
+    "WholeRangeWarning",
+]
 
 
 class ConformalError(ConformodalError):
@@ -47,4 +54,23 @@ class SlowFitWarning(UserWarning):
     >>> import warnings
     >>> from conformodal.conformal import SlowFitWarning
     >>> warnings.simplefilter("ignore", SlowFitWarning)  # for who knows and waits
+    """
+
+
+class WholeRangeWarning(UserWarning):
+    """A threshold is the worst score that there is, so that every set holds every bin.
+
+    So it is where more than alpha of the calibration rows lie in bins of probability 0.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, SplitConformal, WholeRangeWarning
+    >>> bins = QuantileBins.from_edges([[0, 1, 2]])
+    >>> proba, y = np.tile([1.0, 0.0], (40, 1)), np.tile([0.5, 1.5], 20)
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     calibrator = SplitConformal(bins, alpha=0.1).calibrate(proba, y)
+    >>> caught[0].category is WholeRangeWarning
+    True
     """

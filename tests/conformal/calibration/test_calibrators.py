@@ -1,7 +1,10 @@
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from conformodal.conformal import (
     ConformalError,
@@ -11,6 +14,7 @@ from conformodal.conformal import (
     QuantileBins,
     SplitConformal,
     WeightedConformal,
+    WholeRangeWarning,
     conformal_quantile,
     weighted_quantile,
 )
@@ -127,3 +131,74 @@ def test_few_rows_and_many_have_the_same_sets(score, dtype, at_once):
         few = proba[i : i + 3] if at_once else [part[i : i + 3] for part in answers]
         for j, mask in enumerate(calibrated.predict(few).masks):
             np.testing.assert_array_equal(mask, many.masks[j][i : i + 3])
+
+
+def in_seven_dimensions(rng, n):
+    """Probabilities and values of targets whose scores are of very different sizes."""
+    bins = QuantileBins.from_edges([np.arange(6.0) * 10.0**j for j in range(7)])
+    return bins, rng.dirichlet(np.ones(5), (n, 7)), rng.uniform(0, 5, (n, 7)) * 10.0 ** np.arange(7)
+
+
+def test_rows_that_scaled_do_not_calibrate():
+    rng = np.random.default_rng(0)
+    bins, proba, y = in_seven_dimensions(rng, 40)
+    other = rng.permutation(9)
+    for kind, extra in ((SplitConformal, ()), (MondrianConformal, (np.zeros(9),)), (WeightedConformal, (np.ones(9),))):
+        cal = kind(bins, 0.1, "density", "max").fit_scale(proba[:9], y[:9])
+        with pytest.raises(ConformalError, match="fit_scale saw 9 of the 9 calibration rows"):
+            cal.calibrate(proba[:9][other], y[:9][other], *extra)
+        cal.fit_scale(proba[:30], y[:30])
+        with pytest.raises(ConformalError, match="fit_scale saw"):
+            cal.calibrate(proba[:9], y[:9], *extra)
+        cal.calibrate(proba[31:], y[31:], *extra)
+
+
+def test_rows_that_look_alike_may_scale_and_calibrate():
+    rng = np.random.default_rng(0)
+    bins = QuantileBins.from_edges([np.arange(3.0)] * 2)
+    proba, y = np.full((40, 2, 2), 0.5), rng.integers(0, 2, (40, 2)) + 0.5
+    cal = SplitConformal(bins, 0.1, "lac", "max").fit_scale(proba[:31], y[:31])
+    assert np.isfinite(cal.calibrate(proba[31:], y[31:]).thresholds_).all()
+    one = QuantileBins.from_edges([np.arange(3.0)])  # a scale changes no order of one target's scores
+    cal = SplitConformal(one, 0.1, "lac", "max").fit_scale(proba[:, 0], y[:, 0])
+    assert np.isfinite(cal.calibrate(proba[:, 0], y[:, 0]).thresholds_).all()
+
+
+def test_coverage_with_scales_from_other_rows_follows_the_exact_law():
+    rng = np.random.default_rng(1)
+    n, m, repeats = 9, 10, 600
+    counts = np.empty(repeats, dtype=int)
+    for i in range(repeats):
+        bins, proba, y = in_seven_dimensions(rng, 2 * n + m)
+        cal = SplitConformal(bins, 0.1, "density", "max").fit_scale(proba[:n], y[:n])
+        cal.calibrate(proba[n : 2 * n], y[n : 2 * n])
+        counts[i] = cal.predict(proba[2 * n :]).contains(y[2 * n :], joint=True).sum()
+    law = stats.betabinom(m, n, 1)
+    edges = [-0.5, 6.5, 7.5, 8.5, 9.5, 10.5]
+    expected = np.diff(law.cdf(edges)) * repeats
+    assert stats.chisquare(np.histogram(counts, edges)[0], expected).pvalue > 0.001
+
+
+@pytest.mark.parametrize("score", [*SCORES, "hpd_mid"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_threshold_that_lets_every_bin_in_is_told(score, dtype):
+    rng = np.random.default_rng(0)
+    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, 8))])
+    y = rng.uniform(bins.edges_[0][0], bins.edges_[0][-1], 80)
+    proba = rng.dirichlet(np.ones(7), 80).astype(dtype)
+    fair = SplitConformal(bins, 0.3, score)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fair.calibrate(proba, y)
+    certain = np.zeros_like(proba)
+    certain[np.arange(80), rng.integers(0, 7, 80)] = 1
+    with pytest.warns(WholeRangeWarning, match="target 0") as seen:
+        cal = SplitConformal(bins, 0.3, score).calibrate(certain, y)
+    assert seen[0].filename == __file__
+    assert cal.predict(certain).masks[0].all()
+    with pytest.warns(WholeRangeWarning, match="in group a"):
+        MondrianConformal(bins, 0.3, score).calibrate(certain, y, np.repeat("a", 80))
+    almost = np.where(np.arange(80)[:, None] < 20, certain, proba)
+    calm = SplitConformal(bins, 0.5, score).calibrate(almost, y)
+    with pytest.warns(WholeRangeWarning):
+        calm.at(0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, Literal, Self
@@ -14,7 +15,7 @@ from conformodal.core import BoolArray, FloatArray, RealArray
 from ..bins import QuantileBins
 from ..blocks import blocks, for_blocks
 from ..checks import Alpha, Probabilities, as_alpha, as_scores, as_table, as_targets, check_block, check_rows
-from ..errors import ConformalError
+from ..errors import ConformalError, WholeRangeWarning
 from ..regions import Regions
 from ..scalars import as_choice
 from ..scores import BUILT_IN, Score, cells_of, resolve_score
@@ -80,7 +81,9 @@ class Calibrator:
     def fit_scale(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Scale the targets' scores for ``joint="max"``, on data that is not the calibration data.
 
-        Training data will do: the promise holds whatever the scales, they only balance the targets.
+        The promise holds whatever the scales, they only balance the targets. Training rows will do if `proba` is by
+        models that have not seen them: scores of rows that were learnt from are too low, of some targets more than of
+        others, and make sets larger. Calibration refuses the rows that were given here.
         """
         self.rule.fit_scale(self.score_samples(proba, y), self.alpha)
         return self
@@ -130,6 +133,22 @@ class Calibrator:
         if self.empty == "mode":
             self._fill_empty(parts, list(np.moveaxis(masks, 1, 0)) if isinstance(masks, np.ndarray) else masks)
         return Regions(self.cells, masks, unbounded)
+
+    def warn_of_whole_range(self, thresholds: RealArray, where: str = "") -> None:
+        """Warn if a bin of no probability is at most a threshold, of (d,): sets then hold every bin."""
+        for j, (widths, limit) in enumerate(zip(self.bins.widths, thresholds, strict=True)):
+            if widths.size == 1 or not np.isfinite(limit):
+                continue
+            certain = (np.arange(widths.size) == 0)[None].astype(thresholds.dtype)
+            worst = float(self.scores_of(certain, widths).max())
+            if limit >= worst - widths.size * np.finfo(thresholds.dtype).eps * abs(worst):
+                warnings.warn(
+                    f"every set of target {j} is the whole range{where}: the threshold admits bins of probability 0, "
+                    "as where more than alpha of the calibration rows lie in such bins. Smooth the probabilities, or "
+                    "give the classifier to ConformalRegressor, which does",
+                    WholeRangeWarning,
+                    stacklevel=3,
+                )
 
     def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all cells for rows of one target's probabilities.

@@ -14,8 +14,11 @@ from ..checks import Alpha, as_alpha
 from ..errors import ConformalError, NotCalibratedError
 from ..rank import conformal_quantile
 from ..scalars import as_choice
+from ..scores import row_uniforms
 
 Joint = Literal["none", "bonferroni", "max"]
+# calibration rows of which the scales may have seen no more; rows of discrete scores may look alike by chance
+_MOST_SEEN = 0.8
 
 
 def as_joint(joint: str) -> Joint:
@@ -39,6 +42,7 @@ class JointRule:
 
     loc_: FloatArray
     scale_: FloatArray
+    seen_: FloatArray
 
     def __init__(self, joint: Joint, n_targets: int) -> None:
         self.joint = as_joint(joint)
@@ -56,6 +60,7 @@ class JointRule:
         target gives up its share.
         """
         half, tail = Fraction(1, 2), as_alpha(alpha) / self.n_targets
+        self.seen_ = _single(scores)
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
         for j in range(self.n_targets):
             finite = scores[np.isfinite(scores[:, j]), j].astype(np.float64)
@@ -68,6 +73,23 @@ class JointRule:
     def keep_scale(self) -> None:
         """Leave the targets' scores unscaled: they are comparable as they are."""
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
+
+    def calibration_columns(self, scores: RealArray) -> RealArray:
+        """:meth:`columns` of calibration scores.
+
+        Raises
+        ------
+        ConformalError
+            If :meth:`fit_scale` saw most of the rows: with several targets the promise would be broken.
+        """
+        if self.joint == "max" and self.n_targets > 1 and len(scores) and hasattr(self, "seen_"):
+            shared = int(np.isin(_single(scores), self.seen_).sum())
+            if shared > _MOST_SEEN * len(scores):
+                raise ConformalError(
+                    f"fit_scale saw {shared} of the {len(scores)} calibration rows, with which coverage falls below "
+                    "1 - alpha: give it other rows, such as training rows scored out of fold"
+                )
+        return self.columns(scores)
 
     def columns(self, scores: RealArray) -> RealArray:
         """The calibrated columns of scores (n, d): (n, d), or (n, 1) for ``max``."""
@@ -93,6 +115,12 @@ class JointRule:
     def _scaled(self) -> None:
         if not hasattr(self, "loc_"):
             raise NotCalibratedError('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
+
+
+def _single(scores: RealArray) -> FloatArray:
+    """A number for every row of scores (n, d) that occurs once."""
+    found, counts = np.unique(row_uniforms(scores), return_counts=True)
+    return np.asarray(found[counts == 1])
 
 
 def highest_float(holds: Callable[[FloatArray], BoolArray], shape: tuple[int, ...]) -> FloatArray:

@@ -88,7 +88,7 @@ class MondrianConformal(Calibrator):
             On probabilities that are no probabilities, shapes that do not fit each other or the bins, or a missing
             label.
         """
-        scores = self.rule.columns(self.score_samples(proba, y))
+        scores = self.rule.calibration_columns(self.score_samples(proba, y))
         labels = as_groups(groups, scores.shape[0])
         alpha = self.alpha_per_target
         self.pooled_ = self.rule.per_target(conformal_quantile(scores, alpha))
@@ -98,6 +98,8 @@ class MondrianConformal(Calibrator):
             own = scores[codes == code]
             self.sizes_[label] = own.shape[0]
             self.thresholds_[label] = self.rule.per_target(conformal_quantile(own, alpha))
+        for label, thresholds in self.thresholds_.items():
+            self.warn_of_whole_range(thresholds, f" in group {label}")
         return self
 
     @property

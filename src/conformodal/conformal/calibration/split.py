@@ -88,11 +88,14 @@ class SplitConformal(Calibrator):
         Raises
         ------
         ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
+            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or, with
+            ``joint="max"`` and several targets, rows that :meth:`fit_scale` saw.
         NotCalibratedError
             With ``joint="max"`` before :meth:`fit_scale`, unless the score is normalised.
         """
-        return self.calibrate_scores(self.score_samples(proba, y), groups)
+        self.calibrate_scores(self.score_samples(proba, y), groups)
+        self.warn_of_whole_range(self.thresholds_)
+        return self
 
     def calibrate_scores(
         self,
@@ -115,12 +118,13 @@ class SplitConformal(Calibrator):
         Raises
         ------
         ConformalError
-            On NaN, shapes that do not fit, missing labels, or sizes that differ within a group.
+            On NaN, shapes that do not fit, missing labels, sizes that differ within a group, or, with ``joint="max"``
+            and several targets, rows that :meth:`fit_scale` saw.
         """
         scores = as_scores(scores)
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
             raise ConformalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
-        columns, rate = self.rule.columns(scores), self.alpha_per_target
+        columns, rate = self.rule.calibration_columns(scores), self.alpha_per_target
         if groups is None:
             if group_sizes is not None:
                 raise ConformalError("group_sizes need groups")
@@ -155,7 +159,9 @@ class SplitConformal(Calibrator):
         other = copy(self)
         as_alpha(alpha)
         other.alpha = alpha
-        return other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_)
+        other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_)
+        other.warn_of_whole_range(other.thresholds_)
+        return other
 
     def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
         """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.

@@ -135,7 +135,7 @@ class WeightedConformal(Calibrator):
         ConformalError
             On probabilities that are no probabilities, negative weights, or shapes that do not fit.
         """
-        scores = self.rule.columns(self.score_samples(proba, y))
+        scores = self.rule.calibration_columns(self.score_samples(proba, y))
         checked = _as_weights(weights, "weights")
         if checked.shape != (scores.shape[0],):
             raise ConformalError(f"weights must have shape ({scores.shape[0]},), got {checked.shape}")
