@@ -13,7 +13,7 @@ from common import spread, write_table
 from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import QuantileBins, SplitConformal
-from conformodal.conformal.learning.labels import fit_classifier, proba_of_bins
+from conformodal.conformal.learning.learners import fit_target
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
 from problems import read_table
@@ -44,10 +44,12 @@ def main() -> None:
             bins = QuantileBins(BINS, margin=0.02).fit(Y[train])
             proba: dict[str, list[np.ndarray]] = {"train": [], "cal": [], "test": []}
             for j, edges in enumerate(bins.edges_):
-                forest = RandomForestClassifier(100, min_samples_leaf=5, n_jobs=2, oob_score=True, random_state=seed)
-                model = fit_classifier(forest, X[train], Y[train, j], edges, 0.7)
-                for part, index in (("train", train), ("cal", cal), ("test", test)):
-                    proba[part].append(proba_of_bins(model, X[index], edges.size - 1))
+                forest = RandomForestClassifier(100, min_samples_leaf=5, n_jobs=2, random_state=seed)
+                learnt = X[train], Y[train, j], edges
+                model, out_of_fold = fit_target(forest, False, *learnt, None, True, None)
+                proba["train"].append(out_of_fold)
+                for part, index in (("cal", cal), ("test", test)):
+                    proba[part].append(model.predict_proba(X[index]))
             for rule in RULES:
                 sets = SplitConformal(bins, ALPHA, "density", rule).fit_scale(proba["train"], Y[train])
                 regions = sets.calibrate(proba["cal"], Y[cal]).predict(proba["test"])

@@ -478,7 +478,6 @@ NUMBERS = {
     "mass": lambda v: worst_slab(HELD, X, 9, 0.1, v),
     "own_share": lambda v: Aps(own_share=v),
     "calibration_size": lambda v: tree().set_params(calibration_size=v).fit(X, Y),
-    "label_sigma": lambda v: tree().set_params(label_sigma=v).fit(X, Y),
 }
 
 

@@ -78,7 +78,7 @@ def test_lines_of_progress(capsys):
     assert capsys.readouterr().err == "target 2 of 3: 2 of 5 parts, 0 s\n"
 
 
-def test_weights_reach_a_classifier_copy_by_copy():
+def test_weights_reach_a_classifier():
     X, y = table(200)
     weight = np.where(y > 0, 5.0, 1.0)
     reg = ConformalRegressor(LogisticRegression(), n_bins=5, random_state=0)

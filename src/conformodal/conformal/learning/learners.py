@@ -19,12 +19,15 @@ from conformodal.core.words import counted
 
 from ..errors import ConformalError, SlowFitWarning
 from ..scalars import brief, shortened
-from .labels import fit_classifier
 from .quick import QuickDensity
+from .smoothing import SmoothedClassifier, fit_classifier, proba_of_bins, smoothing_of
 from .stacked import StackedDensity
 
 LearnerName = Literal["quick", "stack"]
 
+# fits of a classifier, each on all rows but every fifth; of fewer rows none is left out
+_FOLDS = 5
+_FEWEST_TO_LEAVE_OUT = 20
 # a fit of more seconds is announced
 _SLOW_S = 10.0
 
@@ -67,17 +70,51 @@ def fit_target(
     X: npt.NDArray[Any],
     y: FloatArray,
     edges: FloatArray,
-    label_sigma: float,
     weight: FloatArray | None,
+    out_of_fold: bool,
     progress: Progress | None,
-) -> Any:
-    """A clone of the learner, fitted on one target.
+) -> tuple[Any, FloatArray | None]:
+    """Clones of the learner, fitted on one target, and what some that have not seen them give the first rows.
+
+    A classifier is fitted five times, on all rows but every fifth: these say how to smooth, and all answer together.
+    A density is fitted once on all rows, and for ``out_of_fold=True`` once more without the first fifth. Of fewer than
+    20 rows none is left out, and nothing is known out of fold: None. Rows must be in random order.
 
     Raises
     ------
     ConformalError
         If it refuses the data, or takes no weights and is given some.
     """
+
+    def fitted(rows: Any, progress: Progress | None = None) -> Any:
+        return _fitted(base, dense, X[rows], y[rows], edges, None if weight is None else weight[rows], progress)
+
+    n, n_bins, fold = len(y), edges.size - 1, np.arange(len(y)) % _FOLDS
+    enough = n >= _FEWEST_TO_LEAVE_OUT
+    if dense:
+        model, n_first = fitted(slice(None), progress), n // _FOLDS
+        if not (enough and out_of_fold):
+            return model, None
+        return model, proba_of_bins(fitted(slice(n_first, None)), X[:n_first], n_bins)
+    if not enough:
+        return SmoothedClassifier([fitted(slice(None))], smoothing_of(y, edges, weight, None)), None
+    models, left_out = [], np.empty((n, n_bins))
+    for k in range(_FOLDS):
+        models.append(fitted(fold != k))
+        left_out[fold == k] = proba_of_bins(models[-1], X[fold == k], n_bins)
+    smoothing = smoothing_of(y, edges, weight, left_out)
+    return SmoothedClassifier(models, smoothing), smoothing(left_out)
+
+
+def _fitted(
+    base: Any,
+    dense: bool,
+    X: npt.NDArray[Any],
+    y: FloatArray,
+    edges: FloatArray,
+    weight: FloatArray | None,
+    progress: Progress | None,
+) -> Any:
     model = clone(base)
     known = _parameters(model.fit_bins if dense else model.fit)
     if weight is not None and "sample_weight" not in known:
@@ -86,7 +123,7 @@ def fit_target(
     options: dict[str, Any] = {} if weight is None else {"sample_weight": weight}
     try:
         if not dense:
-            return fit_classifier(model, X, y, edges, label_sigma, weight)
+            return fit_classifier(model, X, y, edges, weight)
         if progress is not None and "progress" in known:
             options["progress"] = progress
         return model.fit_bins(X, y, edges, **options)
@@ -96,10 +133,10 @@ def fit_target(
         raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
 
 
-def announce(base: Any, n_rows: int, n_features: int, n_targets: int) -> bool:
-    """Warn of a fit that will take more than ten seconds; whether it will."""
+def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int = 1) -> bool:
+    """Warn of `fits` fits that will take more than ten seconds; whether they will."""
     tell: Callable[[int, int], float] | None = getattr(base, "expected_seconds", None)
-    seconds = 0.0 if tell is None else n_targets * tell(n_rows, n_features)
+    seconds = 0.0 if tell is None else fits * n_targets * tell(n_rows, n_features)
     if seconds <= _SLOW_S:
         return False
     spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"

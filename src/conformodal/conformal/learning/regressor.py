@@ -21,8 +21,8 @@ from ..errors import ConformalError, ConformalTypeError, NotCalibratedError
 from ..regions import Regions
 from ..scalars import as_number, as_random, brief, shortened
 from ..scores import Score
-from .labels import proba_of_bins
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
+from .smoothing import proba_of_bins
 from .standard import as_sample_weight
 
 # Values a little beyond the training range still get a finite score.
@@ -59,7 +59,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
         (``benchmarks/peers/run.py``: 2 to 7 seconds a target and 27 to 129; 0.88 and 0.81 of the length of the best
         peer's sets, in the geometric mean over seven data sets); or any classifier with ``predict_proba``, fitted on
-        bin numbers; or an object with ``fit_bins(X, y, edges)`` and ``predict_proba``.
+        bin numbers five times, without every fifth row. The mean of the five is smoothed over bin numbers, mixed with
+        Gaussians around its mean and with the frequencies of the bins, by the shares that make the left-out rows
+        likeliest. Or an object with ``fit_bins(X, y, edges)`` and ``predict_proba``.
     n_bins
         Bins a target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
@@ -67,13 +69,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     score
         ``"density"`` (shortest sets), ``"linear_density"``, ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
     joint
-        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`.
+        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
+        every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
     calibration_size
         Share of the samples that ``fit`` holds out to calibrate on, in [0, 1). With 0 all are learnt from, and
         :meth:`conformalize` must follow.
-    label_sigma
-        Order-aware labels for a classifier: each sample is learnt four times, with labels spread like a Gaussian of
-        so many bins around where in its bin the value lies. 0 learns each once, as plain classification does.
     random_state
         Seed of the split and of a fresh estimator, or None.
     verbose
@@ -83,7 +83,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     Attributes
     ----------
     bins_ : QuantileBins
-    estimators_ : list of d fitted estimators
+    estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
     calibrator_ : SplitConformal
 
     Examples
@@ -110,7 +110,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         score: str | Score = "density",
         joint: Joint = "none",
         calibration_size: float = 0.2,
-        label_sigma: float = 0.7,
         random_state: Any = None,
         verbose: bool = False,
     ) -> None:
@@ -120,7 +119,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.score = score
         self.joint = joint
         self.calibration_size = calibration_size
-        self.label_sigma = label_sigma
         self.random_state = random_state
         self.verbose = verbose
 
@@ -159,23 +157,28 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if weight is not None:
             features, values, weight = features[weight > 0], values[weight > 0], weight[weight > 0]
         size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
-        sigma = as_number(self.label_sigma, "label_sigma", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         random = as_random(self.random_state)
         held, seen = split_off(len(features), size, random)
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
         self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
-        told = announce(base, seen.size, features.shape[1], values.shape[1]) and bool(self.verbose)
-        self.estimators_ = []
+        unseen = self.joint == "max"
+        told = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
+        self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
-            progress = on_stderr(j, values.shape[1]) if told else None
+            progress = on_stderr(j, values.shape[1]) if told and self.verbose else None
             share = None if weight is None else weight[seen]
-            self.estimators_.append(
-                fit_target(base, dense, features[seen], values[seen, j], edges, sigma, share, progress)
-            )
-        if self.joint == "max":
-            self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
+            table = features[seen], values[seen, j], edges, share
+            model, proba = fit_target(base, dense, *table, unseen, progress)
+            self.estimators_.append(model)
+            out_of_fold.append(proba)
+        if unseen:
+            known = [proba for proba in out_of_fold if proba is not None]
+            if known:
+                self.calibrator_.fit_scale(known, values[seen[: len(known[0])]])
+            else:  # too few rows to leave any out
+                self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
         if held.size:
             self.calibrator_.calibrate(self._proba(features[held]), values[held])
         return self

@@ -1,0 +1,187 @@
+"""Any classifier as a density over bins: its probabilities, smoothed over bin numbers, with no bin left at zero."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr
+
+from conformodal.core import FloatArray, IntArray
+
+from ..checks import as_doubles
+from ..errors import ConformalError
+from ..scalars import shortened
+from .kernels import log_density, mixture_weights
+
+# standard deviations, in bins, of the Gaussians that the probabilities are smoothed by; 0 leaves them as they are
+_SIGMAS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+# (s, f): a Gaussian around the mean, its variance that of s bins and of f times the row's own standard deviation
+_AROUND_MEAN = ((1.0, 0.0), (2.0, 0.0), (4.0, 0.0), (8.0, 0.0), (0.5, 0.25), (0.5, 0.5), (0.5, 1.0))
+_N_COMPONENTS = len(_SIGMAS) + len(_AROUND_MEAN) + 1
+# a repeated value stands out if it is so many times as frequent as the values in either bin beside it
+_STANDS_OUT = 4.0
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+class BinSmoothing:
+    """A mixture of a classifier's smoothed probabilities, Gaussians around their mean, and the bins' frequencies.
+
+    Gaussians are over bin numbers, of several widths. A bin of one value, repeated so often that it holds several
+    times as much as the bins beside it, exchanges no probability with others: a share of zeros in a continuous target
+    stays where it is. Values on a grid are no such case: their bins are smoothed.
+
+    Until :meth:`tune` is called every component weighs the same.
+
+    Parameters
+    ----------
+    codes
+        (n,) bins of the training values.
+    y
+        (n,) the training values.
+    weight
+        (n,) their weights, or None.
+    n_bins
+        Number of bins.
+    """
+
+    def __init__(self, codes: IntArray, y: FloatArray, weight: FloatArray | None, n_bins: int) -> None:
+        counts = np.bincount(codes, weight, minlength=n_bins)
+        self.marginal = (counts + 1 / n_bins) / (counts.sum() + 1)  # one more row, spread over all bins
+        low, high = np.full(n_bins, np.inf), np.full(n_bins, -np.inf)
+        np.minimum.at(low, codes, y)
+        np.maximum.at(high, codes, y)
+        beside = np.maximum(np.append(counts[1:], 0), np.append(0, counts[:-1]))
+        repeated = (low == high) & (counts > _STANDS_OUT * beside) & (np.bincount(codes, minlength=n_bins) > 1)
+        self.kinds = [kind.astype(np.float64) for kind in (repeated, ~repeated) if kind.any()]
+        self.weights = np.full(_N_COMPONENTS, 1 / _N_COMPONENTS)
+
+    def tune(self, proba: FloatArray, codes: IntArray, widths: FloatArray, weight: FloatArray | None) -> None:
+        """Set the weights of the components to make left-out values likeliest; each keeps a share of one row.
+
+        Parameters
+        ----------
+        proba
+            (m, K) what a classifier that was not fitted on these rows gives them.
+        codes
+            (m,) bins of their values.
+        widths
+            (K,) widths of the bins.
+        weight
+            (m,) weights of the rows, or None.
+        """
+        found = [log_density(self._component(proba, i), codes, widths) for i in range(self.weights.size)]
+        likeliest = mixture_weights(np.column_stack(found), weight)
+        self.weights = (codes.size * likeliest + 1 / likeliest.size) / (codes.size + 1)
+
+    def __call__(self, proba: FloatArray) -> FloatArray:
+        """Smoothed probabilities (n, K); none is zero."""
+        total = sum(share * self._component(proba, i) for i, share in enumerate(self.weights))
+        return np.asarray(total / np.sum(total, axis=1, keepdims=True))
+
+    def _component(self, proba: FloatArray, i: int) -> FloatArray:
+        if i == _N_COMPONENTS - 1:
+            return np.broadcast_to(self.marginal, proba.shape)
+        total = np.zeros(proba.shape)
+        for kind in self.kinds:
+            own = proba * kind
+            if i >= len(_SIGMAS):
+                total += _around_mean(own, kind, *_AROUND_MEAN[i - len(_SIGMAS)])
+            elif _SIGMAS[i]:  # what would go to bins of the other kind, or beyond the ends, goes to the others
+                reach = np.maximum(_gaussian(kind, _SIGMAS[i]), _TINY)
+                total += kind * _gaussian(own / reach, _SIGMAS[i])
+            else:
+                total += own
+        return total
+
+
+def _around_mean(own: FloatArray, kind: FloatArray, sigma: float, factor: float) -> FloatArray:
+    """The mass of each row of `own`, as a Gaussian around its mean over the bins of a `kind`."""
+    n_bins, mass = kind.size, own.sum(axis=1)
+    place, share = np.arange(n_bins) + 0.5, own / np.maximum(mass, _TINY)[:, None]
+    mean = share @ place
+    spread = np.sqrt(sigma**2 + factor**2 * np.maximum(share @ place**2 - mean**2, 0))
+    below = ndtr((np.arange(n_bins + 1) - mean[:, None]) / spread[:, None])
+    below[:, 0], below[:, -1] = 0, 1
+    found = np.diff(below, axis=1) * kind
+    reached = found.sum(axis=1, keepdims=True)
+    found = np.divide(found, reached, out=share, where=reached > _TINY)  # far from all bins of the kind: as it is
+    return np.asarray(found * mass[:, None])
+
+
+def _gaussian(values: FloatArray, sigma: float) -> FloatArray:
+    return np.asarray(gaussian_filter1d(values, sigma, axis=-1, mode="constant"))
+
+
+class SmoothedClassifier:
+    """The mean of fitted classifiers (or numbers of the only bin that they saw), smoothed."""
+
+    def __init__(self, classifiers: list[Any], smoothing: BinSmoothing) -> None:
+        self.classifiers = classifiers
+        self.smoothing = smoothing
+
+    def predict_proba(self, X: npt.NDArray[Any]) -> FloatArray:
+        """Probabilities (n, K) of the bins."""
+        found = [proba_of_bins(one, X, self.smoothing.marginal.size) for one in self.classifiers]
+        return self.smoothing(np.asarray(np.mean(found, axis=0)))
+
+
+def smoothing_of(
+    y: FloatArray, edges: FloatArray, weight: FloatArray | None, left_out: FloatArray | None
+) -> BinSmoothing:
+    """The smoothing that suits a classifier.
+
+    Parameters
+    ----------
+    y, edges, weight
+        Training values (n,), edges of the bins (K + 1,), and weights (n,) or None.
+    left_out
+        (n, K) probabilities of the training rows by fits that have not seen them; None if there are none.
+    """
+    codes = bin_codes(y, edges)
+    smoothing = BinSmoothing(codes, y, weight, edges.size - 1)
+    if left_out is not None:
+        smoothing.tune(left_out, codes, np.diff(edges), weight)
+    return smoothing
+
+
+def bin_codes(y: FloatArray, edges: FloatArray) -> IntArray:
+    """Bins (n,) of values; those beyond the edges count to the outer bins."""
+    return np.searchsorted(edges[1:-1], y, side="right")
+
+
+def fit_classifier(
+    model: Any, X: npt.NDArray[Any], y: FloatArray, edges: FloatArray, weight: FloatArray | None = None
+) -> Any:
+    """Fit a classifier on bin numbers; values in a single bin need none, and give the bin's number."""
+    codes = bin_codes(y, edges)
+    if (codes == codes[0]).all():
+        return int(codes[0])
+    with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+        return model.fit(X, codes, **({} if weight is None else {"sample_weight": weight}))
+
+
+def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:
+    """Probabilities (n, K) of all bins; a bin that no training value fell in has probability 0."""
+    if isinstance(model, int):
+        return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+            given = model.predict_proba(X)
+    except ConformalError:
+        raise
+    except (ValueError, TypeError) as exc:
+        raise ConformalError(f"estimator cannot predict: {shortened(str(exc))}") from exc
+    found = as_doubles(given, "predict_proba of the estimator")
+    if not hasattr(model, "classes_"):
+        return found
+    classes = np.asarray(model.classes_, dtype=np.int64)
+    if found.shape != (X.shape[0], classes.size):
+        raise ConformalError(
+            f"predict_proba of the estimator must have shape ({X.shape[0]}, {classes.size}), got {found.shape}"
+        )
+    proba = np.zeros((X.shape[0], n_bins))
+    proba[:, classes] = found
+    return proba
