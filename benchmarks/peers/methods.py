@@ -22,10 +22,18 @@ import torch
 from measure import Sets, merged, one_interval
 from problems import Split
 from sklearn.base import clone
-from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor, RandomForestRegressor
+from sklearn.ensemble import (
+    ExtraTreesRegressor,
+    HistGradientBoostingRegressor,
+    RandomForestClassifier,
+    RandomForestRegressor,
+)
 from sklearn.metrics import make_scorer, mean_pinball_loss
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
 from conformodal.conformal.learning.location import StackedLocation
@@ -46,6 +54,18 @@ def conformodal_default(split: Split, alpha: float) -> Sets:
 
 def conformodal_stack(split: Split, alpha: float) -> Sets:
     return _conformodal(split, alpha, StackedDensity(random_state=split.seed, n_jobs=JOBS), "density")
+
+
+def conformodal_forest(split: Split, alpha: float) -> Sets:
+    return _conformodal(split, alpha, RandomForestClassifier(random_state=split.seed, n_jobs=JOBS), "density")
+
+
+def conformodal_tree(split: Split, alpha: float) -> Sets:
+    return _conformodal(split, alpha, DecisionTreeClassifier(random_state=split.seed), "density")
+
+
+def conformodal_neighbours(split: Split, alpha: float) -> Sets:
+    return _conformodal(split, alpha, make_pipeline(StandardScaler(), KNeighborsClassifier()), "density")
 
 
 def _conformodal(split: Split, alpha: float, estimator: Any, score: str) -> Sets:
@@ -329,9 +349,16 @@ def r2ccp(split: Split, alpha: float) -> Sets:
 OURS = "conformodal"
 STACK = "conformodal, stack"
 PROBE = "crepes on conformodal's learner"
+# classifiers as the estimator, with scikit-learn's default settings; k-NN on standardised inputs
+CLASSIFIERS: dict[str, Callable[[Split, float], Sets]] = {
+    "conformodal, random forest": conformodal_forest,
+    "conformodal, tree": conformodal_tree,
+    "conformodal, k-NN": conformodal_neighbours,
+}
 METHODS: dict[str, Callable[[Split, float], Sets]] = {
     OURS: conformodal_default,
     STACK: conformodal_stack,
+    **CLASSIFIERS,
     "MAPIE CQR, boosting": mapie_cqr_boosting,
     "MAPIE CQR, quantile forest": mapie_cqr_forest,
     "crepes, normalised": crepes_normalized,

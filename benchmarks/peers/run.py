@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from measure import measure
-from methods import METHODS, OURS, PROBE, STACK
+from methods import CLASSIFIERS, METHODS, OURS, PROBE, STACK
 from problems import TABLES, splits
 
 from conformodal.conformal import check_coverage, coverage_band
@@ -64,7 +64,7 @@ def load(store: Path) -> list[Run]:
 
 
 def summarise(runs: list[Run]) -> tuple[list[list[str]], str]:
-    rows, ratios, lines = [], {}, []  # ratios: one a data set, by method
+    rows, ratios, to_default, lines = [], {}, {}, []  # ratios: one a data set, by method
     tables = [t for t in (*TABLES, "bimodal") if any(r["table"] == t for r in runs)]
     for table in tables:
         sizes = {}
@@ -91,7 +91,9 @@ def summarise(runs: list[Run]) -> tuple[list[list[str]], str]:
         if table == "bimodal":
             best = float(np.median([r["optimal"] for r in runs if r["table"] == table]))
             rows.append([table, "the shortest there can be", "0.900", "", f"{best:.3f}", "", "", ""])
-        peers = {m: s for m, s in sizes.items() if m not in (OURS, STACK)}
+        peers = {m: s for m, s in sizes.items() if m not in (OURS, STACK, *CLASSIFIERS)}
+        for method in (m for m in CLASSIFIERS if m in sizes and OURS in sizes):
+            to_default.setdefault(method, []).append(sizes[method] / sizes[OURS])
         ours = [m for m in (OURS, STACK) if m in sizes]
         if ours and peers:
             best_peer = min(peers, key=lambda m: peers[m])
@@ -101,6 +103,8 @@ def summarise(runs: list[Run]) -> tuple[list[list[str]], str]:
             lines.append(f"- {table}: {found} of the best valid peer, {best_peer}.")
     for method, found in ratios.items():
         lines.append(f"\nGeometric mean over the {len(found)} data sets: {geometric(found):.3f} ({method}).")
+    for method, found in to_default.items():
+        lines.append(f"\n{method}, relative to {OURS}: {geometric(found):.3f} over {len(found)} data sets.")
     return rows, "\n".join(lines)
 
 
