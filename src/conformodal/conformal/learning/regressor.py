@@ -57,8 +57,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ----------
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
-        (``benchmarks/peers/run.py``: 2 to 7 seconds a target and 27 to 129; 0.88 and 0.81 of the length of the best
-        peer's sets, in the geometric mean over seven data sets); or any classifier with ``predict_proba``, fitted on
+        with shorter sets (``benchmarks/peers/run.py``: 0.81 of the length of the best peer's, in the geometric mean
+        over seven data sets); or any classifier with ``predict_proba``, fitted on
         bin numbers five times, without every fifth row. The mean of the five is smoothed over bin numbers, mixed with
         Gaussians around its mean and with the frequencies of the bins, by the shares that make the left-out rows
         likeliest. Or an object with ``fit_bins(X, y, edges)`` and ``predict_proba``.
