@@ -3,15 +3,18 @@
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli import demo
-from conformodal.cli.demo_pages import ratios_said
+from conformodal.cli.demo_pages import count_places, ratios_said, true_place_chosen
 from conformodal.cli.main import app
+from conformodal.experiments import AmbiguityCheck
 from conformodal.odometry import Method
-from conformodal.poses import read_tum
+from conformodal.poses import Trajectory, read_tum
 
 
 @pytest.fixture
@@ -30,6 +33,26 @@ def out(small_world, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "N_LAPS", 1)
     monkeypatch.setattr(demo, "TRAINING", replace(demo.TRAINING, epochs=3))
     return folder
+
+
+def test_the_caption_tells_a_choice_of_the_wrong_room_from_one_of_the_right_room():
+    def path(*x):
+        return Trajectory(np.arange(len(x)) / 10, np.outer(x, [1.0, 0, 0]), np.tile([1.0, 0, 0, 0], (len(x), 1)))
+
+    places = [np.array([[3.0, 0, 0]]), np.array([[3.0, 0, 0]]), np.empty((0, 3))]
+    held = [np.array([True]), np.array([False]), np.empty(0, dtype=bool)]
+    alike = AmbiguityCheck(places, held, held)
+    truth, chosen = path(0, 0, 0), path(0.1, 2.9, 2.9)
+    assert true_place_chosen(chosen, truth, alike).tolist() == [True, False, True]
+    run = SimpleNamespace(trajectory=chosen, trajectories={"classical": path(1.5, 1, 0)})
+    results = SimpleNamespace(outcome=SimpleNamespace(run=run, truth=truth), alike=alike)
+    right, wrong = (count_places(results, i) for i in (0, 1))
+    assert "nearest to the true place;" in right
+    assert "1.50 m from the nearest" in right
+    assert "nearest to a wrong one;" in wrong
+    for said in (right, wrong):  # of the run: two frames with such places, one of them held, one chosen rightly
+        assert "Of 2 frames" in said
+        assert "all of them in 1, and the chosen pose is nearest to the true one in 1." in said
 
 
 @pytest.mark.slow
@@ -57,8 +80,13 @@ def test_the_papers_system_is_trained_and_told_of_beside_two_regressors(out):
 
 def test_the_last_word_says_which_is_the_better_one():
     errors = {name: {"rmse_m": e} for name, e in (("greedy", 2.0), ("plain", 1.0), ("classical", 0.5))}
-    metrics = {"errors": {**errors, "softmax_mean": {"rmse_m": 3.0}, "smoothed": {"rmse_m": 0.1}}, "seconds": 9.6}
+    metrics = {
+        "errors": {**errors, "softmax_mean": {"rmse_m": 3.0}, "online": {"rmse_m": 0.25}, "smoothed": {"rmse_m": 0.1}},
+        "seconds": 9.6,
+    }
     said = " ".join(ratios_said(Method.PAPER, metrics))
     assert "plain regressor 0.50, tuned regressor 0.25; below 1 the regressor is the better one" in said
     assert "1.50" in said
-    assert ratios_said(Method.CONFORMODAL, metrics) == ["classical / conformal rmse_m: 5.0   (10 s in all)"]
+    assert ratios_said(Method.CONFORMODAL, metrics) == [
+        "classical / conformal rmse_m: online 2.0, with hindsight 5.0   (10 s in all)"
+    ]

@@ -262,6 +262,23 @@ def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(op
 
 
 @pytest.mark.slow
+def test_while_it_plays_the_sentence_is_of_the_frame_that_is_drawn(opened, pages):
+    page = opened(pages["run"])
+    frames = json.loads(page.text_content("#viewer-data"))["frames"]
+    page.fill("#scrub", "0")
+    page.click("#play")
+    shown = set()
+    for _ in range(12):
+        page.wait_for_timeout(150)
+        at, said = page.evaluate(
+            "[Number(document.getElementById('scrub').value), document.getElementById('seen').textContent]"
+        )
+        assert said == f"Frame {at + 1} of {len(frames)}. {frames[at]['say']}"
+        shown.add(at)
+    assert len(shown) > 4
+
+
+@pytest.mark.slow
 def test_a_region_without_a_box_is_told_apart_by_its_pattern_not_by_colour(opened, pages):
     page = opened(pages["run"])
     page.fill("#scrub", "7")

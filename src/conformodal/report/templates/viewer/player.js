@@ -1,6 +1,7 @@
 // Playing, stepping, keys.
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-const rate = () => Math.min(Math.max(n / 30, 5), 30) * Number($("speed").value) / 1000; // frames a millisecond
+// Few enough frames a second that each one's sentence is seen with its picture.
+const rate = () => Math.min(Math.max(n / 60, 5), 8) * Number($("speed").value) / 1000; // frames a millisecond
 let playing = false, since = 0;
 
 function show(i) {

@@ -1,13 +1,13 @@
 // The frame in words: a sentence to see, the same sentence to hear, and the numbers.
-const SEEN_EVERY = 1000, HEARD_EVERY = 6000, SETTLED = 400; // milliseconds
+const HEARD_EVERY = 6000, SETTLED = 400; // milliseconds
 const sources = { softmax: "softmax alone, landmarks not looked for", global: "the image as a whole", unmatched: "the image as a whole, no landmarks trusted", landmarks: "the image and landmarks" };
-const said = { seen: -Infinity, heard: -Infinity, waiting: null };
+const said = { heard: -Infinity, waiting: null };
 
-// While it plays, sentences stay long enough to be read and are not called out one upon the other.
+// The sentence is of the frame that is drawn, which it names. While it plays, not every one is called out.
 function tell(playing) {
-  const time = performance.now(), sentence = frames[now].say;
-  const hear = () => { said.heard = performance.now(); $("heard").textContent = `Frame ${now + 1} of ${n}. ${frames[now].say}`; };
-  if (!playing || time - said.seen >= SEEN_EVERY) { said.seen = time; $("seen").textContent = sentence; }
+  const time = performance.now(), sentence = `Frame ${now + 1} of ${n}. ${frames[now].say}`;
+  const hear = () => { said.heard = performance.now(); $("heard").textContent = sentence; };
+  $("seen").textContent = sentence;
   clearTimeout(said.waiting);
   if (!playing) said.waiting = setTimeout(hear, SETTLED);
   else if (time - said.heard >= HEARD_EVERY) hear();
