@@ -47,12 +47,12 @@ def test_the_caption_tells_a_choice_of_the_wrong_room_from_one_of_the_right_room
     run = SimpleNamespace(trajectory=chosen, trajectories={"classical": path(1.5, 1, 0)})
     results = SimpleNamespace(outcome=SimpleNamespace(run=run, truth=truth), alike=alike)
     right, wrong = (count_places(results, i) for i in (0, 1))
-    assert "lies at the true place" in right
+    assert "nearest to the true place;" in right
     assert "1.50 m from the nearest" in right
-    assert "lies at the wrong one" in wrong
+    assert "nearest to a wrong one;" in wrong
     for said in (right, wrong):  # of the run: two frames with such places, one of them held, one chosen rightly
         assert "Of 2 frames" in said
-        assert "all of them in 1, and the chosen pose lies at the true one in 1." in said
+        assert "all of them in 1, and the chosen pose is nearest to the true one in 1." in said
 
 
 @pytest.mark.slow

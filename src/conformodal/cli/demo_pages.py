@@ -92,9 +92,10 @@ def count_places(demo: DemoResults, index: int) -> str:
     held, all_held = int(alike.held[index].sum()), sum(bool(h.all()) for h in alike.held if len(h))
     return (
         f"{counted(n, 'other place')} {noun_for(n, 'has', 'have')} the same view: the region holds {held}. The chosen "
-        f"pose lies at the {'true place' if right[index] else 'wrong one'}; the regressor's answer is {off:.2f} "
-        f"m from the nearest. Of {counted(int(several.sum()), 'frame')} with such places, the region holds all of them "
-        f"in {all_held}, and the chosen pose lies at the true one in {int(right[several].sum())}."
+        f"pose is nearest to {'the true place' if right[index] else 'a wrong one'}; the regressor's answer is "
+        f"{off:.2f} m from the nearest of these places. Of {counted(int(several.sum()), 'frame')} with such places, "
+        f"the region holds all of them in {all_held}, and the chosen pose is nearest to the true one in "
+        f"{int(right[several].sum())}."
     )
 
 

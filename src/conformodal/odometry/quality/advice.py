@@ -214,9 +214,10 @@ def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
     number = int(found.known_names[one.nearest])
     other = f"known frame {number}" if number >= 0 else "the nearest known frame"
     tilted = one.turned == TILTED
-    turned = f"are tilted against {other}" if tilted else f"look further {one.turned}" if one.turned else ""
-    how = listed([said for said in (turned, f"are taken from further {one.moved}" if one.moved else "") if said])
-    ways = f"they {how}{'' if tilted else f' than {other}'}; " if how else ""
+    they, are, look = ("it", "is", "looks") if one.first == one.last else ("they", "are", "look")
+    turned = f"{are} tilted against {other}" if tilted else f"{look} further {one.turned}" if one.turned else ""
+    how = listed([said for said in (turned, f"{are} taken from further {one.moved}" if one.moved else "") if said])
+    ways = f"{they} {how}{'' if tilted else f' than {other}'}; " if how else ""
     return (
         f"Train on {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}) too, or on a recording of "
         f"the same stretch: {ways}the nearest known view is {gap} away."
