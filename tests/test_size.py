@@ -1,0 +1,40 @@
+"""The source keeps to a budget of lines per package. Raising one needs a reason in the commit message."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "conformodal"
+BUDGET = {
+    "cli": 2850,
+    "conformal": 6080,
+    "core": 530,
+    "datasets": 5050,
+    "localization": 2670,
+    "motion": 1250,
+    "networks": 900,
+    "odometry": 5870,
+    "poses": 1125,
+    "reasoning": 1360,
+    "report": 1250,
+    "ros": 1110,
+    "vision": 610,
+}
+
+
+def lines_of(folder):
+    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in folder.rglob("*.py"))
+
+
+def test_every_package_has_a_budget():
+    assert {path.name for path in SOURCE.iterdir() if (path / "__init__.py").is_file()} == BUDGET.keys()
+
+
+@pytest.mark.parametrize("package", BUDGET)
+def test_a_package_keeps_to_its_budget(package):
+    assert lines_of(SOURCE / package) <= BUDGET[package]
+
+
+def test_experiments_and_benchmarks_keep_to_their_budget():
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 9200
