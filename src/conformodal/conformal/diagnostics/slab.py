@@ -16,7 +16,7 @@ from ..scalars import as_count, as_number, as_random
 from .coverage import CoverageCheck, check_coverage
 
 # samples that choose the slab, drawn at random; half of all if these are fewer
-_MOST_CHOOSE = 5000
+_MOST_CHOOSE = 2000
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def worst_slab(
 
     The halves matter: the minimum over many slabs lies far below any one's coverage, whatever the sets are. What the
     second half gives is free of that choice; its band is that of a slab named in advance
-    (:func:`coverage_by_group`). The inputs' own axes are among the directions. Of more than 10 000 samples 5000 choose,
+    (:func:`coverage_by_group`). The inputs' own axes are among the directions. Of more than 4000 samples 2000 choose,
     and all others judge.
 
     Source: Cauchois, Gupta and Duchi (2021); split in two as by Romano, Sesia and Candes (2020).

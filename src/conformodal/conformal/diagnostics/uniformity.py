@@ -15,7 +15,7 @@ from ..errors import ConformalError
 from ..scalars import as_count, as_random
 
 # samples of either kind that are tested; of more, as many drawn at random
-_MOST_TESTED = 5000
+_MOST_TESTED = 2000
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class UniformityCheck:
     p_values
         (n_test,) conformal p-values, ties broken at random, sorted.
     n_calibration, n_test
-        Samples that `distance` and `p_value` are of: all, or 5000 of either kind, drawn at random.
+        Samples that `distance` and `p_value` are of: all, or 2000 of either kind, drawn at random.
     """
 
     distance: float
@@ -49,7 +49,7 @@ def check_uniformity(
     All test samples share one calibration set, so their p-values depend on each other and the usual tests of
     uniformity reject too often. Exchangeable samples without ties fall in every order equally often; the law of the
     distance is simulated from that, and the p-value is exact for any number of repeats. Ties are broken at random. Of
-    more than 5000 calibration or test samples as many are drawn at random, for which the p-value is as exact.
+    more than 2000 calibration or test samples as many are drawn at random, for which the p-value is as exact.
 
     Source: Bates, Candes, Lei, Romano and Sesia (2023) on the dependence; Dwass (1957) on Monte Carlo p-values.
 
