@@ -137,8 +137,8 @@ def said_of_whole_space(model: PoseModel) -> list[str]:
     for promise in promises(model):
         where = WHERE[promise.evidence]
         if promise.finite:
-            if promise.sharing is not Sharing.OWN:
-                said.append(f"{where}, {describe_units(promise)} calibrate: {describe_sharing(promise)}")
+            if promise.sharing is not Sharing.OWN and describe_sharing(promise) not in said:  # once for both types
+                said.append(describe_sharing(promise))
         elif not promise.n_frames:
             said.append(f"no frame calibrates the regions {where}: there the region is unbounded")
         else:

@@ -149,7 +149,7 @@ def said_of_promise(promise: KindPromise) -> str:
         return f"{where}: no frame calibrates them, they are unbounded"
     said = f"{where}: {describe_units(promise)} {noun_for(promise.n_frames, 'calibrates', 'calibrate')} them"
     if promise.sharing is not Sharing.OWN:
-        said += f"; {describe_sharing(promise)}"
+        said += f" (thresholds: {promise.sharing})"
     bounded = promise.least_alpha < 1
     said += f", finite from alpha = {promise.least_alpha_shown:g}" if bounded else ", finite at no alpha"
     if promise.band is not None and promise.finite:
@@ -169,12 +169,14 @@ def describe_units(promise: KindPromise) -> str:
 
 def describe_sharing(promise: KindPromise) -> str:
     """Whose thresholds an evidence type has that shares them, and what that guarantees."""
-    both = "those of all frames whose local features were matched"
     if promise.sharing is Sharing.WIDER:
-        return f"one evidence type is at the limit of too few, thresholds are the larger of its own and {both}"
+        return (
+            "one evidence type is at the limit of too few frames: its thresholds are the larger of its own and those "
+            "shared with the other"
+        )
     return (
-        f"thresholds are {both}, because one evidence type has too few for its own, and the guarantee is about both "
-        "types together"
+        "one evidence type has too few frames: images with and without a recognised place share thresholds, and the "
+        "guarantee concerns both together"
     )
 
 
