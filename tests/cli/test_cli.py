@@ -172,11 +172,11 @@ def test_bad_input_is_one_kind_line(small_world, tmp_path, results):
         (["train", small_world.folder, "--out", tmp_path / "m", "--alpha", "90"], "did you mean 0.1"),
         (["train", small_world.folder, "--out", tmp_path / "m", "--joint", "all"], "joint must be"),
         (["train", small_world.folder, "--out", tmp_path / "m", "--score", "best"], "score must be"),
-        (["train", small_world.folder, "--out", tmp_path / "m", "--novelty-level", "1"], "novelty_level must be"),
+        (["train", small_world.folder, "--out", tmp_path / "m", "--novelty-level", "1"], "--novelty-level must be"),
         (["train", small_world.folder, "--out", tmp_path / "m", "--calibration", "0.2"], "'stretches'"),
         (
             ["run", small_world.model, small_world.folder, "--out", tmp_path / "o", "--novelty-level", "-1"],
-            "level must",
+            "--novelty-level must",
         ),
         (["run", tmp_path, small_world.folder, "--out", tmp_path / "o"], "no saved model"),
         (["run", small_world.model, tmp_path, "--out", tmp_path / "o"], "is in no layout that is known"),

@@ -114,7 +114,7 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     assert (kinds_of(strict, p) != EvidenceKind.UNKNOWN).all()
     assert model.rules.level == 0.015
     for level in (-0.1, 1.0, np.nan):
-        with pytest.raises(OdometryError, match="novelty level"):
+        with pytest.raises(OdometryError, match="novelty_level"):
             strict.set_novelty_level(level)
 
 

@@ -12,7 +12,6 @@ from typer.main import get_command
 from conformodal.core import MissingPackageError, needing
 
 from .failures import explained
-from .options import range_of
 
 
 class _Verb(NamedTuple):
@@ -32,7 +31,7 @@ VERBS = {
     "train": _Verb("train:train", "Train on a data set with poses, calibrate, and save the model.", "train"),
     "export": _Verb(
         "export:export",
-        "Write a model anew with its network in ONNX, or in eight bits; and the network with its head as one file.",
+        "Write a model anew with its network in ONNX, or in eight bits.",
         "train",
     ),
     "calibrate": _Verb(
@@ -89,6 +88,8 @@ class _Late(TyperCommand):
 
 def _add_ranges(command: Any) -> None:
     """Have the help of each option that is a number end with its range."""
+    from .options import range_of  # noqa: PLC0415 - the list of verbs needs no ranges, and they bring SciPy
+
     for option in command.params:
         allowed = range_of(option.name)
         if allowed is not None:
