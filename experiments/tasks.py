@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from conformodal.conformal import ConformodalError
@@ -95,11 +96,15 @@ def run_tasks(
     report()
     n_jobs = min(workers or 1, max(len(missing), 1))
     threads = None if n_jobs == 1 else max(1, (os.cpu_count() or 1) // n_jobs)
-    options: dict[str, Any] = {"backend": "loky", "n_jobs": n_jobs}
+    options: dict[str, Any] = {
+        "backend": "loky",
+        "n_jobs": n_jobs,
+        "max_nbytes": None,
+    }  # no files of this machine alone
     yields = "generator_unordered"
     if engine is Engine.RAY:
         threads, yields = 1, "list"  # the CPU that a worker asked for; joblib gets no generator from Ray
-        options = {"backend": "ray", "n_jobs": workers or -1, "max_nbytes": None}  # no files of this machine alone
+        options |= {"backend": "ray", "n_jobs": workers or -1}
     if missing:
         with _on_ray(address) if engine is Engine.RAY else nullcontext(), parallel_config(**options):
             jobs = (delayed(_finish)(work, i, tasks[i], paths[i], threads) for i in missing)
@@ -112,6 +117,9 @@ def run_tasks(
                     "a worker process was killed, perhaps because memory ran out; finished results are kept. Run the "
                     "same command again, with fewer workers"
                 ) from exc
+            finally:
+                if engine is Engine.LOCAL and n_jobs > 1:
+                    get_reusable_executor().shutdown(wait=True)
     return [result for result in results if result is not None]
 
 
