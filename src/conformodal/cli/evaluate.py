@@ -81,7 +81,7 @@ def evaluate(
                 "n_evaluated": len(mine),
                 "abstained": float((~bounded).mean()),
                 **bounded_coverage(np.asarray(inside.all(axis=1)), bounded),
-                "note": "share of true poses in the stored intervals; whether alpha promises it depends on how these "
+                "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
                 "frames relate to the calibration frames",
             },
         }

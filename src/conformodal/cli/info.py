@@ -1,4 +1,4 @@
-"""``conformodal info``: what a saved model knows, promises and costs."""
+"""``conformodal info``: what a saved model knows, guarantees and costs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def info(
     model: SavedModel,
     as_json: Annotated[bool, typer.Option("--json", help="For machines: one JSON object.")] = False,
 ) -> None:
-    """Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here."""
+    """Say what a saved model was trained on, what it guarantees, how large it is and how fast its network runs."""
     found = _facts(load_model(model), model)
     if as_json:
         typer.echo(json.dumps(found, indent=1))

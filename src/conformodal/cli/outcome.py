@@ -124,7 +124,7 @@ def run_metrics(
     counts
         Numbers of frames and seconds.
     whole
-        Whether every frame of the part was answered, as in calibration: what is promised is promised for these only.
+        Whether every frame of the part was answered, as in calibration: the guarantee holds for these only.
     matched_all
         Whether local features were matched in all of them, as when a radius is calibrated.
     """

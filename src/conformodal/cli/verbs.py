@@ -49,7 +49,7 @@ VERBS = {
     "view": _Verb("view:view", "Open the page of results."),
     "info": _Verb(
         "info:info",
-        "Say what a saved model was trained on, what it promises, how large it is and how fast its network runs here.",
+        "Say what a saved model was trained on, what it guarantees, how large it is and how fast its network runs.",
     ),
     "data": _Verb("data:app", "Look at a data set, or convert it."),
 }

@@ -113,7 +113,7 @@ class Regions:
     def intersection(self, other: Regions) -> Regions:
         """What both hold, sample by sample; also ``self & other``.
 
-        The promise does not survive it unchanged: two regions at alpha / 2 each intersect in one at alpha.
+        The guarantee does not survive it unchanged: two regions at alpha / 2 each intersect in one at alpha.
 
         Raises
         ------

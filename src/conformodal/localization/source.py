@@ -1,8 +1,8 @@
 """The one interface of all pose sources: of everything that estimates where an image was taken.
 
 A pose source learns from named frames, answers about images, and is stored as arrays and JSON. It names the frames it
-has seen: a region's promise rests on calibration frames that no source has seen. A new source is a class with the four
-methods of :class:`PoseSource`, made known with :func:`register_source`.
+has seen: a region's guarantee rests on calibration frames that no source has seen. A new source is a class with the
+four methods of :class:`PoseSource`, made known with :func:`register_source`.
 """
 
 from __future__ import annotations

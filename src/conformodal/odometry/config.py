@@ -25,10 +25,10 @@ from .errors import OdometryError
 class Calibration(StrEnum):
     """What the thresholds of a region are calibrated on.
 
-    ``frames``: the calibration part; the promise is about a frame exchangeable with its frames. ``stretches``: training
-    and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is answered
-    by sources that did not see it, and the promise is about a frame drawn at random from a new stretch. ``auto``:
-    frames where the split holds out single frames, else stretches.
+    ``frames``: the calibration part; the guarantee is about a frame exchangeable with its frames. ``stretches``:
+    training and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is
+    answered by sources that did not see it, and the guarantee is about a frame drawn at random from a new stretch.
+    ``auto``: frames where the split holds out single frames, else stretches.
     """
 
     AUTO = "auto"
@@ -93,8 +93,8 @@ class ModelConfig:
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     runtime
-        See :class:`~conformodal.odometry.Runtime`. Features come from it in training too, so that the promise is about
-        what runs.
+        See :class:`~conformodal.odometry.Runtime`. Features come from it in training too, so that the guarantee is
+        about what runs.
     seed
         Of the split and of training.
     training

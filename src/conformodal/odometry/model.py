@@ -92,7 +92,7 @@ class PoseModel:
     configuration
         Settings behind the model but alpha and the novelty level, which can change, see :attr:`settings`.
     radius
-        Promise for the chosen pose, see :class:`~conformodal.odometry.PoseRadius`; None before it was calibrated.
+        Guarantee for the chosen pose, see :class:`~conformodal.odometry.PoseRadius`; None before it was calibrated.
     comparison
         Where stretches calibrate, whether held-out scores are those of the sources that calibrated.
     """
@@ -178,7 +178,7 @@ class PoseModel:
         return self.rules.matched if local and self.rules.matched is not None else self.rules.overall
 
     def recalibrate(self, alpha: Alpha) -> None:
-        """Promise another miscoverage rate, from the stored calibration scores.
+        """Guarantee another miscoverage rate, from the stored calibration scores.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A radius around the chosen pose, and what it promises."""
+"""A radius around the chosen pose, and what it guarantees."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PoseRadius:
     """How far the true pose may be from the chosen one.
 
     One threshold holds both errors: a pose is within where the larger of its angle and its distance over
-    `metres_per_rad` is at most the threshold, so no alpha is shared out between the two. The promise is exact because
+    `metres_per_rad` is at most the threshold, so no alpha is shared out between the two. The guarantee is exact because
     `metres_per_rad` knows nothing of the true poses of the recordings that calibrate.
 
     Attributes
@@ -82,7 +82,7 @@ class PoseRadius:
 
     @property
     def assumption(self) -> str:
-        """What the promise rests on, for people."""
+        """What the guarantee rests on, for people."""
         what = "every frame" if self.promise is Promise.RECORDING else "a frame drawn at random"
         return (
             f"If a recording is exchangeable with the {self.n_recordings} that the radius was calibrated on, the true "

@@ -162,7 +162,7 @@ def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
         part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_
     if rule.groups_ is None:
         return part.calibrate_scores(rule.scores_[chosen])
-    # a frame keeps its weight in its stretch, so that the promises of all kinds add up to that of a new stretch
+    # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
     _, group, counts = np.unique(rule.groups_, return_inverse=True, return_counts=True)
     return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen])
 

@@ -1,7 +1,7 @@
-"""A promise for the chosen pose: the whole procedure, from frames to one trajectory, calibrated on whole recordings.
+"""A guarantee for the chosen pose: the whole procedure, from frames to one trajectory, calibrated on whole recordings.
 
-A region keeps its promise because nothing was chosen; choosing one place in it voids that. Here the chosen pose gets
-a promise of its own: recordings that the model has not seen are answered from first frame to last, and how far the
+A region keeps its guarantee because nothing was chosen; choosing one place in it voids that. Here the chosen pose gets
+a guarantee of its own: recordings that the model has not seen are answered from first frame to last, and how far the
 answers were off becomes a radius around the answers to come.
 """
 
@@ -57,7 +57,7 @@ def calibrate_selection(
     Raises
     ------
     OdometryError
-        If a frame is one of the data set that the model was trained on, the method or the promise is
+        If a frame is one of the data set that the model was trained on, the method or the guarantee is
         unknown, or `metres_per_rad` is not positive and finite. A frame of its test part is refused too: the model
         knows the recording around it.
     PoseError

@@ -91,7 +91,7 @@ def test_a_diagnosis_says_everything_in_one_call(joint):
     text = str(found)
     for word in ("alpha = 0.1", "left", "worst slab", "group 1", "p-values uniform", "exchangeable", f"joint {joint}"):
         assert word in text
-    assert ("promised on average" in text) == (joint == "bonferroni")  # with max it is the coverage of all targets
+    assert ("guaranteed on average" in text) == (joint == "bonferroni")  # with max it is the coverage of all targets
     assert "] within" in text.replace("  ", " ")
 
 

@@ -38,8 +38,8 @@ class Calibrator:
         A name from :data:`~conformodal.conformal.scores.SCORES` (``"lac"`` is the paper's), or a
         :class:`~conformodal.conformal.scores.Score`.
     joint
-        ``"none"``: the promise holds for each target alone (the paper's). ``"bonferroni"``: every target is
-        calibrated at alpha / d, so that the promise holds for all together. ``"max"``: one threshold over the largest
+        ``"none"``: the guarantee holds for each target alone (the paper's). ``"bonferroni"``: every target is
+        calibrated at alpha / d, so that the guarantee holds for all together. ``"max"``: one threshold over the largest
         of the targets' scores, scaled by :meth:`fit_scale` unless they are comparable as they are (``hpd``, ``aps``);
         holds for all together.
     empty
@@ -81,7 +81,7 @@ class Calibrator:
     def fit_scale(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Scale the targets' scores for ``joint="max"``, on data that is not the calibration data.
 
-        The promise holds whatever the scales, they only balance the targets. Training rows will do if `proba` is by
+        The guarantee holds whatever the scales, they only balance the targets. Training rows will do if `proba` is by
         models that have not seen them: scores of rows that were learnt from are too low, of some targets more than of
         others, and make sets larger. Calibration refuses the rows that were given here.
         """

@@ -24,8 +24,8 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
     """Threshold that a member of a new group, drawn at random, exceeds with probability at most `alpha`.
 
     Every group weighs the same, whatever its size, and shares its weight among its members; the new group stands at
-    ``+inf``. If groups are exchangeable (their members need not be), the promise holds in a new group, on average over
-    its members. Sums are exact. With groups of one this is :func:`~conformodal.conformal_quantile`.
+    ``+inf``. If groups are exchangeable (their members need not be), the guarantee holds in a new group, on average
+    over its members. Sums are exact. With groups of one this is :func:`~conformodal.conformal_quantile`.
 
     Parameters
     ----------

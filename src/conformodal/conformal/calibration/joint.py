@@ -80,7 +80,7 @@ class JointRule:
         Raises
         ------
         ConformalError
-            If :meth:`fit_scale` saw most of the rows: with several targets the promise would be broken.
+            If :meth:`fit_scale` saw most of the rows: with several targets the guarantee would be broken.
         """
         if self.joint == "max" and self.n_targets > 1 and len(scores) and hasattr(self, "seen_"):
             shared = int(np.isin(_single(scores), self.seen_).sum())

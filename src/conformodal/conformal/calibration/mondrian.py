@@ -1,4 +1,4 @@
-"""A threshold for every group, so that the promise holds within each (Vovk et al. 2003)."""
+"""A threshold for every group, so that the guarantee holds within each (Vovk et al. 2003)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Fallback = Literal["whole", "pooled"]
 class MondrianConformal(Calibrator):
     """Mondrian (group-conditional) conformal sets.
 
-    If the calibration samples of a group and a new sample of that group are exchangeable, the promise holds within
+    If the calibration samples of a group and a new sample of that group are exchangeable, the guarantee holds within
     the group, not only on average over groups.
 
     Parameters
@@ -38,7 +38,7 @@ class MondrianConformal(Calibrator):
         Groups with fewer calibration samples fall back. By default those too small for any finite threshold do.
     fallback
         For groups that are too small or were never seen. ``"whole"``: the whole space, which keeps the promise.
-        ``"pooled"``: the threshold of all calibration samples together; for such a group the promise is then an
+        ``"pooled"``: the threshold of all calibration samples together; for such a group the guarantee is then an
         average over everyone's, no longer its own.
 
     Attributes

@@ -30,8 +30,8 @@ class SplitConformal(Calibrator):
     ``joint="bonferroni"`` or ``"max"`` all targets hold at once with that probability.
 
     With ``groups``, such as stretches of a video or whole recordings, the groups are exchangeable, their members need
-    not be, and the promise is that of a sample drawn at random from a new group (Dunn, Wasserman and Ramdas 2023; Lee,
-    Barber and Willett 2023).
+    not be, and the guarantee is that of a sample drawn at random from a new group (Dunn, Wasserman and Ramdas 2023;
+    Lee, Barber and Willett 2023).
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ _ASSUMPTION = (
     "The band of all samples and the p-values hold if the calibration and test samples are exchangeable (split at "
     "random, say), neither was learnt from, and scores have no ties. Even then coverage lies outside its {level} band "
     "with probability up to {chance}{of_any}. Outside, at least one of these assumptions is likely violated. Nothing "
-    "is promised for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
+    "is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
     "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
     "sequence, such as frames of a video, coverage is an observation and no promise."
 )
@@ -131,7 +131,7 @@ class Diagnosis:
         for column in self.columns:
             lines += ["", *_table(column)]
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
-            promise = "" if self.joint == "none" else f" (promised on average: at least {1 - float(self.alpha):.4g})"
+            promise = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
         assumption = describe_assumption(self.columns[0].coverage.level, len(self.columns))
         return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])

@@ -17,7 +17,7 @@ def coverage_by_group(
 ) -> dict[str, CoverageCheck]:
     """Coverage of every group of test samples.
 
-    Split conformal prediction promises nothing for a group alone. The band is that of a group named in advance whose
+    Split conformal prediction guarantees nothing for a group alone. The band is that of a group named in advance whose
     scores are distributed like everyone's: coverage outside it says that this group differs. Of G groups about
     ``G (1 - level)`` fall outside by chance.
 

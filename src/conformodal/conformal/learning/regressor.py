@@ -139,7 +139,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n,) or (n, d) values.
         sample_weight
             (n,) weights of at least 0, for the learner alone; their common factor has no meaning. Samples of weight 0
-            are left out, of calibration too. All others calibrate alike, whatever they weigh: the promise holds for a
+            are left out, of calibration too. All others calibrate alike, whatever they weigh: the guarantee holds for a
             new sample that is exchangeable with the samples of positive weight, each counted once. It says nothing of
             a population in which samples are as frequent as they weigh; for that, where the ratio of densities is
             known, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.

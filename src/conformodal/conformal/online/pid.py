@@ -26,7 +26,7 @@ class ConformalPid:
     most ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation at
     ``h(t) = sqrt(t)``; as the integral saturates at infinity, scores need no bounds. The source's examples saturate at
     ``t / log(t)`` times a constant, where the bound is above any useful value for millions of steps. Without the
-    integral (``integral_gain=0``) nothing is promised: the source's bound for the quantile tracker alone needs scores
+    integral (``integral_gain=0``) nothing is guaranteed: the source's bound for the quantile tracker alone needs scores
     within known bounds and a fixed step, and the step here follows the scores.
 
     Parameters

@@ -39,7 +39,7 @@ METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPi
 class OnlineConformal:
     """Regions for a sequence: predict, see the truth, update.
 
-    What is promised for each target is what its tracker promises, and it says nothing about any single sample:
+    What is guaranteed for each target is what its tracker guarantees, and it says nothing about any single sample:
 
     - ``"aci"`` (:class:`Aci`): nothing is assumed about the sequence; over T samples the share of misses differs from
       alpha by at most ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)``.

@@ -1,4 +1,4 @@
-"""Whether a recording is good enough: where it is thin, fast or ambiguous, what it can promise, what to record next."""
+"""Whether a recording is good enough: where it is sparse, fast or ambiguous, what it guarantees, what to record."""
 
 from .advice import (
     WHERE,

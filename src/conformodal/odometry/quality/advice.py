@@ -143,7 +143,7 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
 
 
 def said_of_promise(promise: KindPromise) -> str:
-    """What the regions of one evidence type can promise."""
+    """What the regions of one evidence type can guarantee."""
     where = f"regions {WHERE[promise.evidence]}"
     if not promise.n_frames and promise.sharing is Sharing.OWN:
         return f"{where}: no frame calibrates them, they are unbounded"

@@ -1,4 +1,4 @@
-"""What calibration can promise with a given number of frames or stretches, by evidence type."""
+"""What calibration can guarantee with a given number of frames or stretches, by evidence type."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DIGITS = 10_000
 
 @dataclass(frozen=True)
 class KindPromise:
-    """What the regions of one evidence type can promise.
+    """What the regions of one evidence type can guarantee.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class KindPromise:
 
 
 def promises(model: PoseModel) -> list[KindPromise]:
-    """What a model can promise, one for each evidence type that has regions of its own."""
+    """What a model can guarantee, one for each evidence type that has regions of its own."""
     exchangeable = model.split.kind is SplitKind.INTERLEAVED
     rules, found = model.rules, []
     for kind, rule in rules.of.items():

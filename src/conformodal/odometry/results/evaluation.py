@@ -38,11 +38,11 @@ _ASSUMPTION_SHARED = (
     "types together; there is no exact band for the count."
 )
 _ASSUMPTION_STRETCHES = (
-    "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The promise "
-    "is about a frame drawn at random from a new stretch, if stretches are exchangeable and the nonconformity scores "
-    "of the sources, which now know all of them, are no larger than those of sources that lacked some; smaller errors "
-    "are not enough. Where stretches calibrate, other stretches of the same "
-    "recording were known: the promise does not reach a recording of which nothing was known. Coverage here is an "
+    "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The "
+    "guarantee is about a frame drawn at random from a new stretch, if stretches are exchangeable and the "
+    "nonconformity scores of the sources, which now know all of them, are no larger than those of "
+    "sources that lacked some; smaller errors are not enough. Where stretches calibrate, other stretches of the same "
+    "recording were known: the guarantee does not reach a recording of which nothing was known. Coverage here is an "
     "observation."
 )
 _ASSUMPTION_SEEN = (
@@ -201,7 +201,7 @@ def radius_table(
     truth: Trajectory | None,
     frames: npt.NDArray[np.int64] | None = None,
 ) -> dict[str, Any] | None:
-    """The chosen pose's radius, what it promises, and how many frames it held if the truth is known.
+    """The chosen pose's radius, what it guarantees, and how many frames it held if the truth is known.
 
     Parameters
     ----------
