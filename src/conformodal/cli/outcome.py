@@ -225,7 +225,7 @@ def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
     if not n:
         return []
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
-    said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is the whole space"]
+    said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is unbounded"]
     rest, whole = (metrics.get(name, {}).get(ONLINE) for name in ("errors_known_places", "errors"))
     if rest is not None and any(f"{rest[name]:.4f}" != f"{whole[name]:.4f}" for name in ("rmse_m", "rmse_deg")):
         said.append(f"Without {it} the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")

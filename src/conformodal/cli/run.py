@@ -68,7 +68,7 @@ def run(
         float | None,
         typer.Option(
             help="Another level than the model was saved with: an image whose p-value of showing a known place is at "
-            "most this gets the whole space as its region."
+            "most this gets an unbounded region."
         ),
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
@@ -163,7 +163,7 @@ def _stream_through(
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
-    Such a region is the whole space in some target, although its image shows a place that is known.
+    Such a region is unbounded in some target, although its image shows a place that is known.
 
     Raises
     ------

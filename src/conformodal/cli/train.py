@@ -108,7 +108,7 @@ def train(
     novelty_level: Annotated[
         float | None,
         typer.Option(
-            help="An image whose p-value of showing a known place is at most this gets the whole space as its region; "
+            help="An image whose p-value of showing a known place is at most this gets an unbounded region; "
             "0.015 by default where frames calibrate, 0.1 where stretches do."
         ),
     ] = ModelConfig.novelty_level,

@@ -1,7 +1,7 @@
 """Regions as Arrow tables (the optional extra ``arrow``).
 
 One row a sample; one column ``target_J`` a target, ``list<fixed_size_list<double>[2]>``: the sorted, disjoint
-intervals, ``[-inf, inf]`` for the whole space, an empty list for an empty set. The schema's metadata holds the edges,
+intervals, ``[-inf, inf]`` for an unbounded set, an empty list for an empty set. The schema's metadata holds the edges,
 key ``conformodal.edges``, as JSON.
 """
 

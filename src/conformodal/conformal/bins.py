@@ -39,7 +39,7 @@ class QuantileBins:
     margin
         Share of the training range by which the outer bins reach beyond it at either end. With 0, as in the paper,
         every value beyond the training range scores ``+inf``; a few such in the calibration data, where alpha is
-        small, make the region the whole space.
+        small, make the region unbounded.
 
     Attributes
     ----------

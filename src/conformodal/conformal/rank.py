@@ -29,7 +29,7 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     -------
     int
         k between 1 and n + 1. ``k == n + 1`` means that no finite threshold keeps the promise: the region
-        is the whole space.
+        is unbounded.
 
     Raises
     ------

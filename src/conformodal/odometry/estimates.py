@@ -51,7 +51,7 @@ class Estimate:
         were not matched.
     known_p
         Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
-        tested. The region is the whole space where it is small.
+        tested. The region is unbounded where it is small.
     evidence
         What the region rests on; None without an image.
     position_spread_m, orientation_spread_rad

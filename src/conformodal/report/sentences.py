@@ -27,9 +27,9 @@ def frame_said(frame: PageFrame) -> str:
 def _region_said(frame: PageFrame) -> str:
     if frame.unknown:
         p = "" if frame.known_p is None else f" (p = {frame.known_p:.2g})"
-        return f"Unknown place{p}: the image shows no place that is known, so the region is the whole space."
+        return f"Unknown place{p}: the image shows no place that is known, so the region is unbounded."
     if frame.whole:
-        return "The region is the whole space: every position is possible."
+        return "The region is unbounded: every position is possible."
     if not frame.n_places:
         return "The region is empty: no place is likely enough."
     places = "one place" if frame.n_places == 1 else f"{frame.n_places} places"
@@ -105,7 +105,7 @@ def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> s
     if statistics.n_several:
         regions.append(f"names several in {statistics.n_several} (at most {statistics.most_places})")
     if statistics.n_whole:
-        regions.append(f"is the whole space in {statistics.n_whole}{_why_whole(statistics)}")
+        regions.append(f"is unbounded in {statistics.n_whole}{_why_whole(statistics)}")
     empty = statistics.n - statistics.n_one - statistics.n_several - statistics.n_whole
     if empty:
         regions.append(f"is empty in {empty}")
@@ -130,7 +130,7 @@ def _one_said(statistics: RunStatistics) -> str:
     """Of a run of one frame, where counts of frames say nothing."""
     region = f"names {counted(statistics.most_places, 'place')}" if statistics.most_places else "is empty"
     if statistics.n_whole:
-        region = f"is the whole space{_why_whole(statistics)}"
+        region = f"is unbounded{_why_whole(statistics)}"
     said = f"One frame was answered: its region {region}."
     if statistics.n_true:
         if statistics.n_bounded:
@@ -140,7 +140,7 @@ def _one_said(statistics: RunStatistics) -> str:
 
 
 def _why_whole(statistics: RunStatistics) -> str:
-    """How many of the frames whose region is the whole space show no known place."""
+    """How many of the frames whose region is unbounded show no known place."""
     n = statistics.n_unknown
     if not n:
         return ""

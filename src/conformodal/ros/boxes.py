@@ -22,7 +22,7 @@ def region_boxes(estimate: Estimate, how: Conventions) -> tuple[FloatArray, Floa
 
     Returns
     -------
-    boxes : (m, 3, 2) metres, lower and upper ends; none where the frame is lost, whose region is the whole space
+    boxes : (m, 3, 2) metres, lower and upper ends; none where the frame is lost, whose region is unbounded
     shares : (m,)
     total : how many boxes the region has
     """

@@ -26,7 +26,7 @@ def at(x):
 
 
 def regions(*parts):
-    """One region a list of intervals along x, the whole range in all else; None for the whole space."""
+    """One region a list of intervals along x, the whole range in all else; None for an unbounded set."""
     masks = [np.ones((len(parts), k), dtype=bool) for k in BINS.sizes]
     unbounded = np.zeros((len(parts), 7), dtype=bool)
     for i, intervals in enumerate(parts):

@@ -116,7 +116,7 @@ class Calibrator:
     def regions_at(self, proba: Probabilities, thresholds: RealArray) -> Regions:
         """Regions of all bins whose score is at most a threshold: (d,) for all samples, or (n, d).
 
-        ``+inf`` gives the whole space, ``-inf`` the empty set.
+        ``+inf`` gives an unbounded set, ``-inf`` the empty set.
         """
         parts, whole = as_table(proba, self.bins.sizes, check=False)
         n, d = parts[0].shape[0], self.bins.n_targets

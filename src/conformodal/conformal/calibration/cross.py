@@ -83,7 +83,7 @@ class CrossConformal(Calibrator):
 
     @property
     def rank(self) -> int:
-        """Rank k: a value with k or more smaller scores is left out; n + 1 means the whole space."""
+        """Rank k: a value with k or more smaller scores is left out; n + 1 means an unbounded set."""
         return conformal_rank(sum(s.shape[0] for s in self._calibrated().values()), self.alpha_per_target)
 
     def predict(self, proba: Mapping[Hashable, Probabilities]) -> Regions:

@@ -37,7 +37,7 @@ class MondrianConformal(Calibrator):
     min_group
         Groups with fewer calibration samples fall back. By default those too small for any finite threshold do.
     fallback
-        For groups that are too small or were never seen. ``"whole"``: the whole space, which keeps the promise.
+        For groups that are too small or were never seen. ``"whole"``: an unbounded set, which keeps the guarantee.
         ``"pooled"``: the threshold of all calibration samples together; for such a group the guarantee is then an
         average over everyone's, no longer its own.
 

@@ -64,7 +64,7 @@ class SplitConformal(Calibrator):
 
     @property
     def rank(self) -> int:
-        """Rank k of the threshold among as many exchangeable units; one more than these means the whole space."""
+        """Rank k of the threshold among as many exchangeable units; one more than these means an unbounded set."""
         return conformal_rank(self.n_units, self.alpha_per_target)
 
     @property

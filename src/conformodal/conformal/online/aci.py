@@ -18,7 +18,7 @@ class Aci:
     ``(max(alpha, 1 - alpha) + gamma) / (T gamma)`` (there, proposition 4.1). Below 0 the threshold is ``+inf`` (the
     whole space), from 1 on ``-inf`` (the empty set, which misses every score, ``-inf`` too): without both, the bound
     does not hold. It says nothing about the sets' sizes, nor about any stretch of the sequence: against scores just
-    above the threshold, nine sets in ten are the whole space at alpha = 0.1.
+    above the threshold, nine sets in ten are unbounded at alpha = 0.1.
 
     Parameters
     ----------

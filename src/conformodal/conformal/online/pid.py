@@ -20,7 +20,7 @@ class ConformalPid:
     The threshold is ``forecast + tracked + integral``. `tracked` moves by ``rate * spread * (missed - alpha)`` after
     every score, `spread` being the range of the last `window` scores. The integral is
     ``integral_gain * spread * tan(E / (saturation sqrt(t)))``, E the sum of ``missed - alpha`` over t scores; where its
-    argument leaves (-pi/2, pi/2) it is infinite, and the set the whole space, or empty (it then misses every score).
+    argument leaves (-pi/2, pi/2) it is infinite, and the set unbounded, or empty (it then misses every score).
 
     Whatever the sequence, and whatever is forecast, the share of misses over T steps therefore differs from alpha by at
     most ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation at
@@ -42,7 +42,7 @@ class ConformalPid:
     window
         Scores whose range sets the steps; None for all: memory then grows with the stream.
     start
-        Threshold before the first score; None waits with the whole space until one has come.
+        Threshold before the first score; None waits with unbounded sets until one has come.
     forecast
         Called with the number of scores so far, gives a forecast of the next score's quantile, a finite number.
 

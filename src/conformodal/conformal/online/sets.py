@@ -25,7 +25,7 @@ class Tracker(Protocol):
     """What turns a stream of scores into thresholds, one before each score."""
 
     def threshold(self) -> float:
-        """Threshold for the next score; ``inf`` for the whole space, ``-inf`` for the empty set."""
+        """Threshold for the next score; ``inf`` for an unbounded set, ``-inf`` for the empty set."""
         ...
 
     def update(self, score: float) -> None:
@@ -45,7 +45,7 @@ class OnlineConformal:
       alpha by at most ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)``.
     - ``"pid"`` (:class:`ConformalPid`): nothing is assumed; by at most ``(pi/2 sqrt(T) + 1) / T``.
 
-    Bounds say nothing about how large sets are: against an adversary most of them are the whole space.
+    Bounds say nothing about how large sets are: against an adversary most of them are unbounded.
 
     Parameters
     ----------

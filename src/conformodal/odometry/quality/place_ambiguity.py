@@ -53,7 +53,7 @@ class Ambiguity:
     frames
         (m,) their numbers.
     n_places
-        (m,) places in each region; 0 where the region is the whole space in some target.
+        (m,) places in each region; 0 where the region is unbounded in some target.
     n_unknown
         Frames that show no place that is known, by the model's test.
     mean_intervals

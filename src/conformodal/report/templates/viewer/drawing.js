@@ -54,4 +54,4 @@ function plate(g, text, x, y) {
 }
 
 // What is said in a view whose region has no box to draw.
-const noBox = (f) => (isUnknown(f) ? "Unknown place: the region is the whole space" : "The region is the whole space");
+const noBox = (f) => (isUnknown(f) ? "Unknown place: the region is unbounded" : "The region is unbounded");

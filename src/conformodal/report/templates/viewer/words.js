@@ -19,7 +19,7 @@ function facts(f) {
   const list = (p) => p.map((v) => v.toFixed(3)).join(", ");
   const rows = [["chosen position (m)", list(f.p)]];
   if (f.truth) rows.push(["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
-  rows.push(["intervals along x, y, z", f.whole ? "the whole space" : f.iv.map((parts) => parts.length).join(", ")]);
+  rows.push(["intervals along x, y, z", f.whole ? "unbounded" : f.iv.map((parts) => parts.length).join(", ")]);
   if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
   if (f.kp != null) rows.push(["known place?", isUnknown(f) ? `no, p = ${p3(f.kp)}` : `yes, p = ${p3(f.kp)}`]);
   if (f.ev && !isUnknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
