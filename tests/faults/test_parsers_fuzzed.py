@@ -88,7 +88,7 @@ def changed(content, what):
 
 
 def soundly(read):
-    """Run a parser; it may refuse, within a second (of a slow machine: three)."""
+    """Run a parser; it may refuse, within a second (ten on a slow machine with other work)."""
     begun = time.process_time()
     try:
         return read()
@@ -96,7 +96,7 @@ def soundly(read):
         assert 0 < len(str(exc)) < 5000  # noqa: PT017
         return None
     finally:
-        assert time.process_time() - begun < 3
+        assert time.process_time() - begun < 10
 
 
 def valid(sequence):

@@ -30,7 +30,7 @@ _ASSUMPTION = (
     "with probability up to {chance}{of_any}. Outside, at least one of these assumptions is likely violated. Nothing "
     "is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
     "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
-    "sequence, such as frames of a video, coverage is an observation and no promise."
+    "sequence, such as frames of a video, coverage is an observation, not a guarantee."
 )
 
 
