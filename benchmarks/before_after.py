@@ -23,7 +23,7 @@ MEASURE = """
 import json, sys, tempfile, time
 from pathlib import Path
 from conformodal.datasets import read_sevenscenes
-from conformodal.odometry import (
+from conformodal.running import (
     ModelConfig, VisualOdometry, measure_motions, prepare_training_data, save_model, train_model,
 )
 from conformodal.poses import trajectory_errors

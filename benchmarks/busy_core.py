@@ -45,7 +45,7 @@ TRAIN = """
 import sys, time
 from pathlib import Path
 from conformodal.datasets import read_sevenscenes
-from conformodal.odometry import ModelConfig, prepare_training_data, train_model
+from conformodal.running import ModelConfig, prepare_training_data, train_model
 from conformodal.vision import FeatureCache
 sequence, cache, config = read_sevenscenes(Path(sys.argv[2])), FeatureCache(Path(sys.argv[3])), ModelConfig()
 started, cpu = time.perf_counter(), time.process_time()

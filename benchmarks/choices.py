@@ -24,8 +24,8 @@ from ladder_parts import ALL, Frames, Paths, spaced
 from ladder_runs import Models
 
 from conformodal.localization.settings import BELIEF
-from conformodal.odometry import measure_motions
 from conformodal.reasoning.settings import CANDIDATES, SEARCH
+from conformodal.running.motions import measure_motions
 
 PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
 EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}

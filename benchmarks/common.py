@@ -15,9 +15,9 @@ import numpy.typing as npt
 from scipy import stats
 
 from conformodal.datasets import Sequence
-from conformodal.odometry import provenance
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning import MotionPrior
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.running.results.provenance import provenance
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))

@@ -24,8 +24,8 @@ from typing import Any
 
 from common import RESULTS, ROOT, write_table
 
-from conformodal.datasets.corridor import write_corridor
-from conformodal.odometry import provenance
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.running.results.provenance import provenance
 
 MAIN = "from conformodal.cli.main import app; app()"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

@@ -29,10 +29,16 @@ from ladder_runs import ALPHA, PLACES, Models, Trained
 from ladder_tables import write_tables
 
 from conformodal.conformal import SplitConformal
-from conformodal.localization import FrameEvidence, extract_local_features, pose_targets
-from conformodal.motion import EssentialFrontEnd
-from conformodal.odometry import PaperOdometry, measure_motions, provenance
-from conformodal.reasoning import Observations, smooth, viterbi
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.targets import pose_targets
+from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.reasoning.observations import Observations
+from conformodal.reasoning.smoother import smooth
+from conformodal.reasoning.viterbi import viterbi
+from conformodal.running.motions import measure_motions
+from conformodal.running.paper_odometry import PaperOdometry
+from conformodal.running.results.provenance import provenance
 
 SEEDS = (10, 11, 12, 13, 14)
 EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}  # a fifth of 30 frames a second: a sixth of a second apart

@@ -12,21 +12,21 @@ from ladder_runs import Trained
 
 from conformodal.conformal import SplitConformal
 from conformodal.datasets import Sequence
-from conformodal.localization import FrameEvidence, Localizer, PoseSource, recognised_only
-from conformodal.odometry import Localization, MotionRecord
+from conformodal.localization.belief import recognised_only
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.localizer import Localizer
+from conformodal.localization.source import PoseSource
+from conformodal.model.model import Localization
 from conformodal.poses import RelativeMotion, Trajectory, trajectory_errors
-from conformodal.reasoning import (
-    Candidates,
-    MotionPrior,
-    Observations,
-    PosePath,
-    bridge,
-    greedy,
-    interval_runs,
-    online,
-    smooth,
-    viterbi,
-)
+from conformodal.reasoning.bridging import bridge
+from conformodal.reasoning.candidates import Candidates, interval_runs
+from conformodal.reasoning.greedy import greedy
+from conformodal.reasoning.observations import Observations, PosePath
+from conformodal.reasoning.online import online
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.smoother import smooth
+from conformodal.reasoning.viterbi import viterbi
+from conformodal.running.motions import MotionRecord
 
 
 @dataclass(frozen=True)

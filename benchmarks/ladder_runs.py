@@ -16,36 +16,24 @@ from common import DATA
 from safetensors.numpy import load_file, save_file
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import Sequence, SplitKind, held_out_together, read_sequence, read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.localization import (
-    LandmarkSource,
-    LocalFeatures,
-    Matcher,
-    NeighbourSource,
-    PoseSource,
-    SourceData,
-    SourceState,
-    target_scale,
-)
-from conformodal.localization.neighbours import fit_local
-from conformodal.odometry import (
-    ModelConfig,
-    PoseModel,
-    TrainingData,
-    load_model,
-    prepare_training_data,
-    save_model,
-    train_model,
-)
-from conformodal.odometry.config import Calibration
-from conformodal.vision import (
-    BackboneConfig,
-    FeatureCache,
-    TrainingConfig,
-    default_cache_dir,
-    feature_views,
-)
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.local_features import LocalFeatures, Matcher
+from conformodal.localization.neighbours.source import NeighbourSource
+from conformodal.localization.neighbours.tuning import fit_local
+from conformodal.localization.source import PoseSource, SourceState
+from conformodal.localization.source_data import SourceData
+from conformodal.localization.targets import target_scale
+from conformodal.model.config import Calibration, ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.model.store import load_model, save_model
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.backbone import BackboneConfig, feature_views
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 ALPHA = 0.1
 LARGER = "efficientnet_lite2"

@@ -24,11 +24,14 @@ from common import DATA, write_page
 from torch import nn
 
 from conformodal.datasets import Sequence, read_sevenscenes
+from conformodal.model.config import ModelConfig
+from conformodal.model.store import save_model
 from conformodal.networks import TorchBackbone
 from conformodal.networks.exporting import OPSET
 from conformodal.networks.torch_backbone import backbone_config
-from conformodal.odometry import ModelConfig, prepare_training_data, save_model, train_model
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 DROP_PATH = 0.2  # EfficientNet's own rate, of its last block
 JOULES = Path("/sys/class/powercap")

@@ -16,10 +16,14 @@ from scipy.special import erf, softmax
 from stream_row import peak_mb
 
 from conformodal.datasets import THUMBNAIL, read_image, thumbnail
-from conformodal.localization import FrameEvidence, HeadSource
-from conformodal.odometry import PoseModel, VisualOdometry, load_model
-from conformodal.reasoning import OnlineReasoner
-from conformodal.vision import OnnxBackbone, SoftmaxHead
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.head_source import HeadSource
+from conformodal.model.model import PoseModel
+from conformodal.model.store import load_model
+from conformodal.reasoning.online import OnlineReasoner
+from conformodal.running.estimator import VisualOdometry
+from conformodal.vision.head import SoftmaxHead
+from conformodal.vision.onnx_backbone import OnnxBackbone
 
 WARM, PASSES, MEMBERS = 10, 30, 5
 Image = np.ndarray

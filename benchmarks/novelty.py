@@ -12,9 +12,12 @@ import numpy as np
 from common import write_page
 from unseen import ALPHA, corridor_flights
 
-from conformodal.localization import PlaceNovelty
-from conformodal.odometry import ModelConfig, make_folds, prepare_training_data
-from conformodal.vision import FeatureCache, default_cache_dir, extract_features
+from conformodal.core.caching import default_cache_dir
+from conformodal.model.config import ModelConfig
+from conformodal.model.place_novelty import PlaceNovelty
+from conformodal.training.folds import make_folds
+from conformodal.training.training import prepare_training_data
+from conformodal.vision.features import FeatureCache, extract_features
 
 SEEDS = (20, 21, 22)
 LEVELS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05)

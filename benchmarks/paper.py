@@ -13,18 +13,17 @@ import numpy as np
 from common import DATA, ROOT, write_table
 from scipy import stats
 
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.localization import pose_targets
-from conformodal.odometry import (
-    ModelConfig,
-    PaperOdometry,
-    prepare_training_data,
-    provenance,
-    train_model,
-)
-from conformodal.odometry.learning.plain import train_plain
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig
 from conformodal.poses import trajectory_errors
-from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+from conformodal.running.paper_odometry import PaperOdometry
+from conformodal.running.results.provenance import provenance
+from conformodal.training.plain import train_plain
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 from experiments.regressors import train_tuned
 
 SEEDS = (10, 11, 12, 13, 14)

@@ -21,11 +21,13 @@ import numpy as np
 import torch
 from common import DATA, half_width, spread, write_table
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Sequence, SplitKind, read_sequence, read_sevenscenes
+from conformodal.model.config import ModelConfig
 from conformodal.networks import fit_head, soft_cross_entropy
-from conformodal.odometry import ModelConfig, prepare_training_data, train_model
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 from experiments.regressors import train_tuned
 
 COMPONENTS = {"with": 256, "without": None}

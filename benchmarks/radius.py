@@ -13,13 +13,7 @@ from common import DATA, write_page
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_quantile
-from conformodal.odometry import (
-    METRES_PER_RAD,
-    Promise,
-    fit_pose_radius,
-    joint_error,
-    pose_errors,
-)
+from conformodal.model.radius import METRES_PER_RAD, Promise, fit_pose_radius, joint_error, pose_errors
 from conformodal.poses import Trajectory
 
 FloatArray = npt.NDArray[np.float64]

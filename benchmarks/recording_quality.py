@@ -18,22 +18,22 @@ from typing import Any
 import numpy as np
 from common import DATA, ROOT, write_page
 
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.localization import FrameEvidence, SourceData
-from conformodal.odometry import (
-    Calibration,
-    ModelConfig,
-    TrainingData,
-    VisualOdometry,
-    prepare_training_data,
-    provenance,
-    train_model,
-)
-from conformodal.odometry.quality import QUALITY, ViewScale, pose_coverage
-from conformodal.odometry.quality.place_ambiguity import most_probable
-from conformodal.odometry.radius import depth_or_default
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.source_data import SourceData
+from conformodal.model.config import Calibration, ModelConfig
+from conformodal.model.radius import depth_or_default
 from conformodal.poses import position_errors_m
-from conformodal.vision import FeatureCache, default_cache_dir
+from conformodal.quality.place_ambiguity import most_probable
+from conformodal.quality.settings import QUALITY
+from conformodal.quality.view_coverage import pose_coverage
+from conformodal.quality.views import ViewScale
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.provenance import provenance
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.features import FeatureCache
 
 LARGE_M = 0.1
 PATH, ALONE = "the path", "one frame alone"

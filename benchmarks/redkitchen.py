@@ -18,8 +18,8 @@ from typing import Any
 from common import DATA, RESULTS, ROOT, colmap_truth, mean_interval, write_table
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.odometry import provenance
 from conformodal.poses import write_tum
+from conformodal.running.results.provenance import provenance
 
 SEEDS = (10, 11, 12, 13, 14)  # no value of a setting was chosen on them
 SPLITS = ("interleaved", "blocks")

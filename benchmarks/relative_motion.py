@@ -18,8 +18,9 @@ from common import DATA, write_table
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.motion import MotionFrontEnd, TwoViewSolver, solve_opencv, solve_poselib
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.motion.frontend import MotionFrontEnd
+from conformodal.motion.two_view import TwoViewSolver, solve_opencv, solve_poselib
 from conformodal.poses import PinholeCamera, RelativeMotion, Trajectory
 
 N_FRAMES = 1000

@@ -10,11 +10,15 @@ import argparse
 import numpy as np
 from common import DATA, mean_interval, write_table
 
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import read_sevenscenes
-from conformodal.localization import pose_targets
-from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig
 from conformodal.poses import position_errors_m
-from conformodal.vision import FeatureCache, TrainingConfig, default_cache_dir
+from conformodal.running.estimator import VisualOdometry
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 SEEDS = (10, 11, 12, 13, 14)  # no value of a setting was chosen on them
 PARTS = ("all held-out frames", "with a picture of their own", "with the picture of a known frame")

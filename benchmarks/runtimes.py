@@ -22,18 +22,25 @@ import torch
 from common import DATA, mean_interval, write_table
 
 from conformodal.conformal import coverage_band
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.localization import FrameEvidence, pose_targets
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig, Runtime
+from conformodal.model.model import PoseModel
+from conformodal.model.store import save_model
 from conformodal.networks import TorchBackbone
-from conformodal.odometry import ModelConfig, PoseModel, Runtime, prepare_training_data, save_model, train_model
-from conformodal.vision import Backbone, FeatureCache, TrainingConfig, default_cache_dir, extract_features
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.backbone import Backbone
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
 
 N_TIMED = 100
 # In a process of its own: a model that was saved, and nothing else.
 START = """
 import sys, time
 started = time.perf_counter()
-from conformodal.odometry import VisualOdometry
+from conformodal.running import VisualOdometry
 from conformodal.datasets import read_image
 odometry = VisualOdometry.load(sys.argv[1])
 image = read_image(sys.argv[2])

@@ -21,11 +21,13 @@ import numpy as np
 from common import write_page
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.datasets.streams import Frame
-from conformodal.odometry import ResultsWriter, StreamRunner, VisualOdometry, load_model
-from conformodal.odometry.streaming import WINDOW
-from conformodal.report import Thumbnails
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.datasets.streams.frames import Frame
+from conformodal.model.store import load_model
+from conformodal.report.thumbnails import Thumbnails
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.writer import ResultsWriter
+from conformodal.running.streaming import WINDOW, StreamRunner
 
 FRAMES, EVERY, READ_EVERY = 200_000, 10_000, 100
 WARM = 4 * WINDOW  # frames before the first reading: windows, thumbnails and the allocator have settled

@@ -18,10 +18,11 @@ import numpy as np  # noqa: E402
 from conformodal.datasets import read_image  # noqa: E402
 from conformodal.localization.landmarks import source as landmarks  # noqa: E402
 from conformodal.localization.neighbours import source as neighbours  # noqa: E402
-from conformodal.motion import MotionFrontEnd  # noqa: E402
-from conformodal.odometry import PoseModel, VisualOdometry  # noqa: E402
-from conformodal.reasoning import OnlineReasoner  # noqa: E402
-from conformodal.vision import Backbone  # noqa: E402
+from conformodal.model.model import PoseModel  # noqa: E402
+from conformodal.motion.frontend import MotionFrontEnd  # noqa: E402
+from conformodal.reasoning.online import OnlineReasoner  # noqa: E402
+from conformodal.running.estimator import VisualOdometry  # noqa: E402
+from conformodal.vision.backbone import Backbone  # noqa: E402
 
 WARM = 10
 PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "search")

@@ -49,8 +49,11 @@ def enlarged(sequence: Sequence, size: tuple[int, int], folder: Path) -> Sequenc
 
 def trained(sequence: Sequence, folder: Path) -> None:
     """A model of all sources; how well it was trained does not change how fast it is."""
-    from conformodal.odometry import ModelConfig, prepare_training_data, save_model, train_model  # noqa: PLC0415
-    from conformodal.vision import FeatureCache, TrainingConfig  # noqa: PLC0415
+    from conformodal.model.config import ModelConfig  # noqa: PLC0415
+    from conformodal.model.store import save_model  # noqa: PLC0415
+    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
+    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
+    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
 
     config = ModelConfig(training=TrainingConfig(epochs=5))
     save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)

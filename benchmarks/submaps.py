@@ -15,8 +15,9 @@ from relative_motion import FOUND_FOCAL_PX, read_kitti, with_focal_length
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import PixelNoise, Sequence, read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.motion import CornerTracker, build_submaps, grey_image
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.motion.submaps import build_submaps
+from conformodal.motion.tracker import CornerTracker, grey_image
 
 N_FRAMES = 1000
 _MEDIAN_OF_NORM3 = 1.538

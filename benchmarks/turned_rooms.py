@@ -20,11 +20,20 @@ from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor import Renderer, write_flight
-from conformodal.odometry import ModelConfig, PoseModel, VisualOdometry, prepare_training_data, train_model
+from conformodal.datasets.corridor.render import Renderer
+from conformodal.datasets.corridor.writer import write_flight
+from conformodal.model.config import ModelConfig
+from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory, angle_between_quats
-from conformodal.reasoning import Candidates, MotionPrior, Observations, PosePath, online, smooth, viterbi
-from conformodal.vision import FeatureCache
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.observations import Observations, PosePath
+from conformodal.reasoning.online import online
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.smoother import smooth
+from conformodal.reasoning.viterbi import viterbi
+from conformodal.running.estimator import VisualOdometry
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
 
 SEEDS = (10, 11, 12, 13, 14)  # 20 and 21 served to choose by
 N_VISITS = 12

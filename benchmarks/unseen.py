@@ -27,18 +27,20 @@ from common import DATA, ROOT, write_page
 from PIL import Image
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
+from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import PixelNoise, Sequence, SplitKind, read_image, read_sevenscenes
-from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
-from conformodal.localization import pose_targets, recognised_only
-from conformodal.odometry import (
-    ModelConfig,
-    PoseModel,
-    VisualOdometry,
-    prepare_training_data,
-    provenance,
-    train_model,
-)
-from conformodal.vision import FeatureCache, default_cache_dir
+from conformodal.datasets.corridor.path import drone_path
+from conformodal.datasets.corridor.render import Renderer
+from conformodal.datasets.corridor.world import CorridorWorld
+from conformodal.datasets.corridor.writer import write_corridor, write_flight
+from conformodal.localization.belief import recognised_only
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.provenance import provenance
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
 
 SEEDS = (10, 11, 12, 13, 14)
 KNOWN_SHARE = 0.6
@@ -85,7 +87,7 @@ def changed(sequence: Sequence, frames: np.ndarray, change: Images, folder: Path
 def trained(sequence: Sequence, split: str, calibration: str, seed: int, cache: FeatureCache, **how: Any) -> PoseModel:
     settings: dict[str, Any] = {"split": SplitKind(split), "seed": seed, "alpha": ALPHA, **how}
     if "calibrate_on" in {f.name for f in fields(ModelConfig)}:  # older sources have none
-        from conformodal.odometry import Calibration  # noqa: PLC0415
+        from conformodal.model.config import Calibration  # noqa: PLC0415
 
         settings["calibrate_on"] = Calibration(calibration)
     config = ModelConfig(**settings)

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from conformodal import ConformalRegressor, Trajectory, coverage_band
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 IMAGES = Path(__file__).parent / "images"
 TABLE = Path(os.environ.get("CONFORMODAL_DATA", "../shared/data")) / "tables" / "temperature.csv"
@@ -33,9 +33,12 @@ N_SHOWN = 500  # points of a scatter
 def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     """Fly, train and answer the frames that were held out at random; the run, and the truth."""
     from conformodal.datasets import read_sevenscenes  # noqa: PLC0415 - the table needs no camera
-    from conformodal.datasets.corridor import write_corridor  # noqa: PLC0415
-    from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model  # noqa: PLC0415
-    from conformodal.vision import FeatureCache, TrainingConfig  # noqa: PLC0415
+    from conformodal.datasets.corridor.writer import write_corridor  # noqa: PLC0415
+    from conformodal.model.config import ModelConfig  # noqa: PLC0415
+    from conformodal.running.estimator import VisualOdometry  # noqa: PLC0415
+    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
+    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
+    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
 
     write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=0)
     sequence = read_sevenscenes(folder)

@@ -10,6 +10,7 @@ import posixpath
 import re
 import runpy
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ AT_ROOT = {
     "SECURITY.md": "security.md",
 }
 INTERNAL = {"cli", "core"}  # packages without a page in the reference
-FIRST = ("conformal", "odometry", "running", "model", "training", "datasets", "poses")  # in the reference
+FIRST = ("conformal", "running", "training", "model", "datasets", "poses")  # in the reference
 MAIN = ("ConformalRegressor", "VisualOdometry")
 GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
@@ -105,7 +106,7 @@ def rewritten(markdown: str, site: str) -> str:
 def reference_of(path: Path, package: str) -> str:
     """Place in the reference of what a file or folder of the source defines first, or of its package."""
     file = path / "__init__.py" if path.is_dir() else path
-    known = exported(SOURCE / package)
+    known = exported(SOURCE / package) or list(defined(package))
     for node in ast.parse(file.read_text(encoding="utf-8")).body if file.suffix == ".py" else ():
         if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name in known:
             return f"reference/{package}.md#{identifier(f'conformodal.{package}.{node.name}')}"
@@ -138,45 +139,53 @@ def exported(folder: Path) -> list[str]:
 
 
 def identifier(name: str) -> str:
-    """What the reference calls a public name: a function in a file of its own name stands there, beside the file."""
+    """What the reference calls a public name: by its package where that exports it, otherwise by its module."""
     package, _, last = name.rpartition(".")
     folder = ROOT / "src" / package.replace(".", "/")
-    if not (folder / "__init__.py").is_file() or last not in exported(folder):
+    known = (folder / "__init__.py").is_file() and last in exported(folder)
+    if known and not any(folder.rglob(f"{last}.py")):  # a function in a file of its own name stands there
         return name
-    for path in sorted(folder.rglob(f"{last}.py")):
-        return ".".join([*path.relative_to(ROOT / "src").with_suffix("").parts, last])
-    return name
+    top = package.split(".")
+    return defined(top[1]).get(last, name) if len(top) > 1 else name
 
 
-def apart(dotted: str) -> str:
-    """Reference of the functions of a package that lie in a file of their own name, which the package's own lacks."""
-    public = [f"{dotted}.{name}" for name in exported(ROOT / "src" / dotted.replace(".", "/"))]
-    names = [identifier(name) for name in public if identifier(name) != name]
-    shown = "    options: {show_root_heading: true, show_root_toc_entry: true, show_root_full_path: false}\n"
-    return "\n".join(f"::: {name}\n{shown}" for name in names)
+@cache
+def defined(package: str) -> dict[str, str]:
+    """Public classes and functions of a package, each with its module; what a module exports first stays."""
+    found: dict[str, str] = {}
+    for path in sorted((SOURCE / package).rglob("*.py")):
+        module = ".".join(path.relative_to(ROOT / "src").with_suffix("").parts).removesuffix(".__init__")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
+                found.setdefault(node.name, f"{module}.{node.name}")
+    return found
 
 
 def package_page(name: str) -> str:
-    """A package's reference: its public names, and those that only its subpackages have."""
-    folder = SOURCE / name
-    known = set(exported(folder))
-    parts = [f"# conformodal.{name}\n\n::: conformodal.{name}\n", apart(f"conformodal.{name}")]
-    for inner in sorted(folder.glob("*/__init__.py")):
-        own = [n for n in exported(inner.parent) if n not in known]
-        if own:
-            dotted = f"conformodal.{name}.{inner.parent.name}"
-            parts.append(f"## {dotted}\n\n::: {dotted}\n    options:\n      heading_level: 3\n      members: {own}\n")
-            parts.append(apart(dotted).replace("{", "{heading_level: 3, "))
+    """A package's reference: the names that it exports, or all public ones, module by module."""
+    dotted = f"conformodal.{name}"
+    known = exported(SOURCE / name)
+    parts = [f"# {dotted}\n\n::: {dotted}\n"]
+    shown = "    options: {show_root_heading: true, show_root_toc_entry: true, show_root_full_path: false}\n"
+    if known:
+        names = [identifier(f"{dotted}.{n}") for n in known]
+        return "\n".join(parts + [f"::: {n}\n{shown}" for n in names if n.count(".") > 2])
+    modules: dict[str, list[str]] = {}
+    for full in defined(name).values():
+        modules.setdefault(full.rpartition(".")[0], []).append(full)
+    deeper = shown.replace("{", "{heading_level: 3, ")
+    for module, names in sorted(modules.items()):
+        parts += [f"## {module.removeprefix(dotted + '.')}\n", *(f"::: {n}\n{deeper}" for n in names)]
     return "\n".join(parts)
 
 
 def reference_page() -> str:
     """The names of the top package with their first sentences, then all packages."""
-    where = {n: name for name in packages() for n in exported(SOURCE / name)}
+    where = {n: name for name in packages() for n in exported(SOURCE / name) or defined(name)}
     lines = ["# Reference", "", "`import conformodal as cm` has the names that most programs need.", ""]
     lines += ["| name | what |", "| --- | --- |"]
     top = sorted(exported(SOURCE), key=lambda n: (n.endswith("Error"), n not in MAIN, packages().index(where[n]), n))
-    lines += [f"| [`cm.{n}`][conformodal.{where[n]}.{n}] | {summary(where[n], n)} |" for n in top]
+    lines += [f"| [`cm.{n}`][{identifier(f'conformodal.{where[n]}.{n}')}] | {summary(where[n], n)} |" for n in top]
     lines += ["", "Options of the command line: `conformodal --help` and `conformodal VERB --help`.", ""]
     lines += ["| package | what |", "| --- | --- |"]
     for name in packages():

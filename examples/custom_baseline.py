@@ -8,10 +8,14 @@ from tempfile import TemporaryDirectory
 from sklearn.ensemble import ExtraTreesRegressor
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.odometry import ModelConfig, VisualOdometry, error_table, prepare_training_data, train_model
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.model.config import ModelConfig
 from conformodal.poses import Trajectory, normalise_quat
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.evaluation import error_table
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:

@@ -10,10 +10,14 @@ from typing import ClassVar
 import numpy as np
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.localization import PoseMeasurement, SourceAnswer, SourceState, register_source
-from conformodal.odometry import ModelConfig, VisualOdometry, prepare_training_data, train_model
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.model.config import ModelConfig
+from conformodal.running.estimator import VisualOdometry
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 
 @register_source

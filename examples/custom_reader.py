@@ -10,7 +10,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor import CAMERA, write_corridor
+from conformodal.datasets.corridor.render import CAMERA
+from conformodal.datasets.corridor.writer import write_corridor
 from conformodal.poses import PinholeCamera, Trajectory
 
 

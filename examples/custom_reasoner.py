@@ -8,11 +8,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.odometry import ModelConfig, VisualOdometry, as_trajectory, prepare_training_data, train_model
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.model.config import ModelConfig
 from conformodal.poses import trajectory_errors
-from conformodal.reasoning import MotionPrior, Observations, PosePath
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.reasoning.observations import Observations, PosePath
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.paths import as_trajectory
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 
 def nearest(seen: Observations, prior: MotionPrior) -> PosePath:

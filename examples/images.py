@@ -8,19 +8,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal.datasets import read_sequence
-from conformodal.datasets.corridor import write_corridor
-from conformodal.odometry import (
-    ModelConfig,
-    RegionStatistics,
-    VisualOdometry,
-    coverage_table,
-    error_table,
-    prepare_training_data,
-    save_model,
-    train_model,
-)
-from conformodal.report import plan_figure
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.model.config import ModelConfig
+from conformodal.model.store import save_model
+from conformodal.report.figures import plan_figure
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.evaluation import coverage_table, error_table
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 QUICK = ModelConfig(sources=("head", "neighbours"), training=TrainingConfig(epochs=20))  # for the corridor
 

@@ -9,10 +9,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor import write_corridor
-from conformodal.datasets.streams import open_stream
-from conformodal.odometry import ModelConfig, PoseModel, VisualOdometry, load_model, prepare_training_data, train_model
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.model.config import ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.model.store import load_model
+from conformodal.running.estimator import VisualOdometry
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 
 def small_model(folder: Path) -> PoseModel:

@@ -15,15 +15,17 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.datasets import held_out_together
-from conformodal.localization import TARGET_NAMES, target_scale
-from conformodal.localization.neighbours import LocalSettings, fit_local
+from conformodal.localization.neighbours.regression import LocalSettings
+from conformodal.localization.neighbours.tuning import fit_local
+from conformodal.localization.targets import TARGET_NAMES, target_scale
 from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
 from conformodal.networks.heads import Loss
-from conformodal.odometry import TrainingData
-from conformodal.odometry.learning.plain import known_frames
-from conformodal.vision import TrainingConfig, feature_views
+from conformodal.training.plain import known_frames
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.backbone import feature_views
+from conformodal.vision.settings import TrainingConfig
 
 from .regressors import START_DROPOUT, SettingsSearch, TunedRegressor, root_mean_square
 from .tasks import ExperimentError

@@ -9,8 +9,8 @@ from typing import Any
 
 from conformodal.core.choices import as_member
 from conformodal.datasets import SplitKind
-from conformodal.odometry import Method, ModelConfig
-from conformodal.vision import TrainingConfig
+from conformodal.model.config import Method, ModelConfig
+from conformodal.vision.settings import TrainingConfig
 
 from .tasks import ExperimentError
 

@@ -15,12 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.files import replacing, write_whole
 from conformodal.core.words import counted
-from conformodal.odometry import ResultsError, read_region_records, read_trajectories
+from conformodal.model.errors import ResultsError
 from conformodal.poses import Trajectory, read_tum
 from conformodal.report.figures import COLOURS, as_label, as_svg
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
 
 _PNG_DPI = 150
 _REACH = 1.15  # how far beyond the truth's own range a panel shows

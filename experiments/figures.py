@@ -18,27 +18,22 @@ from matplotlib.figure import Figure
 
 from conformodal.cli.arguments import Cache, Data, DataLayout
 from conformodal.cli.console import kind_errors, print_where, progress_bars, say_line
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.localization import FrameEvidence, pose_targets
-from conformodal.motion import CornerTracker, grey_image
-from conformodal.odometry import (
-    Method,
-    ModelConfig,
-    MotionRecord,
-    ResultsError,
-    data_digest,
-    load_model,
-    odometry_of,
-    prepare_training_data,
-    provenance,
-    read_metrics,
-    save_model,
-    train_model,
-    write_metrics,
-    write_run,
-)
-from conformodal.vision import FeatureCache, TrainingConfig, extract_features
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import Method, ModelConfig
+from conformodal.model.errors import ResultsError
+from conformodal.model.identity import data_digest
+from conformodal.model.store import load_model, save_model
+from conformodal.motion.tracker import CornerTracker, grey_image
+from conformodal.running.motions import MotionRecord
+from conformodal.running.paper_odometry import odometry_of
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import read_metrics, write_metrics, write_run
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
 
 from .conditions import ALPHA, Row, run_name, task_key
 from .drawing import (

@@ -18,11 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.networks import Head, predict_values
-from conformodal.odometry import OdometryRun, TrainingData, as_trajectory, rows_by_recording
-from conformodal.odometry.learning.plain import PlainRegressor, fit_values, known_frames, scaling
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
-from conformodal.reasoning import MotionPrior, PosePath, smooth
-from conformodal.vision import TrainingConfig
+from conformodal.reasoning.observations import PosePath
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.smoother import smooth
+from conformodal.running.estimates import OdometryRun
+from conformodal.running.paths import as_trajectory, rows_by_recording
+from conformodal.training.plain import PlainRegressor, fit_values, known_frames, scaling
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.settings import TrainingConfig
 
 from .tasks import ExperimentError
 

@@ -21,9 +21,13 @@ from conformodal.cli.console import kind_errors, print_where, progress_bars, say
 from conformodal.cli.sources import open_sequence
 from conformodal.core.files import write_whole, writing_in
 from conformodal.datasets import Layout, Sequence, SplitKind
+from conformodal.model.config import Method
+from conformodal.model.identity import data_digest
 from conformodal.networks import find_network
-from conformodal.odometry import Method, data_digest, provenance, write_metrics
-from conformodal.vision import FeatureCache, TrainingConfig
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import write_metrics
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 from .baselines import BASELINES
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, tasks_of

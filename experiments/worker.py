@@ -14,30 +14,26 @@ import numpy.typing as npt
 from scipy.stats import spearmanr
 
 from conformodal.conformal import Regions, SplitConformal
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets import PixelNoise, Sequence
-from conformodal.localization import FrameEvidence, pose_targets
-from conformodal.odometry import (
-    Method,
-    MotionRecord,
-    OdometryRun,
-    PoseModel,
-    TrainingData,
-    as_trajectory,
-    error_table,
-    odometry_of,
-    prepare_training_data,
-    provenance,
-    rows_by_recording,
-    train_model,
-    whole_paths,
-    write_metrics,
-    write_run,
-)
-from conformodal.odometry.learning.plain import PlainRegressor, train_plain, trajectory_of
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import Method
+from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory, concatenate, normalise_quat
-from conformodal.reasoning import Candidates, greedy, interval_runs, softmax_mean
-from conformodal.vision import FeatureCache, extract_features
+from conformodal.reasoning.candidates import Candidates, interval_runs, softmax_mean
+from conformodal.reasoning.greedy import greedy
+from conformodal.running.estimates import OdometryRun
+from conformodal.running.motions import MotionRecord
+from conformodal.running.paper_odometry import odometry_of
+from conformodal.running.paths import as_trajectory, rows_by_recording, whole_paths
+from conformodal.running.results.evaluation import error_table
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import write_metrics, write_run
+from conformodal.training.plain import PlainRegressor, train_plain, trajectory_of
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.features import FeatureCache, extract_features
 
 from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
 from .conditions import ALPHA, TrainingTask, config_of, run_name

@@ -7,19 +7,22 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2850,
+    "cli": 2830,
     "conformal": 6080,
-    "core": 530,
+    "core": 510,
     "datasets": 5050,
-    "localization": 2670,
-    "motion": 1250,
-    "networks": 900,
-    "odometry": 5870,
-    "poses": 1125,
-    "reasoning": 1360,
-    "report": 1250,
-    "ros": 1110,
-    "vision": 610,
+    "localization": 2550,
+    "model": 1410,
+    "motion": 1220,
+    "networks": 910,
+    "poses": 1130,
+    "quality": 1390,
+    "reasoning": 1320,
+    "report": 1210,
+    "ros": 1100,
+    "running": 2240,
+    "training": 670,
+    "vision": 580,
 }
 
 

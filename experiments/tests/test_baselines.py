@@ -6,8 +6,10 @@ import pytest
 import torch
 
 from conformodal.datasets import Split, SplitKind
-from conformodal.odometry import TrainingData
-from conformodal.vision import TrainingConfig, feature_views, fit_projection
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.backbone import feature_views
+from conformodal.vision.projection import fit_projection
+from conformodal.vision.settings import TrainingConfig
 from experiments.baselines import (
     BASELINES,
     N_COMPONENTS,

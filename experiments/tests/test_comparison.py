@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import read_sequence
-from conformodal.odometry import ModelConfig, VisualOdometry, load_model, prepare_training_data
-from conformodal.odometry.learning.plain import train_plain
+from conformodal.model.config import ModelConfig
+from conformodal.model.store import load_model
 from conformodal.poses import trajectory_errors
-from conformodal.vision import FeatureCache, TrainingConfig, extract_features
+from conformodal.running.estimator import VisualOdometry
+from conformodal.training.plain import train_plain
+from conformodal.training.training import prepare_training_data
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
 from experiments.regressors import train_tuned
 from experiments.worker import TrainedMethods, add_trajectories
 

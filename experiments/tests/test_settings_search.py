@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from conformodal.vision import TrainingConfig
+from conformodal.vision.settings import TrainingConfig
 from experiments.regressors import RATES, SettingsSearch
 from experiments.tasks import ExperimentError
 

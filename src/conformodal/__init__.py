@@ -9,10 +9,10 @@ from __future__ import annotations
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from .core.late import late
+from conformodal.core.late import late
 
 if TYPE_CHECKING:
-    from .conformal import (
+    from conformodal.conformal import (
         ConformalError,
         ConformalRegressor,
         ConformodalError,
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
         coverage_band,
         diagnose,
     )
-    from .datasets import read_sevenscenes
-    from .odometry import VisualOdometry
-    from .poses import Trajectory
-    from .report import draw_diagnosis
+    from conformodal.datasets import read_sevenscenes
+    from conformodal.poses import Trajectory
+    from conformodal.report.diagnosis import draw_diagnosis
+    from conformodal.running.estimator import VisualOdometry
 
 _LATE = {
     "Trajectory": ".poses",
-    "VisualOdometry": ".odometry",
-    "draw_diagnosis": ".report",
+    "VisualOdometry": ".running.estimator",
+    "draw_diagnosis": ".report.diagnosis",
     "read_sevenscenes": ".datasets",
 }
 

@@ -16,8 +16,12 @@ from conformodal.cli.model_notes import said_of_landmarks, said_of_repeated
 from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.datasets import read_sequence
-from conformodal.odometry import Estimate, EvidenceKind, load_model, read_region_parquet, read_region_records
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model
 from conformodal.poses import Trajectory, read_tum, write_tum
+from conformodal.running.estimates import Estimate
+from conformodal.running.results.parquet import read_region_parquet
+from conformodal.running.results.records import read_region_records
 
 
 def invoke(*arguments):
@@ -216,7 +220,10 @@ def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
 @pytest.fixture(scope="module")
 def flights(small_world, tmp_path_factory):
     """Short flights that the small world's model was not trained on."""
-    from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
+    from conformodal.datasets.corridor.path import drone_path
+    from conformodal.datasets.corridor.render import Renderer
+    from conformodal.datasets.corridor.world import CorridorWorld
+    from conformodal.datasets.corridor.writer import write_flight
 
     folder = tmp_path_factory.mktemp("flights")
     world = CorridorWorld(3, seed=3)

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from conformodal.cli import demo
 from conformodal.cli.demo_pages import count_places, ratios_said, true_place_chosen
 from conformodal.cli.main import app
-from conformodal.odometry import Method
-from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.model.config import Method
 from conformodal.poses import Trajectory, read_tum
+from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.localization import LandmarkSource
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.model.store import load_model, save_model
 from conformodal.networks import TorchBackbone
-from conformodal.odometry import load_model, save_model
-from conformodal.vision import OnnxBackbone
+from conformodal.vision.onnx_backbone import OnnxBackbone
 
 
 def invoke(*arguments):

@@ -7,8 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.odometry import read_region_records, read_trajectories
 from conformodal.poses import read_tum
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
 
 
 def invoke(*arguments):

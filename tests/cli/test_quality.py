@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from conformodal.cli.main import app
 from conformodal.datasets import read_sevenscenes
-from conformodal.odometry import load_model
+from conformodal.model.store import load_model
 
 
 def invoke(*arguments):

@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 
 from conformodal.cli.main import app
 from conformodal.datasets import read_sequence
-from conformodal.odometry import read_region_records, read_trajectories
 from conformodal.poses import read_tum
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
 
 
 def invoke(*arguments):

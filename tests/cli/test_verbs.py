@@ -11,7 +11,8 @@ from conformodal.cli import info as info_module
 from conformodal.cli import view as view_module
 from conformodal.cli.main import app
 from conformodal.cli.verbs import VERBS
-from conformodal.odometry import EvidenceKind, load_model
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model
 
 
 def invoke(*arguments):

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from conformodal.cli import run, watching
 from conformodal.cli.main import app
-from conformodal.odometry import StreamRunner
+from conformodal.running.streaming import StreamRunner
 
 
 class Recorder:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_colmap, read_nerf, read_sequence
 from conformodal.datasets.fisheye import fisheye_of
-from conformodal.datasets.streams import SequenceStream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from conformodal.datasets import Layout, Sequence, read_sequence
-from conformodal.datasets.streams import SequenceStream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import PinholeCamera, Trajectory
 

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, check_sequence, read_sequence
-from conformodal.datasets.streams import SequenceStream, VideoStream
+from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.datasets.streams.video import VideoStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import Trajectory, write_tum
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.ros import TOPICS, Conventions
-from conformodal.ros.conventions import IMAGE, TRUTH
+from conformodal.ros.conventions import IMAGE, TOPICS, TRUTH, Conventions
 from conformodal.ros.node import Parameters
 
 ROOT = Path(__file__).parents[2]

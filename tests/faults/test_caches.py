@@ -14,16 +14,10 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.core.files import locked
 from conformodal.datasets import ImageError
-from conformodal.networks import (
-    Head,
-    TorchBackbone,
-    backbone_config,
-    fit_head,
-    mean_squared_error,
-    soft_cross_entropy,
-)
-from conformodal.vision import FeatureCache, TrainingConfig, extract_features
+from conformodal.networks import Head, TorchBackbone, backbone_config, fit_head, mean_squared_error, soft_cross_entropy
+from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.settings import TrainingConfig
 
 
 def flip(path: Path, at: float) -> None:

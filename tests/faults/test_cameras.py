@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_sequence
 from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.streams import BagStream, SourceError
+from conformodal.datasets.streams.bag import BagStream
+from conformodal.datasets.streams.frames import SourceError
 from conformodal.poses import PinholeCamera, PoseError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))

@@ -9,28 +9,23 @@ import pytest
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import Split, SplitKind, make_split, read_sequence
 from conformodal.datasets.splits import held_out_together
-from conformodal.datasets.streams import Frame, Pace, SourceError, open_stream, prefetch
+from conformodal.datasets.streams.frames import Frame, SourceError
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.writing import write_layout
-from conformodal.localization import SourceData
-from conformodal.odometry import (
-    Calibration,
-    Estimate,
-    EvidenceKind,
-    Method,
-    ModelConfig,
-    PoseModel,
-    PoseRadius,
-    Promise,
-    Runtime,
-    calibrate_selection,
-    fit_pose_radius,
-    make_folds,
-)
-from conformodal.odometry.results.records import region_record
+from conformodal.localization.source_data import SourceData
+from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
+from conformodal.model.model import PoseModel
+from conformodal.model.radius import PoseRadius, Promise, fit_pose_radius
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import RelativeMotion, Trajectory, align
 from conformodal.poses.relative import MotionStatus
-from conformodal.ros import Conventions, Covariance, is_lost
+from conformodal.ros.conventions import Conventions, Covariance, is_lost
 from conformodal.ros.covariance import pose_covariance
+from conformodal.running.estimates import Estimate
+from conformodal.running.results.records import region_record
+from conformodal.running.selection import calibrate_selection
+from conformodal.training.folds import make_folds
 from experiments.conditions import TrainingTask
 
 ROWS = np.arange(4)

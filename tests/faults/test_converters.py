@@ -16,9 +16,13 @@ from typer.testing import CliRunner
 
 from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, Layout, read_sequence
-from conformodal.datasets.corridor import CorridorWorld, Renderer, drone_path, write_flight
+from conformodal.datasets.corridor.path import drone_path
+from conformodal.datasets.corridor.render import Renderer
+from conformodal.datasets.corridor.world import CorridorWorld
+from conformodal.datasets.corridor.writer import write_flight
 from conformodal.datasets.staging import staged
-from conformodal.datasets.streams import Frame, SequenceStream
+from conformodal.datasets.streams.frames import Frame
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import PinholeCamera, Trajectory, write_tum
 
@@ -89,7 +93,7 @@ def test_poses_of_neighbours_are_not_lent(tmp_path):
 def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
     """A sequence read for training and one read for ``run --part test`` are the same data set."""
     from conformodal.cli.sources import open_source
-    from conformodal.odometry import identify
+    from conformodal.model.identity import identify
 
     folder = WRITERS[Layout.TUM](tmp_path)
     rng = np.random.default_rng(0)

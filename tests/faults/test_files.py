@@ -23,9 +23,12 @@ from conformodal.datasets import (
     make_split,
     read_sequence,
 )
-from conformodal.datasets.streams import SequenceStream, open_stream
-from conformodal.odometry import METHODS, ResultsWriter, write_metrics
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz, read_euroc, read_kitti, read_tum
+from conformodal.running.paths import METHODS
+from conformodal.running.results.runs import write_metrics
+from conformodal.running.results.writer import ResultsWriter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
 from test_layouts import WRITERS, N

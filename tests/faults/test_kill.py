@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from conformodal.odometry import load_model, read_region_records, read_trajectories
+from conformodal.model.store import load_model
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
 
 MAIN = "from conformodal.cli.main import app; app()"
 SIGNALS = {"kill -9": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT": signal.SIGINT}

@@ -20,8 +20,8 @@ from conformodal.cli.options import range_of
 from conformodal.conformal import ConformodalError, QuantileBins
 from conformodal.core.ranges import RANGES, Range
 from conformodal.datasets import make_split
-from conformodal.odometry import ModelConfig
-from conformodal.vision import TrainingConfig
+from conformodal.model.config import ModelConfig
+from conformodal.vision.settings import TrainingConfig
 
 SHARE = Range(0, 1, low_open=True, high_open=True)
 

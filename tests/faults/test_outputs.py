@@ -17,17 +17,13 @@ from typer.testing import CliRunner
 from conformodal.cli.main import app
 from conformodal.core import files as core_files
 from conformodal.core.files import PART, FolderError, FolderInUseError, check_writable, write_whole, writing_in
-from conformodal.odometry import (
-    ResultsError,
-    ResultsWriter,
-    load_model,
-    read_region_records,
-    read_trajectories,
-    save_model,
-    write_metrics,
-)
-from conformodal.odometry.results.folders import UNFINISHED, check_belongs, lock_output, recover, result_digests
+from conformodal.model.errors import ResultsError
+from conformodal.model.store import load_model, save_model
 from conformodal.poses import Trajectory, write_tum
+from conformodal.running.results.folders import UNFINISHED, check_belongs, lock_output, recover, result_digests
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories, write_metrics
+from conformodal.running.results.writer import ResultsWriter
 
 # files of a folder, and the commands that may write in it
 ANY = {"train", "run", "demo", "reproduce", "evaluate"}

@@ -15,7 +15,7 @@ from PIL import Image
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import Layout, read_image, read_sequence
-from conformodal.datasets.streams import open_stream
+from conformodal.datasets.streams.opening import open_stream
 from conformodal.poses import read_euroc, read_kitti, read_tum
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))

@@ -8,11 +8,16 @@ import pytest
 from PIL import Image
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.streams import Frame
-from conformodal.odometry import EvidenceKind, OdometryError, ResultsWriter, StreamRunner, VisualOdometry, load_model
+from conformodal.datasets.streams.frames import Frame
+from conformodal.model.errors import OdometryError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model
 from conformodal.poses import MotionStatus, RelativeMotion, Trajectory
 from conformodal.reasoning.orientations import smooth_orientations
 from conformodal.reasoning.prior import fit_motion_prior
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.writer import ResultsWriter
+from conformodal.running.streaming import StreamRunner
 
 H, W = 120, 160
 

@@ -11,10 +11,12 @@ from typer.testing import CliRunner
 from conformodal.cli.console import PlainConsole, plain, print_errors
 from conformodal.cli.main import app
 from conformodal.core.files import write_whole
-from conformodal.odometry import ResultsWriter, read_region_parquet, read_region_records, write_region_parquet
 from conformodal.poses import Trajectory
-from conformodal.report import ReportContent, make_viewer, write_page
-from conformodal.report.viewer import json_in_script
+from conformodal.report.page import ReportContent, write_page
+from conformodal.report.viewer import json_in_script, make_viewer
+from conformodal.running.results.parquet import read_region_parquet, write_region_parquet
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.writer import ResultsWriter
 
 NAMES = {
     "markup": "x[final]",

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.localization import SourceData
+from conformodal.datasets import Sequence
+from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, normalise_quat
-from conformodal.vision import TrainingConfig
+from conformodal.vision.settings import TrainingConfig
 
 THUMBNAIL = 768
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
@@ -62,11 +62,6 @@ def spoil(data, kept, value):
         training=data.training,
         depth_m=data.depth_m,
     )
-
-
-@pytest.fixture(scope="module")
-def sequence(small_world):
-    return read_sevenscenes(small_world.folder)
 
 
 @pytest.fixture(scope="session")

@@ -4,19 +4,12 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
-from conformodal.localization import (
-    Beliefs,
-    Mixture,
-    PoseMeasurement,
-    belief_cells,
-    cells_per_bin,
-    fuse,
-    recognised_only,
-)
-from conformodal.localization.belief import on_cells
+from conformodal.localization.belief import Beliefs, belief_cells, cells_per_bin, on_cells, recognised_only
+from conformodal.localization.fusion import Mixture, fuse
+from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.settings import BELIEF
 from conformodal.poses import fix_sign
-from conformodal.reasoning import Candidates
+from conformodal.reasoning.candidates import Candidates
 
 SIGN = np.array([1.0, 0, 0, 0])
 

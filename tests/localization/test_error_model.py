@@ -6,8 +6,8 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 import pytest
 
-from conformodal.localization import ErrorModel, PoseMeasurement
-from conformodal.localization.error_model import HeldOutErrors, fit_error_model
+from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
+from conformodal.localization.measurement import PoseMeasurement
 
 ANYWHERE = 1e9  # metres: every estimate is of the same place
 

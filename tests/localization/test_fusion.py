@@ -3,11 +3,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from conformodal.localization import PoseMeasurement, fuse
-from conformodal.localization.fusion import inlier_odds
+from conformodal.localization.fusion import fuse, inlier_odds
+from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.settings import BELIEF
 from conformodal.poses import angle_between_quats
-from conformodal.reasoning import Candidates
+from conformodal.reasoning.candidates import Candidates
 
 VOLUME = 50.0
 

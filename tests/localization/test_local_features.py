@@ -2,8 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.localization import extract_local_features
-from conformodal.localization.local_features import match
+from conformodal.localization.local_features import extract_local_features, match
 from conformodal.poses import PinholeCamera
 
 

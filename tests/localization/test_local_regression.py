@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
-from conformodal.localization import LocalizationError
-from conformodal.localization.neighbours import LOCAL_CHOICES, LocalRegression, LocalSettings, fit_local
-from conformodal.vision import Projection
+from conformodal.localization.errors import LocalizationError
+from conformodal.localization.neighbours.regression import LocalRegression, LocalSettings
+from conformodal.localization.neighbours.tuning import LOCAL_CHOICES, fit_local
+from conformodal.vision.projection import Projection
 
 
 def regression(x, y, settings, scale=None):

@@ -7,21 +7,17 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.localization import (
-    FrameEvidence,
-    LocalFeatures,
-    LocalizationError,
-    Localizer,
-    PoseMeasurement,
-    SourceAnswer,
-    SourceData,
-    SourceState,
-    belief_cells,
-    fuse,
-    register_source,
-)
 from conformodal.localization import source as registry
-from conformodal.reasoning import mode_candidates
+from conformodal.localization.belief import belief_cells
+from conformodal.localization.errors import LocalizationError
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.fusion import fuse
+from conformodal.localization.local_features import LocalFeatures
+from conformodal.localization.localizer import Localizer
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.localization.source_data import SourceData
+from conformodal.reasoning.candidates import mode_candidates
 
 SIGN = np.array([1.0, 0, 0, 0])
 

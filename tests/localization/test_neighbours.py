@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
-from conformodal.localization import FrameEvidence
-from conformodal.localization.neighbours import LocalAnswers, LocalSettings, NeighbourSource, fit_local
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.neighbours.regression import LocalAnswers, LocalSettings
+from conformodal.localization.neighbours.source import NeighbourSource
+from conformodal.localization.neighbours.tuning import fit_local
 
 SETTINGS = [LocalSettings(6, 12, 0.03, None)]
 

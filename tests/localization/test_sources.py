@@ -7,21 +7,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from conformodal.localization import (
-    FrameEvidence,
-    HeadSource,
-    LandmarkSource,
-    LocalizationError,
-    Localizer,
-    NeighbourSource,
-    PoseMeasurement,
-    SourceAnswer,
-    SourceState,
-    find_source,
-    register_source,
-)
 from conformodal.localization import source as registry
-from conformodal.odometry import ModelFileError, load_model, save_model
+from conformodal.localization.errors import LocalizationError
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.head_source import HeadSource
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.localizer import Localizer
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.neighbours.source import NeighbourSource
+from conformodal.localization.source import SourceAnswer, SourceState, find_source, register_source
+from conformodal.model.errors import ModelFileError
+from conformodal.model.store import load_model, save_model
 
 GLOBAL = (HeadSource, NeighbourSource)
 

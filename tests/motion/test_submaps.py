@@ -7,10 +7,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.motion import Corners, CornerTracker, build_submaps, grey_image, solve_poselib
 from conformodal.motion import bundle as bundle_module
 from conformodal.motion.bundle import Bundle, Views, adjust_bundle
 from conformodal.motion.settings import BUNDLE
+from conformodal.motion.submaps import build_submaps
+from conformodal.motion.tracker import Corners, CornerTracker, grey_image
+from conformodal.motion.two_view import solve_poselib
 from conformodal.poses import PinholeCamera
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)

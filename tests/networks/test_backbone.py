@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.core import MissingPackageError
-from conformodal.networks import (
-    NETWORKS,
-    TorchBackbone,
-    backbone_config,
-    pick_device,
-)
+from conformodal.core.extras import MissingPackageError
+from conformodal.networks import NETWORKS, TorchBackbone, backbone_config, pick_device
 from conformodal.networks.lite import LiteNetwork
-from conformodal.vision import (
-    BackboneConfig,
-    VisionError,
-)
+from conformodal.vision.backbone import BackboneConfig
+from conformodal.vision.errors import VisionError
 
 
 @pytest.fixture(scope="module")

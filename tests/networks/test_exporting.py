@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 
 from conformodal.networks import TorchBackbone, exported, exporting
-from conformodal.vision import BackboneConfig, FeatureCache, OnnxBackbone, VisionError
+from conformodal.vision.backbone import BackboneConfig
+from conformodal.vision.errors import VisionError
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.onnx_backbone import OnnxBackbone
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
 

@@ -4,7 +4,8 @@ import torch
 
 from conformodal.networks import TorchBackbone, backbone_config, find_network
 from conformodal.networks import hub as hub_module
-from conformodal.vision import BackboneConfig, VisionError
+from conformodal.vision.backbone import BackboneConfig
+from conformodal.vision.errors import VisionError
 
 transformers = pytest.importorskip("transformers")
 

@@ -4,10 +4,12 @@ import pytest
 from PIL import Image
 
 from conformodal.datasets import ImageError
-from conformodal.localization import TARGET_NAMES
+from conformodal.localization.targets import TARGET_NAMES
 from conformodal.networks import TorchBackbone, exported, exporting, fit_head, quantised, soft_cross_entropy, with_head
-from conformodal.vision import BackboneConfig, FeatureCache, TrainingConfig, fit_projection
-from conformodal.vision.backbone import feature_views
+from conformodal.vision.backbone import BackboneConfig, feature_views
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.projection import fit_projection
+from conformodal.vision.settings import TrainingConfig
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
 

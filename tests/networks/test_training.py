@@ -7,19 +7,10 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
-from conformodal.networks import (
-    Head,
-    fit_head,
-    mean_squared_error,
-    predict_values,
-    soft_cross_entropy,
-)
-from conformodal.vision import (
-    Projection,
-    TrainingConfig,
-    VisionError,
-    fit_projection,
-)
+from conformodal.networks import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
+from conformodal.vision.errors import VisionError
+from conformodal.vision.projection import Projection, fit_projection
+from conformodal.vision.settings import TrainingConfig
 
 
 def toy(n=120, seed=0):

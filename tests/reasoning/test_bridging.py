@@ -5,8 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, RelativeMotion
-from conformodal.reasoning import Candidates, MotionPrior, Observations, bridge, predict_candidates, viterbi
+from conformodal.reasoning.bridging import bridge, predict_candidates
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.observations import Observations
+from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.settings import SEARCH
+from conformodal.reasoning.viterbi import viterbi
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 SIGMA, STEP = 0.01, 0.1

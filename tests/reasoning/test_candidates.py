@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.reasoning import Candidates, interval_candidates, mode_candidates, softmax_mean
+from conformodal.reasoning.candidates import Candidates, interval_candidates, mode_candidates, softmax_mean
 from conformodal.reasoning.settings import CANDIDATES
 
 K = 20

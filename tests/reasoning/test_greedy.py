@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.poses import MotionStatus, RelativeMotion
-from conformodal.reasoning import BinRuns, ReasoningError, greedy, interval_runs
+from conformodal.reasoning.candidates import BinRuns, interval_runs
+from conformodal.reasoning.errors import ReasoningError
+from conformodal.reasoning.greedy import greedy
 
 
 def some_intervals(rng, counts):

@@ -6,25 +6,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import MotionStatus, RelativeMotion, Trajectory, angle_between_quats
-from conformodal.reasoning import (
-    Candidates,
-    MotionPrior,
-    Observations,
-    OnlineReasoner,
-    PosePath,
-    ReasoningError,
-    fit_motion_prior,
-    online,
-    orientation_cost,
-    position_cost,
-    smooth,
-    smooth_orientations,
-    smooth_positions,
-    transition_cost,
-    viterbi,
-)
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.errors import ReasoningError
+from conformodal.reasoning.observations import Observations, PosePath
+from conformodal.reasoning.online import OnlineReasoner, online
+from conformodal.reasoning.orientations import smooth_orientations
+from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
 from conformodal.reasoning.settings import SEARCH
-from conformodal.reasoning.viterbi import best_step, way_back
+from conformodal.reasoning.smoother import smooth, smooth_positions
+from conformodal.reasoning.viterbi import best_step, orientation_cost, position_cost, transition_cost, viterbi, way_back
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 

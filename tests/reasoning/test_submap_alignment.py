@@ -5,14 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import Submap, angle_between_quats
-from conformodal.reasoning import (
-    Candidates,
-    MotionPrior,
-    Observations,
-    ReasoningError,
-    smooth_orientations,
-    smooth_positions,
-)
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.errors import ReasoningError
+from conformodal.reasoning.observations import Observations
+from conformodal.reasoning.orientations import smooth_orientations
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.smoother import smooth_positions
 
 DEPTH = 2.0
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5), DEPTH, 0.2)

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.odometry import EvidenceKind, ResultsWriter
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.report import Thumbnails
+from conformodal.report.thumbnails import Thumbnails
+from conformodal.running.results.writer import ResultsWriter
 
 CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from conformodal.poses import Trajectory
-from conformodal.report import (
-    PageFigure,
-    ReportContent,
-    error_figure,
-    make_viewer,
-    write_page,
-)
+from conformodal.report.figures import error_figure
+from conformodal.report.page import PageFigure, ReportContent, write_page
+from conformodal.report.viewer import make_viewer
 
 ROW = {"rmse_m": 0.1234, "rmse_deg": 1.5, "median_m": 0.1, "median_deg": 1.2}
 TARGET = {

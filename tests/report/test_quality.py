@@ -4,8 +4,11 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.datasets import Sequence
-from conformodal.odometry.quality import RecordingQuality, ViewScale, pose_coverage, quality_record
 from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.quality.examining import RecordingQuality
+from conformodal.quality.record import quality_record
+from conformodal.quality.view_coverage import pose_coverage
+from conformodal.quality.views import ViewScale
 from conformodal.report.quality import quality_plan, write_quality_page
 
 N = 120

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.odometry import EvidenceKind, ResultsWriter
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
+from conformodal.report.page import ReportContent, write_page
+from conformodal.report.thumbnails import Thumbnails
+from conformodal.report.viewer import make_viewer
+from conformodal.running.results.writer import ResultsWriter
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.odometry import Estimate, EvidenceKind
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.reasoning import Candidates
+from conformodal.reasoning.candidates import Candidates
+from conformodal.running.estimates import Estimate
 
 
 def random_candidates(rng, m=4):

@@ -11,11 +11,16 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from conformodal.cli.main import app
-from conformodal.core import MissingPackageError
-from conformodal.datasets.streams import Frame, open_stream
-from conformodal.odometry import EvidenceKind, read_region_records, read_trajectories
+from conformodal.core.extras import MissingPackageError
+from conformodal.datasets.streams.frames import Frame
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.ros import TOPICS, BagWriter, Conventions, RosError
+from conformodal.ros.bag import BagWriter
+from conformodal.ros.conventions import TOPICS, Conventions
+from conformodal.ros.errors import RosError
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
 
 pytest.importorskip("rosbags")
 
@@ -144,7 +149,7 @@ def test_candidates_hold_the_pose_and_weights_sum_to_one(recorded):
 
 def test_images_are_those_of_the_source(recorded, small_world):
     from conformodal.datasets import read_sequence
-    from conformodal.odometry import load_model
+    from conformodal.model.store import load_model
 
     sequence, frames = read_sequence(small_world.folder), load_model(small_world.model).split.test
     messages = read(recorded[1])["/conformodal/image/compressed"]

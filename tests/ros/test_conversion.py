@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.odometry import EvidenceKind
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.reasoning import Candidates
-from conformodal.ros import TOPICS, Conventions, Conversion, Covariance, RosError, mixture_covariance
+from conformodal.reasoning.candidates import Candidates
+from conformodal.ros.conventions import TOPICS, Conventions, Covariance
+from conformodal.ros.conversion import Conversion
+from conformodal.ros.covariance import mixture_covariance
+from conformodal.ros.errors import RosError
 from conformodal.ros.messages import Pose
 
 SEEDS = range(5)

@@ -7,13 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from conformodal.core import MissingPackageError
+from conformodal.core.extras import MissingPackageError
 from conformodal.datasets import read_sequence
-from conformodal.odometry import VisualOdometry, load_model
-from conformodal.ros import TOPICS, Conversion
+from conformodal.model.store import load_model
 from conformodal.ros import node as node_module
+from conformodal.ros.conventions import TOPICS
+from conformodal.ros.conversion import Conversion
 from conformodal.ros.messages import NANOSECONDS
 from conformodal.ros.node import PoseNode, message_class
+from conformodal.running.estimator import VisualOdometry
 
 pytest.importorskip("rosbags")
 

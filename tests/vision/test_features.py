@@ -4,16 +4,10 @@ import torch
 from PIL import Image
 
 from conformodal.datasets import ImageError, PixelNoise, thumbnail
-from conformodal.networks import (
-    TorchBackbone,
-)
-from conformodal.vision import (
-    BackboneConfig,
-    FeatureCache,
-    VisionError,
-    extract_features,
-    feature_views,
-)
+from conformodal.networks import TorchBackbone
+from conformodal.vision.backbone import BackboneConfig, feature_views
+from conformodal.vision.errors import VisionError
+from conformodal.vision.features import FeatureCache, extract_features
 
 
 @pytest.fixture(scope="module")

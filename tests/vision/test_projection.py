@@ -2,12 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.networks import (
-    Head,
-)
-from conformodal.vision import (
-    fit_projection,
-)
+from conformodal.networks import Head
+from conformodal.vision.projection import fit_projection
 
 
 def test_projected_features_are_centred_uncorrelated_and_of_one_scale():

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import check_writable
 from conformodal.datasets import Layout
-from conformodal.vision import default_cache_dir
 
 from .sources import FOLLOW_OUTSIDE
 

@@ -10,18 +10,14 @@ import typer
 
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
-from conformodal.odometry import (
-    METHODS,
-    Method,
-    OdometryError,
-    Promise,
-    calibrate_selection,
-    load_model,
-    recordings_needed,
-    save_model,
-)
-from conformodal.odometry.results.folders import lock_output
-from conformodal.vision import FeatureCache
+from conformodal.model.config import Method
+from conformodal.model.errors import OdometryError
+from conformodal.model.radius import Promise, recordings_needed
+from conformodal.model.store import load_model, save_model
+from conformodal.running.paths import METHODS
+from conformodal.running.results.folders import lock_output
+from conformodal.running.selection import calibrate_selection
+from conformodal.vision.features import FeatureCache
 
 from .arguments import Cache, FollowOutside, cache_folder
 from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly

@@ -20,8 +20,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from conformodal.core import StageProgress
-from conformodal.odometry import Estimate, EvidenceKind
+from conformodal.core.progress import StageProgress
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.running.estimates import Estimate
 
 from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
 from .options import check_options

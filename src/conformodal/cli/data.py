@@ -11,16 +11,18 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import LOCK, writing_in
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Remark
-from conformodal.datasets.streams import FrameStream, SequenceStream
+from conformodal.datasets.streams.frames import FrameStream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.odometry import load_model, model_digest, provenance
+from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
-from conformodal.vision import default_cache_dir
+from conformodal.running.results.provenance import provenance
 
 from .arguments import cache_folder
 from .console import console, kind_errors, print_where, progress_bars

@@ -12,16 +12,19 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.core import StageProgress, stage_of
 from conformodal.core.files import FolderError, write_whole
+from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor import CorridorWorld, Renderer, write_corridor
-from conformodal.odometry import Method, ModelConfig, write_metrics
-from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
-from conformodal.odometry.results.folders import lock_output
-from conformodal.report import write_page
-from conformodal.vision import TrainingConfig
+from conformodal.datasets.corridor.render import Renderer
+from conformodal.datasets.corridor.world import CorridorWorld
+from conformodal.datasets.corridor.writer import write_corridor
+from conformodal.model.config import Method, ModelConfig
+from conformodal.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
+from conformodal.report.page import write_page
+from conformodal.running.results.folders import lock_output
+from conformodal.running.results.runs import write_metrics
+from conformodal.vision.settings import TrainingConfig
 
 from .console import console, kind_errors, print_where, progress_bars, say_line
 from .demo_outcome import DemoResults, answer_test_part

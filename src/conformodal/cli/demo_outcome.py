@@ -10,23 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core import StageProgress
+from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence
-from conformodal.datasets.corridor import CorridorWorld
-from conformodal.odometry import (
-    EvidenceKind,
-    ModelConfig,
-    OdometryRun,
-    PoseModel,
-    RegionStatistics,
-    odometry_of,
-    prepare_training_data,
-    write_run,
-)
-from conformodal.odometry.learning.plain import train_plain
-from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.datasets.corridor.world import CorridorWorld
+from conformodal.model.config import ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
-from conformodal.vision import FeatureCache, extract_features
+from conformodal.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.running.estimates import OdometryRun
+from conformodal.running.paper_odometry import odometry_of
+from conformodal.running.results.runs import write_run
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.training.plain import train_plain
+from conformodal.training.training import prepare_training_data
+from conformodal.vision.features import FeatureCache, extract_features
 
 from .outcome import Known, Part, part_frames, run_metrics
 

@@ -6,20 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core import BoolArray
+from conformodal.core.arrays import BoolArray
 from conformodal.core.words import counted, noun_for
-from conformodal.odometry import METHODS, ONLINE, Method
-from conformodal.odometry.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.model.config import Method
 from conformodal.poses import Trajectory
-from conformodal.report import (
-    PageFigure,
-    ReportContent,
-    Thumbnails,
-    error_figure,
-    make_viewer,
-    plan_figure,
-    trajectory_figure,
-)
+from conformodal.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.report.figures import error_figure, plan_figure, trajectory_figure
+from conformodal.report.page import PageFigure, ReportContent
+from conformodal.report.thumbnails import Thumbnails
+from conformodal.report.viewer import make_viewer
+from conformodal.running.paths import METHODS, ONLINE
 
 from .demo_outcome import DemoResults
 

@@ -12,24 +12,15 @@ import typer
 from conformodal.core.files import writing_in
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
-from conformodal.localization import TARGET_NAMES
-from conformodal.odometry import (
-    METRICS,
-    OdometryError,
-    bounded_coverage,
-    error_table,
-    provenance,
-    read_metrics,
-    read_region_records,
-    read_trajectories,
-    read_unfinished,
-    records_contain,
-    write_metrics,
-)
-from conformodal.odometry.results.folders import check_belongs, lock_output, recover, result_digests
-from conformodal.odometry.results.records import REGIONS, record_bounded
+from conformodal.localization.targets import TARGET_NAMES
+from conformodal.model.errors import OdometryError
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
 from conformodal.poses.drift import KITTI_LENGTHS_M
+from conformodal.running.results.evaluation import bounded_coverage, error_table
+from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.records import METRICS, REGIONS, read_region_records, record_bounded, records_contain
+from conformodal.running.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
 from .arguments import FollowOutside
 from .console import console, kind_errors, print_errors, print_where, say_line, say_strongly

@@ -12,10 +12,17 @@ import typer
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout, Sequence
-from conformodal.localization import TARGET_NAMES, HeadSource, LandmarkSource
-from conformodal.odometry import OdometryError, PoseModel, Runtime, config_of, identify, load_model, save_model
-from conformodal.odometry.results.folders import lock_output
-from conformodal.vision import FeatureCache, OnnxBackbone
+from conformodal.localization.head_source import HeadSource
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.targets import TARGET_NAMES
+from conformodal.model.config import Runtime, config_of
+from conformodal.model.errors import OdometryError
+from conformodal.model.identity import identify
+from conformodal.model.model import PoseModel
+from conformodal.model.store import load_model, save_model
+from conformodal.running.results.folders import lock_output
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.onnx_backbone import OnnxBackbone
 
 from .arguments import Cache, DataLayout, FollowOutside, SavedModel, cache_folder
 from .console import console, kind_errors, print_where, progress_bars

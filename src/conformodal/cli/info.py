@@ -10,8 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.odometry import EvidenceKind, PoseModel, Runtime, load_model, model_digest
-from conformodal.vision import OnnxBackbone
+from conformodal.model.config import Runtime
+from conformodal.model.model import PoseModel
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model, model_digest
+from conformodal.vision.onnx_backbone import OnnxBackbone
 
 from .arguments import SavedModel
 from .console import kind_errors, say_line

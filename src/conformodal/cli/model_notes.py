@@ -7,13 +7,17 @@ from math import ceil
 import numpy as np
 
 from conformodal.conformal.checks import Alpha, as_alpha
-from conformodal.core import IntArray
+from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Split, frames_to_known
-from conformodal.localization import TARGET_NAMES, LandmarkSource
-from conformodal.odometry import Method, ModelConfig, PoseModel, Sharing
-from conformodal.odometry.quality import WHERE, describe_sharing, describe_units, promises
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.targets import TARGET_NAMES
+from conformodal.model.config import Method, ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.model.region_rules import Sharing
 from conformodal.poses import PinholeCamera
+from conformodal.quality.advice import WHERE, describe_sharing, describe_units
+from conformodal.quality.promise import promises
 
 _NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word

@@ -8,23 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core import IntArray
+from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
-from conformodal.odometry import (
-    ONLINE,
-    EvidenceKind,
-    OdometryError,
-    PoseModel,
-    RegionStatistics,
-    coverage_table,
-    error_table,
-    identify,
-    is_exchangeable,
-    provenance,
-    radius_table,
-)
+from conformodal.model.errors import OdometryError
+from conformodal.model.identity import identify
+from conformodal.model.model import PoseModel
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
+from conformodal.running.paths import ONLINE
+from conformodal.running.results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.statistics import RegionStatistics
 
 from .console import console, print_errors, say_line, say_strongly
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from conformodal.core import StageProgress
+from conformodal.core.progress import StageProgress
 from conformodal.datasets import DatasetCheck, Sequence
-from conformodal.odometry import Method, ModelConfig, PoseModel, TrainingData, write_metrics
-from conformodal.odometry.quality import (
-    RecordingQuality,
-    examine,
-    examine_training,
-    names_of,
-    quality_record,
-    record_next,
-    said_of_quality,
-)
-from conformodal.vision import FeatureCache
+from conformodal.model.config import Method, ModelConfig
+from conformodal.model.model import PoseModel
+from conformodal.quality.advice import record_next, said_of_quality
+from conformodal.quality.examining import RecordingQuality, examine, examine_training
+from conformodal.quality.record import names_of, quality_record
+from conformodal.running.results.runs import write_metrics
+from conformodal.training.training_data import TrainingData
+from conformodal.vision.features import FeatureCache
 
 from .console import console, say_strongly
 

@@ -13,31 +13,24 @@ import numpy as np
 import typer
 
 from conformodal.datasets import Layout, Sequence
-from conformodal.datasets.streams import (
-    Frame,
-    FrameStream,
-    Pace,
-    SequenceStream,
-    SourceError,
-    prefetch,
-)
-from conformodal.odometry import (
-    Estimate,
-    EvidenceKind,
-    OdometryError,
-    PoseModel,
-    ResultsWriter,
-    StreamRunner,
-    load_model,
-    model_digest,
-    odometry_of,
-    read_trajectories,
-    write_metrics,
-    write_region_parquet,
-)
-from conformodal.odometry.results.folders import lock_output, result_digests
+from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
+from conformodal.datasets.streams.prefetch import Pace, prefetch
+from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.model.errors import OdometryError
+from conformodal.model.model import PoseModel
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
-from conformodal.report import ReportContent, Thumbnails, make_viewer, write_page
+from conformodal.report.page import ReportContent, write_page
+from conformodal.report.thumbnails import Thumbnails
+from conformodal.report.viewer import make_viewer
+from conformodal.running.estimates import Estimate
+from conformodal.running.paper_odometry import odometry_of
+from conformodal.running.results.folders import lock_output, result_digests
+from conformodal.running.results.parquet import write_region_parquet
+from conformodal.running.results.runs import read_trajectories, write_metrics
+from conformodal.running.results.writer import ResultsWriter
+from conformodal.running.streaming import StreamRunner
 
 from .arguments import FollowOutside, SavedModel
 from .console import StatusLine, kind_errors, print_where, say_strongly

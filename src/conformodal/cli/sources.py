@@ -9,7 +9,10 @@ from pathlib import Path
 
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
-from conformodal.datasets.streams import BagStream, FrameStream, SequenceStream, open_stream
+from conformodal.datasets.streams.bag import BagStream
+from conformodal.datasets.streams.frames import FrameStream
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PinholeCamera
 
 from .console import say_line
@@ -70,7 +73,7 @@ def open_source(
     as_trained: bool = False,
     follow_outside: bool = False,
 ) -> FrameStream:
-    """Open anything that gives frames, see :func:`~conformodal.datasets.streams.open_stream`; says what it is.
+    """Open anything that gives frames, see :func:`~conformodal.datasets.streams.opening.open_stream`; says what it is.
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
 

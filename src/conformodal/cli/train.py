@@ -11,30 +11,22 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.core import StageProgress
+from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.localization import LandmarkSource, PoseSource
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.source import PoseSource
+from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
+from conformodal.model.model import PoseModel
+from conformodal.model.store import model_digest, save_model
 from conformodal.networks import NETWORKS, find_network
-from conformodal.odometry import (
-    Calibration,
-    Method,
-    ModelConfig,
-    PoseModel,
-    Runtime,
-    model_digest,
-    prepare_training_data,
-    provenance,
-    save_model,
-    train_model,
-    write_metrics,
-)
-from conformodal.odometry.quality import quality_record
-from conformodal.odometry.results.folders import lock_output
-from conformodal.vision import (
-    FeatureCache,
-    TrainingConfig,
-)
+from conformodal.quality.record import quality_record
+from conformodal.running.results.folders import lock_output
+from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import write_metrics
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.settings import TrainingConfig
 
 from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
 from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly

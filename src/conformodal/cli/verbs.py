@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from conformodal.core import MissingPackageError, needing
+from conformodal.core.extras import MissingPackageError, needing
 
 from .failures import explained
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal.odometry import ResultsError
+from conformodal.model.errors import ResultsError
 
 from .console import console, kind_errors, say_line
 

@@ -7,11 +7,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from conformodal.datasets.streams import Frame
-from conformodal.odometry import Estimate
+from conformodal.datasets.streams.frames import Frame
 from conformodal.poses import Trajectory
-from conformodal.report import LiveView
-from conformodal.ros import BagWriter
+from conformodal.report.live import LiveView
+from conformodal.ros.bag import BagWriter
+from conformodal.running.estimates import Estimate
 
 from .options import ROS_SUFFIX
 

@@ -7,6 +7,9 @@ Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and
 
 from typing import TYPE_CHECKING
 
+from conformodal.conformal.online.aci import Aci
+from conformodal.conformal.online.pid import ConformalPid
+from conformodal.conformal.online.sets import OnlineConformal
 from conformodal.core.late import late
 
 from .bins import QuantileBins
@@ -22,17 +25,23 @@ from .calibration import (
 from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .novelty import NoveltyTest
-from .online import Aci, ConformalPid, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
 
 if TYPE_CHECKING:
-    from .learning import ConformalRegressor, QuickDensity, StackedDensity
+    from conformodal.conformal.learning.quick import QuickDensity
+    from conformodal.conformal.learning.regressor import ConformalRegressor
+    from conformodal.conformal.learning.stacked import StackedDensity
 
-__getattr__ = late(
-    __name__, dict.fromkeys(("ConformalRegressor", "QuickDensity", "StackedDensity"), ".learning")
-)  # scikit-learn's
+__getattr__ = late(  # scikit-learn takes half a second to import
+    __name__,
+    {
+        "ConformalRegressor": ".learning.regressor",
+        "QuickDensity": ".learning.quick",
+        "StackedDensity": ".learning.stacked",
+    },
+)
 
 __all__ = [
     "Aci",

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.ranges import RANGES
 
 from .blocks import for_blocks

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
-from conformodal.core import BoolArray, FloatArray, RealArray
+from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
 from .blocks import for_blocks

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import IntArray
+from conformodal.core.arrays import IntArray
 
 from .checks import as_array
 from .errors import ConformalError

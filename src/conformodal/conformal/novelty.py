@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .checks import as_array, as_doubles, as_finite, as_scores
 from .errors import ConformalError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import RealArray
+from conformodal.core.arrays import RealArray
 
 from .checks import Alpha, as_alpha, as_scores
 from .errors import ConformalError

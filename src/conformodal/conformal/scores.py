@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from conformodal.core import FloatArray, RealArray
+from conformodal.core.arrays import FloatArray, RealArray
 
 from .checks import as_reals
 from .errors import ConformalError

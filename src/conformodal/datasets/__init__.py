@@ -1,6 +1,6 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 
 with needing("run", "reading images"):
     import cv2  # noqa: F401

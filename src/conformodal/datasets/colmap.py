@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera, matrix_from_quat_wxyz
 from conformodal.poses.text import number, pose_faults, table_of, whole_number
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera, Trajectory, matrix_from_quat_wxyz
 
 from .colmap_binary import model_number

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
 
 from .decoding import image_fault

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import write_whole
 from conformodal.poses import PinholeCamera

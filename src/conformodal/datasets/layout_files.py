@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, Trajectory
 
 from .colmap_writing import write_colmap

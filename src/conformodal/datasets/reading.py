@@ -10,7 +10,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PoseError
 from conformodal.poses.text import number, text_lines
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import IntArray
+from conformodal.core.arrays import IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
 from .decoding import read_image

@@ -16,7 +16,7 @@ from math import ceil
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import BoolArray, IntArray
+from conformodal.core.arrays import BoolArray, IntArray
 from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges, check_shares
 from conformodal.core.words import counted, noun_for

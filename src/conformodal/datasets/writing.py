@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.choices import as_member
 from conformodal.core.words import counted
+from conformodal.datasets.streams.frames import Frame, FrameStream
+from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
 from conformodal.poses.metrics import nearest_in_time
 
@@ -22,7 +24,6 @@ from .layout_files import FINISH, WrittenFrames, finish_colmap_binary
 from .layouts import Layout
 from .reading import MAX_TIME_DIFFERENCE_S
 from .staging import staged
-from .streams import Frame, FrameStream, SequenceStream
 
 # Where images go, and how they are named: by number, or time in seconds.
 _PLACES: dict[Layout, tuple[str, str]] = {

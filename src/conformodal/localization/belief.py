@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .fusion import Mixture
 from .measurement import PoseMeasurement

@@ -11,7 +11,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import MEDIAN_OF_NORM3, TAIL_OF_NORM3, FloatArray
+from conformodal.core.arrays import FloatArray
+from conformodal.core.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
 from .measurement import PoseMeasurement
 from .settings import ERROR_MODEL

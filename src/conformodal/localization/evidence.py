@@ -19,7 +19,7 @@ class FrameEvidence:
     Attributes
     ----------
     features
-        (n, F) of the network, see :class:`~conformodal.vision.Backbone`.
+        (n, F) of the network, see :class:`~conformodal.vision.backbone.Backbone`.
     local_features
         Of each image; None where they were not extracted.
 

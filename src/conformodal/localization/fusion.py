@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from conformodal.core import FloatArray
-from conformodal.reasoning import Candidates
+from conformodal.core.arrays import FloatArray
+from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.settings import CANDIDATES
 
 from .measurement import PoseMeasurement

@@ -7,8 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from conformodal.core import IntArray, needing, stage_of
-from conformodal.vision import SoftmaxHead
+from conformodal.core.arrays import IntArray
+from conformodal.core.extras import needing
+from conformodal.core.progress import stage_of
+from conformodal.vision.head import SoftmaxHead
 
 from .evidence import FrameEvidence
 from .source import SourceAnswer, SourceState, register_source

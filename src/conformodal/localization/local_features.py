@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import ThreadpoolController
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.datasets import thumbnail
-from conformodal.motion import grey_image, undistort
+from conformodal.motion.tracker import grey_image
+from conformodal.motion.undistortion import undistort
 from conformodal.poses import PinholeCamera
 
 from .settings import LOCAL_FEATURES

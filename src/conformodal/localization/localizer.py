@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core import FloatArray, IntArray
-from conformodal.reasoning import Candidates, mode_candidates
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.reasoning.candidates import Candidates, mode_candidates
 
 from .belief import Beliefs, belief_cells
 from .errors import LocalizationError

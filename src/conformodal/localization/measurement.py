@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

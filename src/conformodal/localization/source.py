@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import IntArray
+from conformodal.core.arrays import IntArray
 
 from .errors import LocalizationError
 from .evidence import FrameEvidence
@@ -88,6 +89,7 @@ class PoseSource(Protocol):
         ...
 
 
+_BUILT_IN = {"head": ".head_source", "neighbours": ".neighbours.source", "landmarks": ".landmarks.source"}
 _KINDS: dict[str, type[PoseSource]] = {}
 
 
@@ -101,6 +103,7 @@ def register_source(kind: type[PoseSource]) -> type[PoseSource]:
     """
     if not kind.name.replace("-", "_").isidentifier():  # names arrays of a saved model
         raise LocalizationError(f"a pose source's name must be of letters, digits, _ and -, got {kind.name!r}")
+    _import_built_in(kind.name)
     if _KINDS.setdefault(kind.name, kind) is not kind:
         raise LocalizationError(f"there is a pose source {kind.name!r} already: {_KINDS[kind.name].__qualname__}")
     return kind
@@ -114,6 +117,13 @@ def find_source(name: str) -> type[PoseSource]:
     LocalizationError
         If there is none.
     """
+    _import_built_in(name)
     if name not in _KINDS:
-        raise LocalizationError(f"pose source must be one of {', '.join(_KINDS)}, got {name!r}")
+        raise LocalizationError(f"pose source must be one of {', '.join(sorted({**_BUILT_IN, **_KINDS}))}, got {name!r}")
     return _KINDS[name]
+
+
+def _import_built_in(name: str) -> None:
+    """Kinds of this package register themselves when they are first asked for."""
+    if name in _BUILT_IN:
+        import_module(_BUILT_IN[name], __package__)

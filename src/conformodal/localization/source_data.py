@@ -11,10 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core import IntArray, StageProgress, stage_of
+from conformodal.core.arrays import IntArray
 from conformodal.core.choices import as_member
+from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence, SplitKind, held_out_together
-from conformodal.vision import Projection, TrainingConfig, feature_views, fit_projection
+from conformodal.vision.backbone import feature_views
+from conformodal.vision.projection import Projection, fit_projection
+from conformodal.vision.settings import TrainingConfig
 
 from .errors import LocalizationError
 from .local_features import LocalFeatures, Matcher, extract_local_features
@@ -31,7 +34,7 @@ class SourceData:
     features
         (n, F) of all frames.
     targets
-        (n, 7), see :func:`~conformodal.localization.pose_targets`.
+        (n, 7), see :func:`~conformodal.localization.targets.pose_targets`.
     sign_reference
         (4,) quaternion that fixes the signs of quaternions.
     split
@@ -89,7 +92,7 @@ class SourceData:
         frames
             Frames that it may know.
         components
-            See :func:`~conformodal.vision.fit_projection`.
+            See :func:`~conformodal.vision.projection.fit_projection`.
         whole
             Whether the global descriptor that features end in counts too, beside the network's map.
         """

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import MEDIAN_OF_NORM2, BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.robust import MEDIAN_OF_NORM2
 
 from .settings import BUNDLE
 

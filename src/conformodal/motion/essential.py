@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import MotionStatus, RelativeMotion
 
 from .frontend import FrontEnd
@@ -15,8 +15,8 @@ _FIVE = 5  # corners that an essential matrix needs
 class EssentialFrontEnd(FrontEnd):
     """Rotation and direction from frame to frame, by OpenCV's essential matrix.
 
-    :class:`~conformodal.motion.MotionFrontEnd` detects pure rotation, small steps, planes and repeated pictures. This
-    class does not: it gives a direction whenever it finds a matrix.
+    :class:`~conformodal.motion.frontend.MotionFrontEnd` detects pure rotation, small steps, planes and repeated
+    pictures. This class does not: it gives a direction whenever it finds a matrix.
     """
 
     def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:

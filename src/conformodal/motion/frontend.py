@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .relative_pose import estimate_relative_motion
@@ -31,7 +31,7 @@ class FrontEnd(ABC):
     tracks
         Corners (m, 2) in the frame measured last but one and in the last, in pixels; None for the first frame.
     corners
-        All corners of the frame measured last, for :func:`~conformodal.motion.build_submaps`.
+        All corners of the frame measured last, for :func:`~conformodal.motion.submaps.build_submaps`.
     """
 
     def __init__(self, camera: PinholeCamera) -> None:
@@ -74,7 +74,8 @@ class MotionFrontEnd(FrontEnd):
     camera
         Intrinsics and distortion.
     solver
-        Of two-view geometry: :func:`~conformodal.motion.solve_poselib`, or :func:`~conformodal.motion.solve_opencv`.
+        Of two-view geometry: :func:`~conformodal.motion.two_view.solve_poselib`, or
+        :func:`~conformodal.motion.two_view.solve_opencv`.
     """
 
     def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .plane import plane_motions
@@ -34,7 +34,8 @@ def estimate_relative_motion(
     n_at_start
         Corners in the previous frame before tracking, to tell a blank frame from a cut.
     solver
-        Finds the motion: :func:`~conformodal.motion.solve_poselib` or :func:`~conformodal.motion.solve_opencv`.
+        Finds the motion: :func:`~conformodal.motion.two_view.solve_poselib` or
+        :func:`~conformodal.motion.two_view.solve_opencv`.
 
     Returns
     -------

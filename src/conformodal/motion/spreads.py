@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import MAD_OF_NORMAL, MEDIAN_OF_NORM2, FloatArray
+from conformodal.core.arrays import FloatArray
+from conformodal.core.robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 from conformodal.poses import PinholeCamera
 
 from .settings import MOTION_ERRORS

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import poselib
 
-from conformodal.core import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.poses import MotionStatus, PinholeCamera, Submap
 
 from .bundle import Bundle, Views, adjust_bundle, residual_spread
@@ -30,7 +30,7 @@ def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Sub
     Parameters
     ----------
     corners
-        Of its frames in order of time, see :meth:`~conformodal.motion.CornerTracker.corners`.
+        Of its frames in order of time, see :meth:`~conformodal.motion.tracker.CornerTracker.corners`.
     camera
         Intrinsics and distortion.
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import poselib
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera
 
 from .settings import RELATIVE_POSE

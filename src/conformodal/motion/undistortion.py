@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera
 
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)

@@ -5,7 +5,7 @@ Every name is imported when it is first used; the names of networks are known wi
 
 from typing import TYPE_CHECKING, Any
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 from conformodal.core.late import late
 
 if TYPE_CHECKING:

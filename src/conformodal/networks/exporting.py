@@ -15,11 +15,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from conformodal.core import Progress, needing
+from conformodal.core.extras import needing
+from conformodal.core.progress import Progress
 from conformodal.datasets import read_image
-from conformodal.vision import Backbone, FeatureCache, OnnxBackbone, SoftmaxHead, VisionError
+from conformodal.vision.backbone import Backbone
+from conformodal.vision.errors import VisionError
+from conformodal.vision.features import FeatureCache
+from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.keeping import keep_arrays, kept_arrays
-from conformodal.vision.onnx_backbone import INPUT, OUTPUT
+from conformodal.vision.onnx_backbone import INPUT, OUTPUT, OnnxBackbone
 
 from .torch_backbone import TorchBackbone
 

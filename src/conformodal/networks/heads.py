@@ -15,9 +15,12 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from conformodal.core import Progress
-from conformodal.vision import Projection, SoftmaxHead, TrainingConfig, VisionError, fit_projection
+from conformodal.core.progress import Progress
+from conformodal.vision.errors import VisionError
+from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.projection import Projection, fit_projection
+from conformodal.vision.settings import TrainingConfig
 
 _STATE_EVERY_EPOCHS = 10
 
@@ -161,7 +164,7 @@ def fit_head(
     loss
         :func:`soft_cross_entropy`, :func:`mean_squared_error`, or another function of head, outputs and targets.
     config
-        See :class:`~conformodal.vision.TrainingConfig`.
+        See :class:`~conformodal.vision.settings.TrainingConfig`.
     head_type
         A subclass, for losses with parameters of their own.
     projection

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from conformodal.vision import VisionError
+from conformodal.vision.errors import VisionError
 
 from .lite import PREFIX
 

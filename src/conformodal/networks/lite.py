@@ -7,8 +7,8 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from conformodal.core import needing
-from conformodal.vision import VisionError
+from conformodal.core.extras import needing
+from conformodal.vision.errors import VisionError
 
 if TYPE_CHECKING:
     from torch import nn

@@ -11,7 +11,8 @@ import torch
 from torch import nn
 
 from conformodal.datasets import THUMBNAIL
-from conformodal.vision import Backbone, BackboneConfig, VisionError
+from conformodal.vision.backbone import Backbone, BackboneConfig
+from conformodal.vision.errors import VisionError
 from conformodal.vision.settings import check_device
 
 from .lite import find_network

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .errors import PoseError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .text import drop_faults, number, pose_faults, read_rows, trajectory_of, whole_number
 from .trajectory import Trajectory

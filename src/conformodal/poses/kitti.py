@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .errors import TrajectoryFileError
 from .text import drop_faults, matrix_faults, number, read_rows, table_of, trajectory_of

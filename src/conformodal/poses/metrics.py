@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 
 from .errors import PoseError
 from .rotations import angle_between_quats

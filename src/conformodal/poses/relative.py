@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.choices import as_member
 
 from .errors import PoseError

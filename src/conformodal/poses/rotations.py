@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .errors import PoseError
 

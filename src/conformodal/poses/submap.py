@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .errors import PoseError, TrajectoryFileError
 from .rotations import rotation_faults

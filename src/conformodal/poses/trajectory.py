@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 
 from .errors import PoseError
 from .rotations import check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .text import drop_faults, number, pose_faults, read_rows, trajectory_of
 from .trajectory import Trajectory

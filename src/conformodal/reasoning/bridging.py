@@ -75,7 +75,7 @@ def bridge(
     Parameters
     ----------
     candidates, motions, timestamps_s
-        As in :class:`~conformodal.reasoning.Observations`.
+        As in :class:`~conformodal.reasoning.observations.Observations`.
     known
         (n,) whether each frame shows a place that is known.
     prior

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.special import logsumexp
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import normalise_quat
 
 from .settings import CANDIDATES

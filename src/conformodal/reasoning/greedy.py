@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import RelativeMotion
 
 from .candidates import BinRuns
@@ -40,7 +40,7 @@ class Greedy:
         Parameters
         ----------
         here
-            The intervals of its region, target by target, from :func:`~conformodal.reasoning.interval_runs`.
+            The intervals of its region, target by target, from :func:`~conformodal.reasoning.candidates.interval_runs`.
         motion
             From the frame before to it; None where nothing is known of it.
         timestamp_s
@@ -74,7 +74,7 @@ def greedy(
     Parameters
     ----------
     intervals
-        Of each frame, from :func:`~conformodal.reasoning.interval_runs`.
+        Of each frame, from :func:`~conformodal.reasoning.candidates.interval_runs`.
     motions
         ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
     timestamps_s

@@ -10,7 +10,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray, cauchy
+from conformodal.core.arrays import FloatArray
+from conformodal.core.robust import cauchy
 from conformodal.poses import RelativeMotion, Submap
 
 from .prior import MotionPrior, rotation_sigma

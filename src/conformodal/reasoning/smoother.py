@@ -13,7 +13,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from conformodal.core import FloatArray, cauchy
+from conformodal.core.arrays import FloatArray
+from conformodal.core.robust import cauchy
 from conformodal.poses import Submap
 
 from .errors import ReasoningError

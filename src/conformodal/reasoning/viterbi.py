@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import RelativeMotion, angle_between_quats
 
 from .candidates import Candidates

@@ -8,7 +8,7 @@ import numpy as np
 
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
-from conformodal.core import needing
+from conformodal.core.extras import needing
 from conformodal.core.files import replacing
 from conformodal.core.words import counted
 

@@ -12,9 +12,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import needing
-from conformodal.odometry import OdometryRun
+from conformodal.core.extras import needing
 from conformodal.poses import Trajectory
+from conformodal.running.estimates import OdometryRun
 
 with needing("figures", "a figure"):
     import matplotlib as mpl

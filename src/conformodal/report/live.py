@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
-from conformodal.datasets.streams import Frame
-from conformodal.odometry import Estimate, EvidenceKind
+from conformodal.datasets.streams.frames import Frame
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory
+from conformodal.running.estimates import Estimate
 
 _MOST_CUBOIDS = 256
 _RANGE_M = 100.0  # the whole line is drawn this far around the chosen position

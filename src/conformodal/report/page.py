@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 from conformodal.core.files import write_whole
 
 from .templating import render_page

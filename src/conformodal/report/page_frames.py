@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
-from conformodal.odometry import EvidenceKind
+from conformodal.core.arrays import FloatArray
+from conformodal.model.region_rules import EvidenceKind
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 Interval = list[float | None]

@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core import BoolArray, FloatArray, needing
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.extras import needing
 from conformodal.core.files import write_whole
 from conformodal.datasets import Sequence
-from conformodal.odometry.quality import QUALITY, RecordingQuality, ThinStretch, names_of
 from conformodal.poses import Trajectory, matrix_from_quat_wxyz
+from conformodal.quality.examining import RecordingQuality
+from conformodal.quality.record import names_of
+from conformodal.quality.settings import QUALITY
+from conformodal.quality.view_coverage import ThinStretch
 
 from .templating import render_page
 
@@ -35,7 +39,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
     Parameters
     ----------
     found
-        From :func:`~conformodal.odometry.quality.examine`.
+        From :func:`~conformodal.quality.examining.examine`.
     sequence
         The recording.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted
 

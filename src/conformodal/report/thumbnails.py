@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 
 with needing("run", "a page of results"):
     import cv2

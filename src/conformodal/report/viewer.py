@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.words import counted
-from conformodal.odometry import ONLINE, iter_region_records
-from conformodal.odometry.results.records import REGIONS, TRAJECTORY, TRUTH
 from conformodal.poses import Trajectory, read_tum, trajectory_errors
+from conformodal.running.paths import ONLINE
+from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
 from .page_frames import Paths, page_frame
 from .sentences import RunStatistics, frame_said, run_said

@@ -10,10 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from conformodal.core import needing
-from conformodal.datasets.streams import Frame
-from conformodal.odometry import Estimate
+from conformodal.core.extras import needing
+from conformodal.datasets.streams.frames import Frame
 from conformodal.poses import Trajectory
+from conformodal.running.estimates import Estimate
 
 from . import messages as ros
 from .conventions import IMAGE, TOPICS, TRUTH, Conventions

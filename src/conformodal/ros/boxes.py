@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from conformodal.core import FloatArray
-from conformodal.odometry import Estimate
+from conformodal.core.arrays import FloatArray
+from conformodal.running.estimates import Estimate
 
 from . import messages as ros
 from .conventions import Conventions, is_lost

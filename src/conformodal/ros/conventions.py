@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from conformodal.core.choices import as_member
-from conformodal.odometry import Estimate, EvidenceKind
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.running.estimates import Estimate
 
 from . import messages as ros
 from .errors import RosError

@@ -11,8 +11,8 @@ from collections import deque
 
 import numpy as np
 
-from conformodal.odometry import Estimate
 from conformodal.poses import Trajectory
+from conformodal.running.estimates import Estimate
 
 from . import messages as ros
 from .boxes import region_boxes, region_message

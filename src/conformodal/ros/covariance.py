@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.choices import as_member
-from conformodal.odometry import Estimate
-from conformodal.reasoning import Candidates
+from conformodal.reasoning.candidates import Candidates
+from conformodal.running.estimates import Estimate
 
 from .conventions import Covariance
 from .errors import RosError

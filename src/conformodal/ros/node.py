@@ -15,11 +15,16 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-from conformodal.core import MissingPackageError
 from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
-from conformodal.datasets.streams import COMPRESSED, INFO, RAW, SourceError, camera_of_info, image_of
-from conformodal.odometry import Estimate, Odometry, OdometryError, load_model, odometry_of
+from conformodal.core.extras import MissingPackageError
+from conformodal.datasets.streams.frames import SourceError
+from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of
+from conformodal.model.errors import OdometryError
+from conformodal.model.store import load_model
+from conformodal.running.estimates import Estimate
+from conformodal.running.odometry import Odometry
+from conformodal.running.paper_odometry import odometry_of
 
 from . import messages as ros
 from .conventions import TOPICS, Conventions, Covariance

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import Progress
+from conformodal.core.progress import Progress
 from conformodal.datasets import ImageError, PixelNoise, read_image
 
 from .backbone import Backbone

@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 from conformodal.core.threads import thread_limit
 from conformodal.datasets import THUMBNAIL
 

@@ -34,7 +34,7 @@ class TrainingConfig:
     hidden, dropout, input_dropout
         Of the :class:`~conformodal.networks.Head`; `input_dropout` is `dropout` where it is None.
     components
-        Of the projection, see :func:`~conformodal.vision.fit_projection`.
+        Of the projection, see :func:`~conformodal.vision.projection.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
 

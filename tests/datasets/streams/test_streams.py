@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import DatasetError, read_sequence
-from conformodal.datasets.streams import (
-    BagStream,
-    CameraStream,
-    Frame,
-    Pace,
-    SequenceStream,
-    SourceError,
-    VideoStream,
-    open_stream,
-    prefetch,
-)
+from conformodal.datasets.streams.bag import BagStream
+from conformodal.datasets.streams.frames import Frame, SourceError
+from conformodal.datasets.streams.opening import open_stream
+from conformodal.datasets.streams.prefetch import Pace, prefetch
+from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.datasets.streams.video import CameraStream, VideoStream
 
 SIZE = (64, 48)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.localization import LocalFeatures
+from conformodal.localization.local_features import LocalFeatures
 from conformodal.poses import PinholeCamera
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)

@@ -9,8 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import Sequence
-from conformodal.localization import FrameEvidence, LandmarkSource, SourceData, SourceState
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.settings import MAPPING
+from conformodal.localization.source import SourceState
+from conformodal.localization.source_data import SourceData
 from conformodal.poses import Trajectory
 
 N = 60

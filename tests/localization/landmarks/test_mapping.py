@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.localization import Matcher, local_features
-from conformodal.localization.landmarks import build_map
+from conformodal.localization import local_features
 from conformodal.localization.landmarks.camera_fit import Matches, fit_camera
+from conformodal.localization.landmarks.mapping import build_map
 from conformodal.localization.landmarks.triangulation import Rays, triangulate
-from conformodal.localization.local_features import match
+from conformodal.localization.local_features import Matcher, match
 from conformodal.localization.settings import MAPPING, PNP
 
 

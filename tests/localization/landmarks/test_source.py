@@ -6,37 +6,27 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from conformodal.datasets import make_split, read_sevenscenes
-from conformodal.localization import (
-    ErrorModel,
-    FrameEvidence,
-    LandmarkSource,
-    PoseMeasurement,
-    SourceData,
-    extract_local_features,
-    pose_targets,
-)
-from conformodal.odometry import (
-    EvidenceKind,
-    ModelConfig,
-    OdometryError,
-    RegionStatistics,
-    VisualOdometry,
-    coverage_table,
-    load_model,
-    measure_depths,
-    prepare_training_data,
-    save_model,
-    train_model,
-)
-from conformodal.odometry.learning.calibrating import score_beliefs
+from conformodal.datasets import make_split
+from conformodal.localization.error_model import ErrorModel
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.source_data import SourceData
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig
+from conformodal.model.errors import OdometryError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.store import load_model, save_model
 from conformodal.poses import Trajectory, sign_reference
-from conformodal.vision import FeatureCache, TrainingConfig, extract_features
-
-
-@pytest.fixture(scope="module")
-def sequence(small_world):
-    return read_sevenscenes(small_world.folder)
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.evaluation import coverage_table
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.training.calibrating import score_beliefs
+from conformodal.training.depths import measure_depths
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
 
 
 def data_of(sequence, split, depth_m=None):
@@ -138,7 +128,7 @@ def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, blind, sequ
 def test_a_stream_is_matched_as_often_as_asked(model, sequence, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "conformodal.odometry.estimator.extract_local_features",
+        "conformodal.running.estimator.extract_local_features",
         lambda image, camera: asked.append(image) or extract_local_features(image, camera),
     )
     odometry = VisualOdometry(model, match_every=3)

@@ -10,15 +10,24 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import BoolArray, FloatArray, RealArray
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.blocks import blocks, for_blocks
+from conformodal.conformal.checks import (
+    Alpha,
+    Probabilities,
+    as_alpha,
+    as_scores,
+    as_table,
+    as_targets,
+    check_block,
+    check_rows,
+)
+from conformodal.conformal.errors import ConformalError, WholeRangeWarning
+from conformodal.conformal.regions import Regions
+from conformodal.conformal.scalars import as_choice
+from conformodal.conformal.scores import BUILT_IN, Score, cells_of, resolve_score
+from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 
-from ..bins import QuantileBins
-from ..blocks import blocks, for_blocks
-from ..checks import Alpha, Probabilities, as_alpha, as_scores, as_table, as_targets, check_block, check_rows
-from ..errors import ConformalError, WholeRangeWarning
-from ..regions import Regions
-from ..scalars import as_choice
-from ..scores import BUILT_IN, Score, cells_of, resolve_score
 from .joint import Joint, JointRule
 
 Empty = Literal["allow", "mode"]

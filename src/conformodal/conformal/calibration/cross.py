@@ -8,13 +8,13 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import RealArray
+from conformodal.conformal.checks import Probabilities, as_table
+from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.grouping import as_groups, as_label, factorise
+from conformodal.conformal.rank import conformal_rank
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import RealArray
 
-from ..checks import Probabilities, as_table
-from ..errors import ConformalError, NotCalibratedError
-from ..grouping import as_groups, as_label, factorise
-from ..rank import conformal_rank
-from ..regions import Regions
 from .base import Calibrator
 
 

@@ -12,12 +12,11 @@ from math import lcm
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
-
-from ..checks import Alpha, as_alpha, as_doubles, as_scores
-from ..errors import ConformalError
-from ..rank import conformal_quantile
-from ..scalars import as_count
+from conformodal.conformal.checks import Alpha, as_alpha, as_doubles, as_scores
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.rank import conformal_quantile
+from conformodal.conformal.scalars import as_count
+from conformodal.core.arrays import FloatArray
 
 
 def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Sequence[int] | None = None) -> float:

@@ -8,13 +8,12 @@ from typing import Literal, cast
 
 import numpy as np
 
-from conformodal.core import BoolArray, FloatArray, IntArray, RealArray
-
-from ..checks import Alpha, as_alpha
-from ..errors import ConformalError, NotCalibratedError
-from ..rank import conformal_quantile
-from ..scalars import as_choice
-from ..scores import row_uniforms
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.rank import conformal_quantile
+from conformodal.conformal.scalars import as_choice
+from conformodal.conformal.scores import row_uniforms
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 Joint = Literal["none", "bonferroni", "max"]
 # calibration rows of which the scales may have seen no more; rows of discrete scores may look alike by chance

@@ -8,16 +8,16 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import RealArray
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.checks import Alpha, Probabilities, as_table
+from conformodal.conformal.errors import NotCalibratedError
+from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.rank import conformal_quantile, conformal_rank
+from conformodal.conformal.regions import Regions
+from conformodal.conformal.scalars import as_choice, as_count
+from conformodal.conformal.scores import Score
+from conformodal.core.arrays import RealArray
 
-from ..bins import QuantileBins
-from ..checks import Alpha, Probabilities, as_table
-from ..errors import NotCalibratedError
-from ..grouping import as_groups, factorise
-from ..rank import conformal_quantile, conformal_rank
-from ..regions import Regions
-from ..scalars import as_choice, as_count
-from ..scores import Score
 from .base import Calibrator, Empty
 from .joint import Joint
 

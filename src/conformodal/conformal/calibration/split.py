@@ -11,13 +11,13 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray, RealArray
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_array, as_scores
+from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.rank import conformal_quantile, conformal_rank
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import FloatArray, IntArray, RealArray
 
-from ..checks import Alpha, Probabilities, as_alpha, as_array, as_scores
-from ..errors import ConformalError, NotCalibratedError
-from ..grouping import as_groups, factorise
-from ..rank import conformal_quantile, conformal_rank
-from ..regions import Regions
 from .base import Calibrator
 from .grouped import grouped_quantile
 

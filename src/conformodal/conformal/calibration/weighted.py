@@ -11,11 +11,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, RealArray
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
+from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import FloatArray, RealArray
 
-from ..checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
-from ..errors import ConformalError, NotCalibratedError
-from ..regions import Regions
 from .base import Calibrator
 
 

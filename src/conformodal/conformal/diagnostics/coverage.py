@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, as_flags
-from ..errors import ConformalError
-from ..rank import conformal_rank
-from ..scalars import as_count, as_number
+from conformodal.conformal.checks import Alpha, as_flags
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.rank import conformal_rank
+from conformodal.conformal.scalars import as_count, as_number
 
 
 @dataclass(frozen=True)

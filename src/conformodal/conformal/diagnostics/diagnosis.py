@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import BoolArray, FloatArray, RealArray
+from conformodal.conformal.calibration import SplitConformal
+from conformodal.conformal.calibration.joint import Joint
+from conformodal.conformal.checks import Alpha, Probabilities, as_targets
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
-from ..calibration import SplitConformal
-from ..calibration.joint import Joint
-from ..checks import Alpha, Probabilities, as_targets
-from ..errors import ConformalError
-from ..regions import Regions
 from .coverage import CoverageCheck, check_coverage
 from .sizes import SizeSummary, summarise_sizes
 from .slab import SlabCheck, worst_slab

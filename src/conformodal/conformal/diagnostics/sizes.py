@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ConformalError
-from ..regions import Regions
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.regions import Regions
 
 
 @dataclass(frozen=True)

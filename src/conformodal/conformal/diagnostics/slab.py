@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import BoolArray, FloatArray
+from conformodal.conformal.checks import Alpha, as_doubles, as_flags
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.scalars import as_count, as_number, as_random
+from conformodal.core.arrays import BoolArray, FloatArray
 
-from ..checks import Alpha, as_doubles, as_flags
-from ..errors import ConformalError
-from ..scalars import as_count, as_number, as_random
 from .coverage import CoverageCheck, check_coverage
 
 # samples that choose the slab, drawn at random; half of all if these are fewer

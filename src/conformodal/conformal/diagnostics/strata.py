@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..checks import Alpha, as_doubles, as_flags
-from ..errors import ConformalError
-from ..grouping import as_groups, factorise
-from ..scalars import as_count
+from conformodal.conformal.checks import Alpha, as_doubles, as_flags
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.scalars import as_count
+
 from .coverage import CoverageCheck, check_coverage
 
 

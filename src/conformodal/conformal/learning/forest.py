@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.stats import rankdata
 from sklearn.ensemble import RandomForestRegressor
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 
 # Values are gathered into at most this many groups of neighbours, which is all the detail a weight can have.
 _GROUPS = 256

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from conformodal.core import FloatArray, IntArray
-
-from ..checks import as_doubles
+from conformodal.conformal.checks import as_doubles
+from conformodal.core.arrays import FloatArray, IntArray
 
 # what a density is at least, relative to 1 / range, when its logarithm is taken
 _FLOOR = 1e-6

@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import clone
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.conformal.errors import ConformalError, SlowFitWarning
+from conformodal.conformal.scalars import brief, shortened
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import Progress
 from conformodal.core.words import counted
 
-from ..errors import ConformalError, SlowFitWarning
-from ..scalars import brief, shortened
 from .quick import QuickDensity
 from .smoothing import SmoothedClassifier, fit_classifier, proba_of_bins, smoothing_of
 from .stacked import StackedDensity

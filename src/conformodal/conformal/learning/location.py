@@ -16,7 +16,8 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from conformodal.core import FloatArray, Progress
+from conformodal.core.arrays import FloatArray
+from conformodal.core.progress import Progress
 
 from .quick_location import Location, boosting
 

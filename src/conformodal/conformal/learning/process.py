@@ -9,7 +9,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 
 Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 

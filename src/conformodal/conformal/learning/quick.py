@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.conformal.scalars import as_count, as_random
+from conformodal.core.arrays import FloatArray, IntArray
 
-from ..scalars import as_count, as_random
 from .forest import group_values, rank_cosines
 from .mixture import RESIDUAL, Groups, MixtureDensity, least_spread
 from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.model_selection import KFold
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 
 from .process import Folds, SparseProcess
 

@@ -11,16 +11,16 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from conformodal.core import FloatArray
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.calibration import Joint, SplitConformal
+from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_reals
+from conformodal.conformal.diagnostics import Diagnosis, diagnose
+from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
+from conformodal.conformal.regions import Regions
+from conformodal.conformal.scalars import as_number, as_random, brief, shortened
+from conformodal.conformal.scores import Score
+from conformodal.core.arrays import FloatArray
 
-from ..bins import QuantileBins
-from ..calibration import Joint, SplitConformal
-from ..checks import Alpha, as_array, as_doubles, as_reals
-from ..diagnostics import Diagnosis, diagnose
-from ..errors import ConformalError, ConformalTypeError, NotCalibratedError
-from ..regions import Regions
-from ..scalars import as_number, as_random, brief, shortened
-from ..scores import Score
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .smoothing import proba_of_bins
 from .standard import as_sample_weight

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from sklearn.ensemble import ExtraTreesRegressor
 
-from conformodal.core import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 # the group (n,) that every training value is in, and the number of groups
 Grouping: TypeAlias = tuple[IntArray, int]

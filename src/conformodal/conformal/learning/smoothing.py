@@ -9,11 +9,11 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.conformal.checks import as_doubles
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.scalars import shortened
+from conformodal.core.arrays import FloatArray, IntArray
 
-from ..checks import as_doubles
-from ..errors import ConformalError
-from ..scalars import shortened
 from .kernels import log_density, mixture_weights
 
 # standard deviations, in bins, of the Gaussians that the probabilities are smoothed by; 0 leaves them as they are

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning
 
-from conformodal.core import FloatArray, Progress
+from conformodal.conformal.scalars import as_count, as_random
+from conformodal.core.arrays import FloatArray
+from conformodal.core.progress import Progress
 
-from ..scalars import as_count, as_random
 from .forest import LeafForest, group_values
 from .location import GAUSSIAN_PROCESS_ROWS, StackedLocation
 from .mixture import RESIDUAL, MixtureDensity, least_spread

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray
-
-from ..bins import QuantileBins
-from ..checks import as_doubles, as_finite
-from ..errors import ConformalError
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.checks import as_doubles, as_finite
+from conformodal.conformal.errors import ConformalError
+from conformodal.core.arrays import FloatArray, IntArray
 
 # least spread of the values: distances in units of a smaller one may overflow
 _LEAST_SPREAD = 1e-150

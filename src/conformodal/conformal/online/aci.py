@@ -5,8 +5,9 @@ from __future__ import annotations
 from fractions import Fraction
 from math import inf
 
-from ..checks import Alpha, as_alpha
-from ..scalars import as_number
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.conformal.scalars import as_number
+
 from .past import PastScores, as_score
 
 

@@ -8,7 +8,7 @@ from fractions import Fraction
 from math import ceil, inf
 from sys import float_info
 
-from ..scalars import as_count, as_number
+from conformodal.conformal.scalars import as_count, as_number
 
 
 class PastScores:

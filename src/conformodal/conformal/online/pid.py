@@ -6,9 +6,10 @@ from collections.abc import Callable
 from math import inf, pi, sqrt, tan
 from sys import float_info
 
-from ..checks import Alpha, as_alpha
-from ..errors import ConformalError
-from ..scalars import as_number, brief
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.scalars import as_number, brief
+
 from .past import PastScores, as_score
 
 Scorecaster = Callable[[int], float]

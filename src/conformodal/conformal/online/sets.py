@@ -8,15 +8,15 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, RealArray
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.calibration.base import Calibrator, Empty
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_doubles
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.regions import Regions
+from conformodal.conformal.scalars import brief
+from conformodal.conformal.scores import Score
+from conformodal.core.arrays import FloatArray, RealArray
 
-from ..bins import QuantileBins
-from ..calibration.base import Calibrator, Empty
-from ..checks import Alpha, Probabilities, as_alpha, as_doubles
-from ..errors import ConformalError
-from ..regions import Regions
-from ..scalars import brief
-from ..scores import Score
 from .aci import Aci
 from .pid import ConformalPid
 

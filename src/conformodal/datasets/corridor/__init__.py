@@ -1,6 +1,6 @@
 """Worlds whose rooms look alike, and the truth about what looks alike in them."""
 
-from conformodal.core import needing
+from conformodal.core.extras import needing
 
 with needing("train", "the corridor world"):
     import trimesh  # noqa: F401

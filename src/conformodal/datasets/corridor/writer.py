@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from ..staging import staged
+from conformodal.datasets.staging import staged
+
 from .path import FRAME_RATE_HZ, drone_path
 from .render import Renderer
 from .world import CorridorWorld

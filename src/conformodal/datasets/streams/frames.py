@@ -9,9 +9,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.datasets.errors import DatasetError
 from conformodal.poses import PinholeCamera
-
-from ..errors import DatasetError
 
 
 class SourceError(DatasetError):

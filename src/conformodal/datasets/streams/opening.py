@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from conformodal.core.choices import as_member
+from conformodal.datasets.layouts import Layout, read_sequence
 from conformodal.poses import PinholeCamera
 
-from ..layouts import Layout, read_sequence
 from .bag import BagStream, is_bag
 from .frames import FrameStream, SourceError
 from .stored import SequenceStream

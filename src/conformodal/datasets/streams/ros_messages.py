@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.datasets.cameras import UNDISTORT, camera_of, check_matrix
+from conformodal.datasets.decoding import decode
+from conformodal.datasets.errors import DatasetError
 from conformodal.poses import PinholeCamera
 
-from ..cameras import UNDISTORT, camera_of, check_matrix
-from ..decoding import decode
-from ..errors import DatasetError
 from .frames import SourceError
 
 RAW, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"

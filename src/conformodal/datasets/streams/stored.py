@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.datasets.errors import ImageError
+from conformodal.datasets.sequence import Sequence
 from conformodal.poses import PinholeCamera
 
-from ..errors import ImageError
-from ..sequence import Sequence
 from .frames import Frame
 
 

@@ -14,10 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.localization.settings import CAMERA_FIT
 from conformodal.poses import PinholeCamera
-
-from ..settings import CAMERA_FIT
 
 
 class Matches(NamedTuple):

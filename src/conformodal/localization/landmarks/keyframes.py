@@ -10,13 +10,13 @@ import numpy.typing as npt
 import poselib
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import MEDIAN_OF_NORM2, BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.robust import MEDIAN_OF_NORM2
+from conformodal.localization.local_features import LocalFeatures, match, product
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.settings import PNP, RETRIEVAL
 from conformodal.motion.two_view import poselib_camera
 from conformodal.poses import PinholeCamera
-
-from ..local_features import LocalFeatures, match, product
-from ..measurement import PoseMeasurement
-from ..settings import PNP, RETRIEVAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class LandmarkMap:
     poses_se3
         (n, 4, 4) of the keyframes, as given.
     global_descriptors
-        (n, 768), see :class:`~conformodal.localization.LocalFeatures`.
+        (n, 768), see :class:`~conformodal.localization.local_features.LocalFeatures`.
     starts
         (n + 1,) landmarks of keyframe i are ``starts[i]`` to ``starts[i + 1]``.
     points_xyz, descriptors
@@ -72,7 +72,7 @@ class LandmarkMap:
         Parameters
         ----------
         image
-            From :func:`~conformodal.localization.extract_local_features`.
+            From :func:`~conformodal.localization.local_features.extract_local_features`.
         hidden
             (n,) keyframes to leave out.
         most

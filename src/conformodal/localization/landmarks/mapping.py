@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from conformodal.core import FloatArray, IntArray, Progress
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.progress import Progress
+from conformodal.localization.local_features import DESCRIPTOR_BYTES, LocalFeatures, Matcher
+from conformodal.localization.settings import MAPPING
 from conformodal.poses import PinholeCamera
 
-from ..local_features import DESCRIPTOR_BYTES, LocalFeatures, Matcher
-from ..settings import MAPPING
 from .camera_fit import Matches, fit_camera
 from .keyframes import LandmarkMap
 from .triangulation import Rays, triangulate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from conformodal.core import FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera
 
 

@@ -9,16 +9,17 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import FloatArray, IntArray, Progress, stage_of
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.progress import Progress, stage_of
+from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.local_features import LocalFeatures, Matcher
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.settings import ERROR_MODEL, MAPPING, PNP
+from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
 
-from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
-from ..evidence import FrameEvidence
-from ..local_features import LocalFeatures, Matcher
-from ..measurement import PoseMeasurement
-from ..settings import ERROR_MODEL, MAPPING, PNP
-from ..source import SourceAnswer, SourceState, register_source
-from ..source_data import SourceData
 from .keyframes import LandmarkMap
 from .mapping import build_map
 from .overlap import view_overlap

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from conformodal.core import BoolArray, FloatArray
-
-from ..settings import MAPPING
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.localization.settings import MAPPING
 
 
 class Rays(NamedTuple):

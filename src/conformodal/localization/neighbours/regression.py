@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
-from conformodal.vision import Projection
-
-from ..errors import LocalizationError
-from ..settings import NEIGHBOURS
+from conformodal.core.arrays import FloatArray
+from conformodal.localization.errors import LocalizationError
+from conformodal.localization.settings import NEIGHBOURS
+from conformodal.vision.projection import Projection
 
 _CHUNK = 256  # queries at once: their neighbours' features are copied
 

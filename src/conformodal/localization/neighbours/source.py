@@ -8,17 +8,19 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray, IntArray, stage_of
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.progress import stage_of
+from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.settings import NEIGHBOURS
+from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.localization.source_data import SourceData
+from conformodal.localization.targets import target_scale
 from conformodal.poses import angle_between_quats, normalise_quat
-from conformodal.vision import Projection, feature_views
+from conformodal.vision.backbone import feature_views
+from conformodal.vision.projection import Projection
 
-from ..error_model import ErrorModel, HeldOutErrors, fit_error_model
-from ..evidence import FrameEvidence
-from ..measurement import PoseMeasurement
-from ..settings import NEIGHBOURS
-from ..source import SourceAnswer, SourceState, register_source
-from ..source_data import SourceData
-from ..targets import target_scale
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 from .tuning import LeftOut, fit_local
 
@@ -72,7 +74,7 @@ class NeighbourSource:
         Parameters
         ----------
         regression, left_out
-            From :func:`~conformodal.localization.fit_local`.
+            From :func:`~conformodal.localization.neighbours.tuning.fit_local`.
         frames
             That it was fitted on.
         """

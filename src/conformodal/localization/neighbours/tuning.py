@@ -9,11 +9,11 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core import FloatArray
-from conformodal.vision import fit_projection
+from conformodal.core.arrays import FloatArray
+from conformodal.localization.errors import LocalizationError
+from conformodal.localization.settings import NEIGHBOURS
+from conformodal.vision.projection import fit_projection
 
-from ..errors import LocalizationError
-from ..settings import NEIGHBOURS
 from .regression import LocalAnswers, LocalRegression, LocalSettings
 
 # Few components far from the references, many close to them.
@@ -59,7 +59,7 @@ def fit_local(
     features, targets
         (n, F) and (n, d) of the reference samples.
     target_scale
-        (d,), see :class:`~conformodal.localization.LocalRegression`.
+        (d,), see :class:`~conformodal.localization.neighbours.regression.LocalRegression`.
     groups
         (n,) samples of one group are new together.
     choices

@@ -1,0 +1,1 @@
+"""A trained model: settings, pose sources, calibrated regions, and its folder on disk."""

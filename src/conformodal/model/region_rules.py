@@ -1,0 +1,173 @@
+"""Thresholds of a region by its evidence type (Mondrian calibration, Vovk et al. 2003)."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, replace
+from enum import IntEnum, StrEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import SplitConformal
+from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.core.arrays import BoolArray
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+class EvidenceKind(IntEnum):
+    """What a region rests on; each kind has thresholds of its own."""
+
+    GLOBAL = 0  # the image as a whole: local features were not matched
+    UNMATCHED = 1  # local features were matched, and no place was recognised
+    LANDMARKS = 2  # a place was recognised
+    UNKNOWN = 3  # the image is novel: the region is unbounded
+
+
+_MATCHED = (EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS)
+
+
+class Sharing(StrEnum):
+    """Whether the two evidence types of matched local features have thresholds of their own.
+
+    Attributes
+    ----------
+    OWN
+        Each has its own.
+    WIDER
+        Each has the larger of its own and those of both together.
+    SHARED
+        Both have those of both together.
+    """
+
+    OWN = "own"
+    WIDER = "wider"
+    SHARED = "shared"
+
+
+@dataclass(frozen=True, eq=False)
+class RegionRules:
+    """Calibration scores of n frames, and thresholds from them.
+
+    Each evidence type is calibrated on the calibration frames of that type, and a missed frame of the type has
+    probability at most alpha times that of the type: the guarantee holds in each type. Where frames calibrate, this is
+    exact. Where stretches do, it holds as far as the sources of the folds tell types apart as those of all frames do.
+
+    If ``UNMATCHED`` or ``LANDMARKS`` weighs too little for a finite threshold, the two share thresholds, and the
+    guarantee is about both together. Sharing is decided from what the types weigh in the calibration units and the new
+    one together, never from scores: a decision that is the same whichever of these units is the new one leaves them
+    exchangeable. What the types weigh in the new unit is not known, at most 1 in all. Where that could change the
+    decision, both types take the larger thresholds, which cover whatever the decision. See :attr:`sharing`.
+
+    Attributes
+    ----------
+    overall
+        Calibrated on beliefs without local features, on all frames.
+    matched
+        Calibrated on beliefs with local features, on all frames; None where no source looks at them.
+    recognised
+        (n,) whether a place was recognised in each of them.
+    known_p
+        (n,) p-values of each, see :class:`~conformodal.model.place_novelty.PlaceNovelty`.
+    level
+        Images with a p-value of at most this are :attr:`EvidenceKind.UNKNOWN`; so are calibration frames.
+    """
+
+    overall: SplitConformal
+    matched: SplitConformal | None
+    recognised: BoolArray
+    known_p: npt.NDArray[np.float64]
+    level: float
+
+    @cached_property
+    def own(self) -> dict[EvidenceKind, SplitConformal]:
+        """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however little they weigh."""
+        known = self.known_p > self.level
+        rules = {EvidenceKind.GLOBAL: _part(self.overall, known)}
+        if self.matched is not None:
+            rules[EvidenceKind.UNMATCHED] = _part(self.matched, known & ~self.recognised)
+            rules[EvidenceKind.LANDMARKS] = _part(self.matched, known & self.recognised)
+        return rules
+
+    @cached_property
+    def both(self) -> SplitConformal | None:
+        """Calibrated on the frames of ``UNMATCHED`` and ``LANDMARKS`` together; None without local features."""
+        return None if self.matched is None else _part(self.matched, self.known_p > self.level)
+
+    @cached_property
+    def sharing(self) -> Sharing:
+        """Whether ``UNMATCHED`` and ``LANDMARKS`` share thresholds: by the lighter one, with the new unit or without.
+
+        Of their own if each weighs at least ``1 / alpha`` units with the new one, which makes its threshold finite.
+        """
+        if self.matched is None:
+            return Sharing.OWN
+        needed = 1 / self.overall.alpha_per_target
+        least = min(self.own[kind].weight for kind in _MATCHED)
+        if least >= needed:
+            return Sharing.OWN
+        return Sharing.WIDER if least + 1 >= needed else Sharing.SHARED
+
+    @cached_property
+    def of(self) -> dict[EvidenceKind, SplitConformal]:
+        """The rule in force of each evidence type but ``UNKNOWN``."""
+        if self.both is None or self.sharing is Sharing.OWN:
+            return self.own
+        both = self.both
+        shared = self.sharing is Sharing.SHARED
+        return {
+            kind: rule if kind not in _MATCHED else both if shared else _wider(rule, both)
+            for kind, rule in self.own.items()
+        }
+
+    def kinds(
+        self, known_p: npt.NDArray[np.float64], looked: BoolArray, recognised: BoolArray
+    ) -> npt.NDArray[np.int64]:
+        """(m,) kinds of evidence of new images.
+
+        Parameters
+        ----------
+        known_p
+            (m,) their p-values; NaN where images are not tested.
+        looked, recognised
+            (m,) whether local features were extracted, and whether a place was recognised by them.
+        """
+        matched = np.where(recognised, EvidenceKind.LANDMARKS, EvidenceKind.UNMATCHED)
+        kinds = np.where(looked & (self.matched is not None), matched, EvidenceKind.GLOBAL)
+        return np.where(known_p <= self.level, EvidenceKind.UNKNOWN, kinds).astype(np.int64)
+
+    def thresholds(self, kinds: npt.NDArray[np.int64]) -> FloatArray:
+        """(m, 7) thresholds of images with these kinds of evidence."""
+        limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
+        for kind, rule in self.of.items():
+            limits[kinds == kind] = rule.thresholds_
+        return limits
+
+    def at(self, alpha: Alpha) -> RegionRules:
+        """The same calibration at another miscoverage rate.
+
+        Regions of a lower rate hold those of a higher one, unless the types share thresholds at one of the two only.
+        """
+        rate = float(as_alpha(alpha))
+        matched = None if self.matched is None else self.matched.at(rate)
+        return replace(self, overall=self.overall.at(rate), matched=matched)
+
+
+def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
+    part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
+    if rule.joint == "max":
+        part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_
+    if rule.groups_ is None:
+        return part.calibrate_scores(rule.scores_[chosen])
+    # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
+    _, group, counts = np.unique(rule.groups_, return_inverse=True, return_counts=True)
+    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen])
+
+
+def _wider(own: SplitConformal, both: SplitConformal) -> SplitConformal:
+    found = copy(own)
+    found.thresholds_ = np.maximum(own.thresholds_, both.thresholds_)
+    return found

@@ -1,0 +1,303 @@
+"""Saved models: arrays in safetensors, the network in ONNX, everything else in JSON. No pickle, and no code, in any.
+
+``model.json`` holds digests of the other files and one of itself. They tell a file that was damaged or altered
+from the one that was saved; they are no signature, so they do not tell who saved it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
+from conformodal.core.extras import MissingPackageError, needing
+from conformodal.core.files import write_whole
+from conformodal.datasets import Split
+from conformodal.localization.localizer import Localizer
+from conformodal.localization.source import PoseSource, SourceState, find_source
+from conformodal.poses import PinholeCamera
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.vision.backbone import Backbone, BackboneConfig
+from conformodal.vision.onnx_backbone import OnnxBackbone
+
+from .comparison import SourceComparison
+from .errors import ModelFileError
+from .identity import FrameIdentities
+from .model import PoseModel
+from .place_novelty import PlaceNovelty
+from .radius import PoseRadius
+from .region_rules import RegionRules
+
+_FORMAT = "conformodal-model-12"
+_JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
+_NETWORKS = "network-*.onnx"
+_ATTEMPTS = 2
+_DAMAGE = (
+    SafetensorError,
+    AttributeError,
+    IndexError,
+    KeyError,
+    TypeError,
+    ValueError,  # and every error of this package
+    ArithmeticError,
+    RuntimeError,  # torch, and JSON nested without end
+)
+_PARTS = ("train", "calibration", "test")
+_IDENTITIES = ("files", "pixels", "poses")
+_PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
+_PRIOR_DEPTHS = ("depth_m", "depth_spread")
+
+
+def save_model(model: PoseModel, folder: Path) -> None:
+    """Write a model into a folder, created if missing; a model that was there is whole until the new one is."""
+    rules, localizer = model.rules, model.localizer
+    states = {source.name: source.state() for source in localizer.sources}
+    arrays: dict[str, npt.NDArray[Any]] = {
+        f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
+    }
+    network = model.backbone.content if isinstance(model.backbone, OnnxBackbone) else None
+    arrays |= {f"bins.{j}": e for j, e in enumerate(localizer.bins.edges_)}
+    arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
+    arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
+    arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
+    arrays |= {"calibration.overall": rules.overall.scores_, "calibration.known_p": rules.known_p}
+    arrays["calibration.recognised"] = rules.recognised
+    if rules.overall.groups_ is not None:
+        arrays["calibration.groups"] = rules.overall.groups_
+    if rules.matched is not None:
+        arrays["calibration.matched"] = rules.matched.scores_
+    if model.novelty is not None:
+        test = model.novelty.test
+        arrays |= {"novelty.references": test.references, "novelty.groups": test.groups}
+    if rules.overall.joint == "max":
+        arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
+    arrays["sign_reference"] = localizer.sign_reference
+    weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    record: dict[str, Any] = {
+        "format": _FORMAT,
+        "backbone": asdict(model.backbone.config),
+        "backbone_fingerprint": model.backbone.fingerprint,
+        "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
+        "calibration": {
+            "alpha": model.alpha,
+            "score": rules.overall.score.name,
+            "joint": rules.overall.joint,
+            "novelty_level": rules.level,
+        },
+        "prior": _finite(asdict(model.prior)),
+        "camera": asdict(model.camera),
+        "split": {"kind": str(model.split.kind), "seed": model.split.seed},
+        "configuration": model.configuration,
+        "radius": None if model.radius is None else _finite(asdict(model.radius)),
+        "comparison": None if model.comparison is None else asdict(model.comparison),
+        "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        "network": None,
+    }
+    if network is not None:
+        record["network"] = {"sha256": hashlib.sha256(network).hexdigest()}
+    record["sha256"] = _digest(record)
+    # whole at any time: the new files are beside the old ones until the record of the new ones is there
+    if network is not None:
+        write_whole(folder / _network_file(record), network)
+    write_whole(folder / _NEXT, weights)
+    write_whole(folder / _JSON, json.dumps(record, indent=1) + "\n")
+    (folder / _NEXT).replace(folder / _WEIGHTS)
+    for other in folder.glob(_NETWORKS):
+        if network is None or other.name != _network_file(record):
+            other.unlink(missing_ok=True)
+
+
+def load_model(folder: Path | str) -> PoseModel:
+    """Read a model back.
+
+    Raises
+    ------
+    ModelFileError
+        If a file is missing, damaged or altered, or was made for another version or backbone.
+    """
+    folder = Path(folder)
+    try:
+        record, content, network = _read(folder)
+        return _assemble(record, load_tensors(content), network, folder)
+    except (ModelFileError, MissingPackageError):
+        raise
+    except _DAMAGE as exc:
+        raise ModelFileError(f"{folder}: is no complete {_FORMAT}: {type(exc).__name__}: {exc}") from exc
+
+
+def model_digest(folder: Path) -> str | None:
+    """Digest of the trained model in a folder, which a radius given later does not change; None without a model."""
+    try:
+        digest = _read_record(folder / _JSON)["weights_sha256"]
+    except (ModelFileError, KeyError):
+        return None
+    return str(digest)
+
+
+def _network_file(record: dict[str, Any]) -> str:
+    return _NETWORKS.replace("*", record["network"]["sha256"][:8])
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
+    """The record, and the files that it names; read again where another process has just replaced them."""
+    for attempt in range(_ATTEMPTS):
+        record = _read_record(folder / _JSON)
+        try:
+            weights = _named((folder / _NEXT, folder / _WEIGHTS), record["weights_sha256"])
+            if record.get("network") is None:
+                return record, weights, None
+            return record, weights, _named((folder / _network_file(record),), record["network"]["sha256"])
+        except ModelFileError:
+            if attempt + 1 == _ATTEMPTS:
+                raise
+    raise AssertionError
+
+
+def _named(paths: Sequence[Path], sha256: str) -> bytes:
+    """The content of the one of these files whose digest is `sha256`."""
+    problem = ""
+    for path in paths:
+        try:
+            content = path.read_bytes()
+        except OSError as exc:
+            problem = f"cannot be read: {exc.strerror}"
+            continue
+        if hashlib.sha256(content).hexdigest() == sha256:
+            return content
+        problem = f"is not the file that was saved with {_JSON}: its digest differs"
+    raise ModelFileError(f"{paths[-1]}: {problem}")
+
+
+def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Backbone:
+    config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
+    if network is not None:
+        return OnnxBackbone(config, network)
+    with needing("train", f"{folder}: a model that runs its network in torch"):
+        from conformodal.networks import TorchBackbone  # noqa: PLC0415
+
+    backbone = TorchBackbone(config)
+    if backbone.fingerprint != record["backbone_fingerprint"]:
+        raise ModelFileError(
+            f"{folder / _WEIGHTS}: was trained on features of {config.name} in another version; install the one that "
+            "made it, or train again"
+        )
+    return backbone
+
+
+def _assemble(
+    record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
+) -> PoseModel:
+    backbone = _backbone(record, network, folder)
+    bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
+    sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
+    how, split = record["calibration"], record["split"]
+    return PoseModel(
+        backbone=backbone,
+        localizer=Localizer(sources, bins, arrays["sign_reference"]),
+        novelty=_novelty(arrays, backbone.config.grid),
+        rules=_rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays),
+        prior=_prior(record["prior"]),
+        camera=_camera(record["camera"]),
+        split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
+        known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
+        configuration=record["configuration"],
+        radius=_radius(record["radius"], folder),
+        comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
+    )
+
+
+def _numbered(arrays: dict[str, npt.NDArray[Any]], name: str) -> list[npt.NDArray[Any]]:
+    """The arrays ``NAME.0``, ``NAME.1``, ..."""
+    n = sum(key.startswith(f"{name}.") for key in arrays)
+    return [arrays[f"{name}.{j}"] for j in range(n)]
+
+
+def _source(name: str, settings: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> PoseSource:
+    start = f"source.{name}."
+    its = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+    return find_source(name).from_state(SourceState(its, settings))
+
+
+def _rules(cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> RegionRules:
+    matched = None
+    if "calibration.matched" in arrays:
+        matched = _calibration(cells, how, arrays, "calibration.matched")
+    overall = _calibration(cells, how, arrays, "calibration.overall")
+    recognised, known_p = arrays["calibration.recognised"], arrays["calibration.known_p"]
+    return RegionRules(overall, matched, recognised, known_p, float(how["novelty_level"]))
+
+
+def _calibration(
+    bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], scores: str
+) -> SplitConformal:
+    calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
+    if calibration.joint == "max":
+        calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
+    return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
+
+
+def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
+    if "novelty.references" not in arrays:
+        return None
+    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), grid)
+
+
+def _camera(record: dict[str, Any]) -> PinholeCamera:
+    return PinholeCamera(**{**record, "distortion": tuple(record["distortion"])})
+
+
+def _finite(record: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no infinity and no NaN: null stands for them."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+
+
+def _prior(record: dict[str, Any]) -> MotionPrior:
+    tables = {k: tuple(record[k]) for k in _PRIOR_TABLES}
+    depths = {k: math.nan if record[k] is None else float(record[k]) for k in _PRIOR_DEPTHS}
+    return MotionPrior(**{**record, **tables, **depths})
+
+
+def _radius(record: dict[str, Any] | None, folder: Path) -> PoseRadius | None:
+    if record is None:
+        return None
+    if record.pop("sizing", "none") != "none":
+        warnings.warn(
+            f"{folder}: its radius depends on the recording, which is no longer supported, and is left out: run "
+            "`conformodal calibrate` again",
+            stacklevel=4,
+        )
+        return None
+    limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
+    return PoseRadius(**{**record, "radius_rad": limit})
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as exc:
+        raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
+    except (ValueError, RecursionError) as exc:
+        raise ModelFileError(f"{path}: is no JSON: {exc}") from exc
+    if not isinstance(record, dict) or record.get("format") != _FORMAT:
+        found = record.get("format") if isinstance(record, dict) else type(record).__name__
+        raise ModelFileError(f"{path}: holds format {found!r}, expected {_FORMAT!r}")
+    stated = record.pop("sha256", None)
+    if stated != _digest(record):
+        raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")
+    return record
+
+
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,187 @@
+"""How ambiguous places are: whether the calibrated region of a frame holds one known place, or several."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from conformodal.conformal import Regions
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.localization.targets import TARGET_NAMES, pose_targets
+from conformodal.model.model import Localization
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.poses import Trajectory
+
+from .settings import QUALITY
+from .view_coverage import runs_of
+from .views import KnownViews, ViewScale
+
+
+@dataclass(frozen=True)
+class AmbiguousStretch:
+    """Held-out frames whose regions hold several places that are known.
+
+    Attributes
+    ----------
+    first, last, n_frames
+        The first and the last of them, and how many of those that were looked at.
+    n_places
+        Most places that one of the regions holds.
+    place_xyz
+        Where they are, in metres: the true place of the middle one, or that of its belief where it has no pose.
+    alike
+        Known frames elsewhere that lie in these regions, as stretches of their own numbers.
+    """
+
+    first: int
+    last: int
+    n_frames: int
+    n_places: int
+    place_xyz: tuple[float, float, float]
+    alike: list[tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Ambiguity:
+    """Of m frames that no source of the regions has seen.
+
+    Attributes
+    ----------
+    frames
+        (m,) their numbers.
+    n_places
+        (m,) places in each region; 0 where the region is unbounded in some target.
+    n_unknown
+        Frames that show no place that is known, by the model's test.
+    mean_intervals
+        Of the regions of all other frames, by target; empty if there are none.
+    stretches
+        Those with several places, in the order of time.
+    """
+
+    frames: IntArray
+    n_places: IntArray
+    n_unknown: int
+    mean_intervals: dict[str, float]
+    stretches: list[AmbiguousStretch] = field(default_factory=list)
+
+
+class KnownPlaces:
+    """Known frames, gathered to places: each is near the first frame of its place.
+
+    Parameters
+    ----------
+    poses
+        Of k known frames.
+    targets
+        (k, 7) the same as targets of the regions.
+    scale
+        What is near.
+    """
+
+    def __init__(self, poses: Trajectory, targets: FloatArray, scale: ViewScale) -> None:
+        self.targets = targets
+        self.place = np.full(len(poses), -1)
+        heads: list[int] = []
+        while (self.place < 0).any():
+            head = int(np.argmax(self.place < 0))
+            free = np.flatnonzero(self.place < 0)
+            near = scale.change(poses[free], poses[np.full(len(free), head)]) <= QUALITY.place
+            self.place[free[near]] = len(heads)
+            heads.append(head)
+        at = poses[np.array(heads, dtype=np.int64)]
+        n = len(heads)
+        # heads of neighbouring places are up to twice as far apart as a frame from its head
+        self._linked = np.array([scale.change(at, at[np.full(n, i)]) <= 2 * QUALITY.place for i in range(n)])
+
+    def held(self, regions: Regions) -> BoolArray:
+        """(m, k) whether each region holds each known frame."""
+        codes = regions.bins.encode(self.targets)
+        inside = np.ones((len(regions), len(codes)), dtype=np.bool_)
+        for j, mask in enumerate(regions.masks):
+            column = mask[:, np.maximum(codes[:, j], 0)] & (codes[:, j] >= 0)
+            inside &= column | regions.unbounded[:, j, None]
+        return inside
+
+    def parts(self, held: BoolArray) -> IntArray:
+        """Which of several separate places each known frame in a region is at: (k,) numbers, -1 outside the region."""
+        there = np.unique(self.place[held])
+        _, label = connected_components(coo_array(self._linked[np.ix_(there, there)]), directed=False)
+        part = np.full(len(held), -1)
+        part[held] = label[np.searchsorted(there, self.place[held])]
+        return part
+
+
+def ambiguity(
+    frames: IntArray,
+    recording: IntArray,
+    found: Localization,
+    known: Trajectory,
+    truth: Trajectory | None,
+    sign_reference: FloatArray,
+    scale: ViewScale,
+) -> Ambiguity:
+    """Count the known places in each region.
+
+    Parameters
+    ----------
+    frames, recording
+        (m,) numbers of frames that no source has seen, and of their recordings.
+    found
+        What the model says of them.
+    known
+        Poses of the frames that its sources know.
+    truth
+        Poses of the m frames, or None: then all places in a region are named, that of the frame among them.
+    sign_reference
+        (4,) quaternion that fixes the signs of quaternions.
+    scale
+        What is near.
+    """
+    regions = found.regions
+    bounded: BoolArray = np.asarray(~regions.unbounded.any(axis=1))
+    places = KnownPlaces(known, pose_targets(known, sign_reference), scale)
+    own = None if truth is None else KnownViews(known, scale).nearest(truth).index
+    n_places, elsewhere = np.zeros(len(frames), dtype=np.int64), np.zeros((len(frames), len(known)), dtype=np.bool_)
+    for i in np.flatnonzero(bounded).tolist():
+        held = places.held(regions[i : i + 1])[0]
+        if own is not None:  # the frame's own place counts whether the region reaches a known frame of it or not
+            held[own[i]] = True
+        part = places.parts(held)
+        n_places[i] = max(1, part.max(initial=-1) + 1)
+        elsewhere[i] = held if own is None else held & (part != part[own[i]])
+    where = most_probable(found) if truth is None else truth.positions_xyz
+    stretches = []
+    for whole in runs_of(n_places > 1, np.arange(len(frames)), recording):
+        run = whole[n_places[whole] > 1]
+        x, y, z = where[run[len(run) // 2]].tolist()
+        counts = elsewhere[run].sum(axis=0)
+        stretches.append(
+            AmbiguousStretch(
+                int(frames[run[0]]), int(frames[run[-1]]), len(run), int(n_places[run].max()), (x, y, z), _alike(counts)
+            )
+        )
+    mean = regions[bounded].n_intervals.mean(axis=0).tolist() if bounded.any() else []
+    return Ambiguity(
+        frames,
+        n_places,
+        int((found.kinds == EvidenceKind.UNKNOWN).sum()),
+        dict(zip(TARGET_NAMES, mean, strict=False)),
+        stretches,
+    )
+
+
+def most_probable(found: Localization) -> FloatArray:
+    """(m, 3) positions of the most probable hypotheses of each image by itself."""
+    return np.array([c.positions_xyz[int(np.argmax(c.log_mass))] for c in found.candidates])
+
+
+def _alike(counts: IntArray) -> list[tuple[int, int]]:
+    """Stretches of known frames that lie in most of the regions, the most common first."""
+    every = np.arange(len(counts))
+    runs = list(runs_of(counts > 0, every, np.zeros_like(every)))
+    runs.sort(key=lambda run: -int(counts[run].max()))
+    return [(int(run[0]), int(run[-1])) for run in runs[: QUALITY.most_alike]]

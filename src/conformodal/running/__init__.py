@@ -1,0 +1,1 @@
+"""Answering recordings and streams with a trained model, and writing the results."""

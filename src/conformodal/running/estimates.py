@@ -1,0 +1,162 @@
+"""Estimates: of one frame of a stream, and of all frames of a sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import Regions
+from conformodal.core.arrays import IntArray
+from conformodal.core.choices import as_member
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.model.errors import OdometryError
+from conformodal.model.model import Localization
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.motion.tracker import Corners
+from conformodal.poses import RelativeMotion, Submap, Trajectory
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.observations import Observations
+
+from .paths import METHODS
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The estimate of one frame of a stream.
+
+    Attributes
+    ----------
+    timestamp_s
+        Seconds.
+    pose
+        The candidate that the motion so far speaks for, as a trajectory of one, or None without an image. A point
+        estimate: the guarantee is the region's.
+    revised
+        The best path through the last frames, oldest first, this one last; or None without an image. What was said of
+        a frame may change until `lag` frames have followed it.
+    region
+        Calibrated region of this frame alone (length 1), or None without an image. Where landmarks were looked for, it
+        rests on them too, and is smaller.
+    candidates
+        Candidate poses, or None without an image.
+    relative_motion
+        Motion since the last usable frame, or None.
+    tracks
+        Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
+    corners
+        All corners here, or None without an image.
+    estimates
+        Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none or local features
+        were not matched.
+    known_p
+        Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
+        tested. The region is unbounded where it is small.
+    evidence
+        What the region rests on; None without an image.
+    position_spread_m, orientation_spread_rad
+        How far off the pose may be, by its own account: spreads of the path's errors; None without an image. They grow
+        while the path is bridged by motion alone.
+    matched
+        Whether local features were matched.
+    localization
+        Belief and region of this frame alone; None without an image.
+    reliable
+        False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
+
+    Raises
+    ------
+    OdometryError
+        If `evidence` is not one of :class:`EvidenceKind`.
+    """
+
+    timestamp_s: float
+    pose: Trajectory | None
+    revised: Trajectory | None
+    region: Regions | None
+    candidates: Candidates | None
+    relative_motion: RelativeMotion | None
+    reliable: bool
+    problem: str = ""
+    localization: Localization | None = None
+    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    corners: Corners | None = None
+    estimates: list[PoseMeasurement] = field(default_factory=list)
+    known_p: float | None = None
+    evidence: EvidenceKind | None = None
+    position_spread_m: float | None = None
+    orientation_spread_rad: float | None = None
+    matched: bool = False
+
+    def __post_init__(self) -> None:
+        if self.evidence is not None:
+            object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceKind, "evidence", OdometryError))
+
+
+@dataclass(eq=False)
+class OdometryRun:
+    """Estimates of the frames of a sequence, and what they rest on.
+
+    Attributes
+    ----------
+    frames
+        (m,) indices into the sequence that were answered.
+    timestamps_s
+        (m,) seconds.
+    localization
+        Belief, region and novelty of each frame alone.
+    candidates, motions
+        One a frame; ``motions[t]`` leads from the frame before.
+    submaps
+        Of these frames, by their place in `frames`.
+    trajectories
+        By method, see :data:`METHODS`.
+    answer
+        Which of them is the answer.
+    unreadable
+        Frames that could not be decoded, and why.
+    """
+
+    frames: IntArray
+    timestamps_s: npt.NDArray[np.float64]
+    localization: Localization
+    candidates: list[Candidates]
+    motions: list[RelativeMotion | None]
+    submaps: list[Submap]
+    trajectories: dict[str, Trajectory]
+    unreadable: dict[int, str] = field(default_factory=dict)
+    answer: str = METHODS[0]
+
+    @property
+    def regions(self) -> Regions:
+        """Calibrated regions, one a frame."""
+        return self.localization.regions
+
+    @property
+    def known_p(self) -> npt.NDArray[np.float64]:
+        """(m,) p-values of showing a known place; NaN where images are not tested."""
+        return self.localization.known_p
+
+    @property
+    def kinds(self) -> IntArray:
+        """(m,) what each region rests on, see :class:`EvidenceKind`."""
+        return self.localization.kinds
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The trajectory of the method :attr:`answer`."""
+        return self.trajectories[self.answer]
+
+    @property
+    def reliable(self) -> npt.NDArray[np.bool_]:
+        """(m,) whether a frame shows a known place, and motion since the frame before, if any, could be used."""
+        moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
+        return np.asarray(moving & (self.kinds != EvidenceKind.UNKNOWN))
+
+    def observations(self, at: IntArray) -> Observations:
+        """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""
+        places = {place: k for k, place in enumerate(at.tolist())}
+        submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
+        motions = [self.motions[t] for t in at]
+        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps)

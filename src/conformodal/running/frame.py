@@ -1,0 +1,76 @@
+"""Checks of images, timestamps and indices of frames, which bring them into one form."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.model.errors import OdometryError
+from conformodal.poses import PinholeCamera
+
+
+def as_image(image: Any, camera: PinholeCamera) -> npt.NDArray[np.uint8] | str:
+    """An image in the camera's size, contiguous; or, as text, why it is none.
+
+    Parameters
+    ----------
+    image
+        (height, width, 3) RGB, 8 bits; an array, or what NumPy makes one of, such as a Pillow image.
+    camera
+        Says the size.
+    """
+    if image is None:
+        return "no image"
+    expected = (camera.height, camera.width, 3)
+    try:
+        found = np.asarray(image)
+    except Exception as exc:  # whatever the object raises: it is no image, and the stream goes on
+        return f"image is a {type(image).__name__} that is no array ({type(exc).__name__}: {exc})"
+    if np.ma.is_masked(image):
+        return "image is masked, expected all pixels"
+    if found.shape != expected or found.dtype != np.uint8:
+        return f"image is {found.dtype} {found.shape}, expected uint8 {expected}"
+    return np.ascontiguousarray(found)  # flipped views too: others read its memory
+
+
+def as_time(timestamp_s: Any, last_s: float | None) -> float:
+    """A timestamp in seconds, later than the last one.
+
+    Raises
+    ------
+    OdometryError
+        If it is no finite number, or not later.
+    """
+    try:
+        found = float(timestamp_s)
+    except (TypeError, ValueError, OverflowError):
+        raise OdometryError(f"timestamp must be a number of seconds, got {timestamp_s!r}") from None
+    if not math.isfinite(found):
+        raise OdometryError(f"timestamp must be finite, got {found} s")
+    if last_s is not None and not found > last_s:
+        raise OdometryError(f"timestamps must increase: {found} s follows {last_s} s")
+    return found
+
+
+def as_frames(frames: npt.ArrayLike, n: int) -> npt.NDArray[np.int64]:
+    """Increasing indices (m,) of some of n frames.
+
+    Raises
+    ------
+    OdometryError
+        If they are something else.
+    """
+    found = np.asarray(frames)
+    if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
+        raise OdometryError(f"frames must be whole numbers of shape (m,), got {found.dtype} {found.shape}")
+    wanted = found.astype(np.int64)
+    if wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any()):
+        raise OdometryError(f"frames must increase and lie within 0 and {n - 1}, got {_few(wanted)}")
+    return wanted
+
+
+def _few(values: npt.NDArray[np.int64]) -> str:
+    return np.array2string(values, threshold=8, edgeitems=3, separator=", ")

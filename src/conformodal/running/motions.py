@@ -1,0 +1,101 @@
+"""What is measured in frames without a network: relative motions, submaps, local features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from conformodal.core.arrays import IntArray
+from conformodal.core.progress import StageProgress
+from conformodal.datasets import ImageError, Sequence
+from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.motion.frontend import FrontEnd, MotionFrontEnd
+from conformodal.motion.submaps import build_submaps
+from conformodal.motion.tracker import Corners
+from conformodal.poses import RelativeMotion, Submap
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRecord:
+    """Motion between the answered frames of a sequence.
+
+    Attributes
+    ----------
+    motions
+        By frame: the motion from the answered frame before; None for the first of a recording.
+    unreadable
+        Frames that could not be decoded, and why.
+    submaps
+        Of the answered frames; each lies within one recording.
+    local_features
+        By frame; empty where they were not asked for.
+    """
+
+    motions: dict[int, RelativeMotion | None]
+    unreadable: dict[int, str]
+    submaps: list[Submap] = field(default_factory=list)
+    local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+
+    def submaps_of(self, frames: IntArray) -> list[Submap]:
+        """Submaps of `frames` (m,), by their place among these."""
+        places = {frame: k for k, frame in enumerate(frames.tolist())}
+        return [own for submap in self.submaps if (own := submap.renumbered(places)) is not None]
+
+
+def measure_motions(
+    sequence: Sequence,
+    frames: IntArray,
+    progress: StageProgress | None = None,
+    *,
+    front_end: FrontEnd | None = None,
+    local: bool = True,
+) -> MotionRecord:
+    """Relative motions and submaps of `frames` of a sequence, followed through all frames between them.
+
+    Parameters
+    ----------
+    sequence
+        Frames in order of time.
+    frames
+        Increasing indices.
+    progress
+        Called with the stage, frames done and frames in all.
+    front_end
+        Measures them; :class:`~conformodal.motion.frontend.MotionFrontEnd` by default.
+    local
+        Whether submaps are built and local features extracted.
+    """
+    answer = set(frames.tolist())
+    front_end = front_end or MotionFrontEnd(sequence.camera)
+    found = MotionRecord({}, {})
+    recording = None
+    corners: dict[int, Corners] = {}
+    span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
+    for done, i in enumerate(span, start=1):
+        if sequence.recording[i] != recording:
+            _add_submaps(found, corners, sequence)
+            corners = {}
+            front_end.reset()
+            recording = sequence.recording[i]
+        try:
+            image = sequence.image(i)
+        except ImageError as exc:
+            if i in answer:
+                found.unreadable[i] = str(exc)
+            continue
+        if i in answer:
+            found.motions[i] = front_end.measure(image)
+            if local:
+                corners[i] = front_end.corners
+                found.local_features[i] = extract_local_features(image, sequence.camera)
+        else:
+            front_end.pass_by(image)
+        if progress is not None:
+            progress("motion", done, len(span))
+    _add_submaps(found, corners, sequence)
+    return found
+
+
+def _add_submaps(found: MotionRecord, corners: dict[int, Corners], sequence: Sequence) -> None:
+    frames = dict(enumerate(corners))
+    submaps = (submap.renumbered(frames) for submap in build_submaps(list(corners.values()), sequence.camera))
+    found.submaps.extend(submap for submap in submaps if submap is not None)

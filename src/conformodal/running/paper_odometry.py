@@ -1,0 +1,132 @@
+"""The paper's system, as it stands: a network with softmaxes, their calibration, and greedy reasoning."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import IntArray
+from conformodal.core.progress import StageProgress
+from conformodal.datasets import Sequence
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.model.config import Method
+from conformodal.model.errors import OdometryError
+from conformodal.model.model import Localization, PoseModel
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.poses import Trajectory
+from conformodal.reasoning.candidates import interval_candidates, interval_runs
+from conformodal.reasoning.greedy import Greedy, greedy
+
+from .estimates import Estimate, OdometryRun
+from .estimator import VisualOdometry
+from .motions import MotionRecord, measure_motions
+from .odometry import Odometry
+from .paths import PAPERS_METHOD, as_trajectory, rows_by_recording
+
+
+class PaperOdometry(Odometry):
+    """The paper's system on a stream or a sequence; its estimates have the form of those of :class:`VisualOdometry`.
+
+    Parameters
+    ----------
+    model
+        Trained with :meth:`ModelConfig.paper`.
+
+    Raises
+    ------
+    OdometryError
+        If the model is another.
+    """
+
+    answer = PAPERS_METHOD
+    lag, match_every = 0, 1
+    whole_paths = False  # what a stream is told is final
+
+    def __init__(self, model: PoseModel) -> None:
+        if model.method is not Method.PAPER:
+            raise OdometryError("the model was not trained with the paper's method; VisualOdometry runs it")
+        self.model = model
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream so far."""
+        self._front_end = EssentialFrontEnd(self.model.camera)
+        self._path = Greedy()
+        self._seen_s = None
+
+    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
+        found = _localize(self.model, self.model.backbone.features_of(image))
+        proba, region = found.beliefs.proba, found.regions
+        motion = self._front_end.measure(image)
+        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
+        pose = as_trajectory(path)
+        reliable = motion is None or motion.reliable
+        return Estimate(
+            timestamp_s,
+            pose,
+            pose,
+            region,
+            interval_candidates(proba, region)[0],
+            motion,
+            reliable,
+            "" if reliable or motion is None else str(motion.status),
+            found,
+            self._front_end.tracks,
+            self._front_end.corners,
+            evidence=EvidenceKind.GLOBAL,
+            position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
+            orientation_spread_rad=float(path.orientation_spreads_rad[0]),
+        )
+
+    def measure_motions(
+        self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
+    ) -> MotionRecord:
+        """Relative motions of `frames` as the paper has them."""
+        return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
+
+    def _answered(
+        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
+    ) -> OdometryRun:
+        localization = _localize(self.model, features)
+        proba, regions = localization.beliefs.proba, localization.regions
+        times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
+        intervals, moved = interval_runs(proba, regions), [motions.motions[i] for i in frames.tolist()]
+        positions, quats = np.empty((frames.size, 3)), np.empty((frames.size, 4))
+        for at in rows_by_recording(recording):
+            path = greedy([intervals[t] for t in at], [moved[t] for t in at], times[at])
+            positions[at], quats[at] = path.positions_xyz, path.orientations_quat_wxyz
+        return OdometryRun(
+            frames=frames,
+            timestamps_s=times,
+            localization=localization,
+            candidates=interval_candidates(proba, regions),
+            motions=moved,
+            submaps=[],
+            trajectories={self.answer: Trajectory(times, positions, quats)},
+            unreadable=motions.unreadable,
+            answer=self.answer,
+        )
+
+
+def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localization:
+    """Regions of n images as the paper has them: sets of bins, whatever the image."""
+    beliefs = model.localizer.beliefs(FrameEvidence(features))
+    n = len(features)
+    kinds = np.full(n, EvidenceKind.GLOBAL, dtype=np.int64)
+    return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
+
+
+def odometry_of(model: PoseModel, match_every: int = 1) -> Odometry:
+    """The system that runs a model, by the model's method.
+
+    Parameters
+    ----------
+    model
+        Trained and calibrated.
+    match_every
+        See :class:`VisualOdometry`; the paper's system looks at no local features.
+    """
+    if model.method is Method.PAPER:
+        return PaperOdometry(model)
+    return VisualOdometry(model, match_every=match_every)

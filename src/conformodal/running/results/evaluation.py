@@ -1,0 +1,248 @@
+"""Evaluation of a run: errors of every method, and coverage of the regions with its exact band."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import SplitConformal, grouped_coverage_band
+from conformodal.datasets import SplitKind
+from conformodal.localization.targets import TARGET_NAMES
+from conformodal.model.comparison import SourceComparison
+from conformodal.model.model import PoseModel
+from conformodal.model.radius import PoseRadius
+from conformodal.model.region_rules import EvidenceKind, RegionRules, Sharing
+from conformodal.poses import Trajectory, trajectory_errors
+from conformodal.running.paths import ONLINE
+
+from .statistics import RegionStatistics
+
+_ASSUMPTION_HELD = (
+    "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "
+    "evidence follows a Beta-binomial law, and the central 99 % of their sum is the band."
+)
+_ASSUMPTION_EACH = (
+    "Frames were split at random, so calibration and test frames are exchangeable: in each kind of evidence the "
+    "covered count of a target follows a Beta-binomial law, and the central 99 % of their sum is the target's band. "
+    "For the whole pose there is no exact law."
+)
+_ASSUMPTION_MIXED = (
+    "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
+    "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
+)
+_ASSUMPTION_SHARED = (
+    "Frames were split at random, so calibration and test frames are exchangeable. One of the two evidence types of "
+    "matched local features has too few calibration frames for thresholds of its own, so the guarantee is about both "
+    "types together; there is no exact band for the count."
+)
+_ASSUMPTION_STRETCHES = (
+    "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The "
+    "guarantee is about a frame drawn at random from a new stretch, if stretches are exchangeable and the "
+    "nonconformity scores of the sources, which now know all of them, are no larger than those of "
+    "sources that lacked some; smaller errors are not enough. Where stretches calibrate, other stretches of the same "
+    "recording were known: the guarantee does not reach a recording of which nothing was known. Coverage here is an "
+    "observation."
+)
+_ASSUMPTION_SEEN = (
+    "The sources of the regions learnt from these frames, or were calibrated on them: coverage here says nothing about "
+    "new ones."
+)
+_ASSUMPTION_BROKEN = (
+    "The evaluated frames are not the ones, or not all of them, that were held out at random, one by one, together "
+    "with the calibration frames, so the two are not exchangeable: coverage here is an observation, and no guarantee "
+    "applies."
+)
+
+
+def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[str, dict[str, float]]:
+    """``rmse_m``, ``rmse_deg`` and medians of every trajectory, by its name: first of the one that a robot gets."""
+    ordered = sorted(trajectories, key=lambda name: name != ONLINE)
+    return {name: trajectory_errors(trajectories[name], truth) for name in ordered}
+
+
+def coverage_table(
+    statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, matched_all: bool = True, seen: bool = False
+) -> dict[str, Any]:
+    """Coverage and size of the regions.
+
+    Parameters
+    ----------
+    statistics
+        Of the regions of the frames that were answered.
+    model
+        Gives alpha and the number of calibration frames.
+    exchangeable
+        Whether these frames are exchangeable with the calibration frames: the test part of an ``interleaved``
+        split.
+    matched_all
+        Whether local features were matched in all of them. Otherwise there were two calibrations, each of which keeps
+        its promise. A band is stated for frames that are exchangeable and have one calibration.
+    seen
+        Whether they are of the training or the calibration part.
+    """
+    inside, finite = statistics.inside, np.asarray(~statistics.unbounded.any(axis=1))
+    rules = model.rules
+    kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
+    # types that share thresholds are one in the law
+    laws: dict[int, tuple[int, int]] = {}
+    for _, rule, count in kinds:
+        laws[id(rule)] = (rule.n_units, laws.get(id(rule), (0, 0))[1] + count)
+    met = [(n, count) for n, count in laws.values() if count]
+    met += [(0, int((statistics.kinds == EvidenceKind.UNKNOWN).sum()))]  # always covered
+    by_frame = rules.overall.groups_ is None
+    # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
+    one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
+    shared = rules.matched is not None and rules.sharing is not Sharing.OWN
+    one_law = one_law and (not shared or _shared_whatever(rules, kinds))
+    calibration = model.calibration_of(local=matched_all)
+    held = np.asarray(inside.all(axis=1))
+    whole = calibration.joint == "max"
+    band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
+    each = met if one_law and not whole else None
+    return {
+        "alpha": float(calibration.alpha),
+        "joint": calibration.joint,
+        "alpha_per_target": float(calibration.alpha_per_target),
+        "score": calibration.score.name,
+        "n_calibration": model.n_calibration,
+        "n_evaluated": len(statistics),
+        "whole_space": bool(statistics.unbounded[statistics.kinds != EvidenceKind.UNKNOWN].any()),
+        "abstained": float((~finite).mean()),
+        **bounded_coverage(held, finite),
+        "by_evidence": {
+            kind.name.lower(): {
+                "frames": count,
+                "calibrated_on": rule.n_units,
+                "thresholds": str(Sharing.OWN if kind is EvidenceKind.GLOBAL else rules.sharing),
+                "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
+                **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
+            }
+            for kind, rule, count in kinds
+        },
+        "targets": {name: _target_row(statistics, j, calibration, each) for j, name in enumerate(TARGET_NAMES)},
+        "joint_coverage": float(held.mean()),
+        "joint_band_99": None if band is None else list(band),
+        "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
+        "regions_from": _regions_from(model, matched_all=matched_all),
+        "assumption": _assumption(
+            exchangeable and by_frame,
+            by_frame,
+            whole,
+            one_law,
+            seen,
+            shared=shared and matched_all,
+            comparison=model.comparison,
+        ),
+    }
+
+
+def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is.
+
+    Parameters
+    ----------
+    held, bounded
+        (n,) whether each region holds the whole pose, and whether it is bounded in every target.
+    """
+    n = int(bounded.sum())
+    return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
+
+
+def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceKind, SplitConformal, int]]) -> bool:
+    """Whether two types share thresholds however these frames and those that calibrate are drawn from all together."""
+    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind is not EvidenceKind.GLOBAL]
+    return min(both) + 1 < 1 / rules.overall.alpha_per_target
+
+
+def _target_row(
+    statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
+) -> dict[str, Any]:
+    """Coverage and size for one target; with the band of its coverage where `met` counts the frames of each kind."""
+    finite = ~statistics.unbounded.any(axis=1)
+    row: dict[str, Any] = {
+        "coverage": float(statistics.inside[:, j].mean()),
+        "bounded_coverage": float(statistics.inside[finite, j].mean()) if finite.any() else None,
+        "mean_length": float(statistics.length[finite, j].mean()) if finite.any() else None,
+        "mean_intervals": float(statistics.n_intervals[:, j].mean()),
+    }
+    if met is not None:
+        low, high = grouped_coverage_band(met, calibration.alpha_per_target)
+        row |= {"band_99": [low, high], "inside_band": low <= row["coverage"] <= high}
+    return row
+
+
+def _assumption(
+    promised: bool,
+    by_frame: bool,
+    whole: bool,
+    one_law: bool,
+    seen: bool,
+    *,
+    shared: bool,
+    comparison: SourceComparison | None,
+) -> str:
+    """What the coverage rests on, for people."""
+    if promised and shared and not one_law:
+        return _ASSUMPTION_SHARED
+    if promised:
+        return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
+    if seen:
+        return _ASSUMPTION_SEEN
+    if by_frame:
+        return _ASSUMPTION_BROKEN
+    return _ASSUMPTION_STRETCHES if comparison is None else f"{_ASSUMPTION_STRETCHES} {comparison.describe()}."
+
+
+def radius_table(
+    radius: PoseRadius | None,
+    trajectories: dict[str, Trajectory],
+    truth: Trajectory | None,
+    frames: npt.NDArray[np.int64] | None = None,
+) -> dict[str, Any] | None:
+    """The chosen pose's radius, what it guarantees, and how many frames it held if the truth is known.
+
+    Parameters
+    ----------
+    radius
+        Of the model; None gives None.
+    trajectories
+        By method.
+    truth
+        Of the same frames, or of `frames`; or None.
+    frames
+        Indices of the frames that `truth` is of; None for all.
+    """
+    if radius is None:
+        return None
+    estimate = trajectories[radius.method]
+    of = np.arange(len(estimate)) if frames is None else frames
+    held = None if truth is None else float(radius.holds(estimate[of], truth).mean())
+    return {
+        "radius_m": _finite(radius.radius_m),
+        "radius_deg": _finite(radius.radius_deg),
+        "alpha": radius.alpha,
+        "promise": str(radius.promise),
+        "method": radius.method,
+        "n_recordings": radius.n_recordings,
+        "share_held": held,
+        "assumption": radius.assumption,
+    }
+
+
+def is_exchangeable(model: PoseModel, part: str | None) -> bool:
+    """Whether the guarantee reaches a part, if all its frames are answered: only the test part of ``interleaved``."""
+    return part == "test" and model.split.kind is SplitKind.INTERLEAVED
+
+
+def _regions_from(model: PoseModel, *, matched_all: bool) -> str:
+    """What the regions rest on, for people."""
+    names = " + ".join(source.name for source in model.localizer.sources)
+    where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
+    return f"one belief from {names}{where}"
+
+
+def _finite(value: np.floating[Any] | float) -> float | None:
+    """JSON has no infinity; None says whole space."""
+    return float(value) if np.isfinite(value) else None

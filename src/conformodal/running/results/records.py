@@ -1,0 +1,147 @@
+"""Regions on disk: one JSON object a line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.choices import as_member
+from conformodal.localization.targets import TARGET_NAMES, pose_targets
+from conformodal.model.errors import ResultsError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.poses import RelativeMotion, Trajectory
+
+REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
+_ANY_SIGN = [1.0, 0.1, 0.01, 0.001]  # tells q from -q
+
+
+def region_record(
+    name: str,
+    timestamp_s: float,
+    motion: RelativeMotion | None,
+    intervals: Sequence[npt.NDArray[np.float64]],
+    known_p: float | None = None,
+    kind: EvidenceKind = EvidenceKind.GLOBAL,
+) -> dict[str, Any]:
+    """The record of a frame.
+
+    Parameters
+    ----------
+    name, timestamp_s, motion
+        Of the frame, and since the frame before.
+    intervals
+        (m, 2) a target.
+    known_p, kind
+        See :class:`~conformodal.running.estimates.Estimate`.
+
+    Raises
+    ------
+    ResultsError
+        If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceKind`.
+    """
+    kind = as_member(kind, EvidenceKind, "kind", ResultsError)
+    return {
+        "timestamp_s": round(float(timestamp_s), 6),
+        "frame": name,
+        "reliable": bool(motion is None or motion.reliable) and kind is not EvidenceKind.UNKNOWN,
+        "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
+        "evidence": kind.name.lower(),
+        "motion": "first" if motion is None else str(motion.status),
+        # [null, null] is the whole line; [] an empty set
+        "intervals": {
+            target: [[_bound(a), _bound(b)] for a, b in parts]
+            for target, parts in zip(TARGET_NAMES, intervals, strict=True)
+        },
+    }
+
+
+def _bound(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any]]:
+    """Records of ``regions.jsonl``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    torn
+        Whether the last line may be half a record, as a killed run leaves it; it is left out then.
+
+    Raises
+    ------
+    ResultsError
+        If the file is missing or a line is no such record; names the line.
+    """
+    return list(iter_region_records(path, torn=torn))
+
+
+def iter_region_records(path: Path, *, torn: bool = False) -> Iterator[dict[str, Any]]:
+    """The records of ``regions.jsonl`` one after the other, see :func:`read_region_records`."""
+    try:
+        with path.open(encoding="utf-8", errors="surrogateescape") as file:
+            for number, line in enumerate(file, start=1):
+                problem, record = _parsed(line)
+                if problem is None:
+                    yield record
+                    continue
+                if torn and not line.endswith("\n"):
+                    return
+                raise ResultsError(f"{path}, line {number}: is no region record: {problem}") from problem
+    except OSError as exc:
+        raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
+
+
+def _parsed(line: str) -> tuple[Exception | None, dict[str, Any]]:
+    """The record of a line, or why it is none."""
+    try:
+        record = json.loads(line)
+        _check(record)
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as exc:
+        return exc, {}
+    return None, record
+
+
+def _check(record: dict[str, Any]) -> None:
+    if set(record["intervals"]) != set(TARGET_NAMES) or not math.isfinite(record["timestamp_s"]):
+        raise KeyError("intervals")
+    if not isinstance(record["frame"], str) or not isinstance(record["motion"], str):
+        raise TypeError("frame and motion must be text")
+    record["reliable"]
+    for parts in record["intervals"].values():
+        for low, high in parts:
+            if (low is not None and not math.isfinite(low)) or (high is not None and not math.isfinite(high)):
+                raise ValueError(f"an interval ends at {low}, {high}")
+
+
+def record_bounded(record: dict[str, Any]) -> bool:
+    """Whether the region of a stored frame is bounded in every target."""
+    return not any(None in part for parts in record["intervals"].values() for part in parts)
+
+
+def records_contain(
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64] | None
+) -> npt.NDArray[np.bool_]:
+    """Whether stored intervals hold the true poses, (n, 7).
+
+    Where no reference for the signs of quaternions is known, each frame has the sign that more of its intervals hold.
+    """
+    if sign_reference is None:
+        here, there = (records_contain(records, truth, np.array(sign)) for sign in (_ANY_SIGN, [-v for v in _ANY_SIGN]))
+        return np.where(here.sum(axis=1, keepdims=True) >= there.sum(axis=1, keepdims=True), here, there)
+    targets = pose_targets(truth, sign_reference)
+    inside = np.zeros(targets.shape, dtype=np.bool_)
+    for i, record in enumerate(records):
+        for j, name in enumerate(TARGET_NAMES):
+            inside[i, j] = any(
+                (a is None or a <= targets[i, j]) and (b is None or targets[i, j] <= b)
+                for a, b in record["intervals"][name]
+            )
+    return inside

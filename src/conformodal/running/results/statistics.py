@@ -1,0 +1,69 @@
+"""Statistics of regions: a few numbers a frame, so that long streams need not keep the regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal import Regions
+from conformodal.localization.targets import pose_targets
+from conformodal.model.errors import OdometryError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.poses import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class RegionStatistics:
+    """Statistics of the regions of n frames, target by target, (n, 7) each.
+
+    Attributes
+    ----------
+    inside
+        Whether the set holds the truth.
+    length
+        Of the set, in the target's unit; infinite for the whole line.
+    n_intervals
+        It falls into.
+    unbounded
+        Whether it is the whole line.
+    kinds
+        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceKind`.
+    """
+
+    inside: npt.NDArray[np.bool_]
+    length: npt.NDArray[np.float64]
+    n_intervals: npt.NDArray[np.int64]
+    unbounded: npt.NDArray[np.bool_]
+    kinds: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.inside)
+
+    @classmethod
+    def of(
+        cls,
+        regions: Regions,
+        truth: Trajectory,
+        sign_reference: npt.NDArray[np.float64],
+        kinds: npt.NDArray[np.int64] | None = None,
+    ) -> RegionStatistics:
+        """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
+        kinds = np.full(len(regions), EvidenceKind.GLOBAL, dtype=np.int64) if kinds is None else kinds
+        inside = regions.contains(pose_targets(truth, sign_reference))
+        return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded, kinds)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:
+        """Statistics of the frames of all parts, in order.
+
+        Raises
+        ------
+        OdometryError
+            If there are no parts.
+        """
+        if not parts:
+            raise OdometryError("parts must hold at least one set of statistics, got none")
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))

@@ -1,0 +1,243 @@
+"""A model on a stream: answers at once, better ones a little later, all of them on disk, in constant memory."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from conformodal.core.arrays import IntArray
+from conformodal.core.memory import release_freed_memory
+from conformodal.datasets.streams.frames import Frame, SourceError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.motion.submaps import build_submaps
+from conformodal.motion.tracker import Corners
+from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.observations import Observations
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.running.results.writer import ResultsWriter
+
+from .estimates import Estimate
+from .odometry import Odometry
+from .paths import ONLINE, whole_paths
+
+# Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
+# sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
+WINDOW, OVERLAP = 2000, 300
+_PROBLEMS_KEPT = 100
+
+
+@dataclass(eq=False)
+class _Pending:
+    """A frame whose final answer is still to come."""
+
+    timestamp_s: float
+    candidates: Candidates
+    motion: RelativeMotion | None
+    corners: Corners
+
+
+class StreamRunner:
+    """Takes frames one by one and writes what a model makes of them.
+
+    Regions and poses are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
+    frames at a time; sources of no more than 2000 frames are one window.
+    As a context it ends the thread that answers windows, whatever error ends the stream; :meth:`finish` writes.
+
+    Parameters
+    ----------
+    odometry
+        Of the model; reset here.
+    writer
+        Where results go.
+    truth
+        Of the whole data set, to measure coverage with; or None.
+    posed
+        Increasing indices of the frames that `truth` is of; None for all.
+    window, overlap
+        Frames of a window, and how many of them wait for the next one; less than half of it.
+
+    Attributes
+    ----------
+    n_answered, n_unreliable, n_matched, n_localized, n_unknown
+        Frames so far; the last three: those whose local features were matched, those with an absolute pose estimate
+        from landmarks, and those that show no known place.
+    answered
+        Places in the data set of those whose true pose is known.
+    known
+        Which of the answers these are, counted from 0.
+    motion
+        How often which motion status.
+    problems
+        The first hundred frames without an image, by name, and why; `n_problems` counts all.
+    windowed
+        Whether a recording was too long to be answered as a whole.
+    """
+
+    def __init__(
+        self,
+        odometry: Odometry,
+        writer: ResultsWriter,
+        *,
+        truth: Trajectory | None = None,
+        posed: IntArray | None = None,
+        window: int = WINDOW,
+        overlap: int = OVERLAP,
+    ) -> None:
+        self.odometry, self.writer = odometry, writer
+        self.window, self.overlap = window, overlap
+        self.n_answered = self.n_unreliable = self.n_matched = self.n_localized = 0
+        self.n_unknown = self.n_problems = 0
+        self.answered: list[int] = []
+        self.known: list[int] = []
+        self.motion: Counter[str] = Counter()
+        self.windowed = False
+        self.problems: dict[str, str] = {}
+        self._truth = truth
+        frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
+        self._row = {frame: row for row, frame in enumerate(frames)}
+        self._statistics: list[RegionStatistics] = []
+        self._pending: list[_Pending] = []
+        self._n_written = 0  # of the pending, which stay to tell of those that follow
+        self._recording: int | None = None
+        self._last: Frame | None = None
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
+        self._job: Future[None] | None = None
+        odometry.reset()
+
+    @property
+    def statistics(self) -> RegionStatistics:
+        """Of the regions of all answered frames, if the truth is known and there are any."""
+        return RegionStatistics.concatenate(self._statistics)
+
+    @property
+    def matched_all(self) -> bool:
+        """Whether local features of all answered frames were matched, if the model looks at them."""
+        return self.odometry.match_every == 1 or self.n_matched == self.n_answered
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """True poses of the answered frames that have one; None if none has."""
+        if self._truth is None or not self.answered:
+            return None
+        return self._truth[np.array([self._row[frame] for frame in self.answered])]
+
+    def true_pose(self, frame: Frame) -> Trajectory | None:
+        """The true pose of a frame, a trajectory of one; None where it is not known."""
+        row = self._row.get(frame.index)
+        return None if self._truth is None or row is None else self._truth[row : row + 1]
+
+    def push(self, frame: Frame) -> Estimate | None:
+        """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
+
+        Raises
+        ------
+        SourceError
+            If its timestamp is not later than the one before.
+        """
+        if not math.isfinite(frame.timestamp_s):
+            self._note(frame, f"timestamp is {frame.timestamp_s} s, expected a finite number")
+            return None
+        if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
+            raise SourceError(
+                f"time goes back: {frame.name} at {frame.timestamp_s} s follows {self._last.name} at "
+                f"{self._last.timestamp_s} s"
+            )
+        if frame.recording != self._recording:
+            self._flush(everything=True)
+            self.odometry.reset()
+            self._recording = frame.recording
+        self._last = frame
+        if not frame.answer:
+            if frame.image is not None:
+                self.odometry.pass_by(frame.image)
+            return None
+        estimate = self.odometry.step(frame.image, frame.timestamp_s)
+        if estimate.region is None:
+            self._note(frame, frame.problem or estimate.problem)
+        else:
+            self._take(frame, estimate)
+        return estimate
+
+    def finish(self) -> None:
+        """Write the answers that waited for more frames; also what a run that is stopped ends with."""
+        self._flush(everything=True)
+        self._pool.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._pool.shutdown(cancel_futures=True)  # the window that is being answered still writes
+
+    def _note(self, frame: Frame, problem: str) -> None:
+        self.n_problems += 1
+        if len(self.problems) < _PROBLEMS_KEPT:
+            self.problems[frame.name] = problem
+
+    def _take(self, frame: Frame, estimate: Estimate) -> None:
+        model, motion, region, pose = self.odometry.model, estimate.relative_motion, estimate.region, estimate.pose
+        assert region is not None
+        assert pose is not None
+        assert estimate.candidates is not None
+        assert estimate.corners is not None
+        assert estimate.evidence is not None
+        self.n_answered += 1
+        self.n_unreliable += not estimate.reliable
+        self.n_matched += estimate.matched
+        self.n_localized += bool(estimate.estimates)
+        if motion is not None:
+            self.motion[str(motion.status)] += 1
+        self.n_unknown += estimate.evidence is EvidenceKind.UNKNOWN
+        said = estimate.known_p, estimate.evidence
+        self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
+        here = self.true_pose(frame)
+        if here is not None:
+            kind = np.array([estimate.evidence])
+            self._statistics.append(RegionStatistics.of(region, here, model.sign_reference, kind))
+            self.answered.append(frame.index)
+            self.known.append(self.n_answered - 1)
+        if not self.odometry.whole_paths:  # each answer is the last word
+            self.writer.poses(self.odometry.answer, pose)
+            return
+        self.writer.poses(ONLINE, pose)
+        self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, motion, estimate.corners))
+        if len(self._pending) >= self.window:
+            self.windowed = True
+            self._flush(everything=False)
+
+    def _flush(self, *, everything: bool) -> None:
+        """Answer the frames that wait, and write all answers but those of the last `overlap` frames, or all."""
+        if len(self._pending) == self._n_written:
+            self._settle()
+            self._pending, self._n_written = [], 0
+            return
+        pending = self._pending
+        done = len(pending) if everything else len(pending) - self.overlap
+        kept_from = done if everything else done - self.overlap
+        self._settle()  # one window at a time, so that memory stays bounded
+        self._job = self._pool.submit(self._answer, pending, slice(self._n_written, done))
+        self._pending, self._n_written = pending[kept_from:], done - kept_from
+        if everything:
+            self._settle()
+
+    def _answer(self, pending: list[_Pending], wanted: slice) -> None:
+        """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
+        prior, camera = self.odometry.model.prior, self.odometry.model.camera
+        times = np.array([p.timestamp_s for p in pending])
+        submaps = build_submaps([p.corners for p in pending], camera)
+        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
+        for name, trajectory in whole_paths(seen, prior).items():
+            self.writer.poses(name, trajectory[wanted])
+        release_freed_memory()
+
+    def _settle(self) -> None:
+        """Wait for the window that is being answered."""
+        if self._job is not None:
+            self._job.result()
+            self._job = None

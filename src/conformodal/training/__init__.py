@@ -1,0 +1,1 @@
+"""Training a model: splits, folds, pose sources and calibration."""

@@ -1,0 +1,95 @@
+"""The plain regressor: seven numbers and mean squared error in the place of seven softmaxes, and nothing searched.
+
+It shares features, epochs, optimiser and all other settings with the network that it is compared with. It needs no
+calibration, so it is trained on the calibration frames too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
+from conformodal.poses import Trajectory, normalise_quat
+from conformodal.vision.settings import TrainingConfig
+
+from .training_data import TrainingData
+
+_LEAST_SCALE = 1e-6  # of a target that does not vary
+
+
+@dataclass(eq=False)
+class PlainRegressor:
+    """A regressor of the seven targets of an image.
+
+    Attributes
+    ----------
+    head
+        Trained regressor, one output a target.
+    mean, scale
+        (7,) of the standardised targets.
+    """
+
+    head: Head
+    mean: FloatArray
+    scale: FloatArray
+
+    def predict(self, features: npt.NDArray[np.float32]) -> FloatArray:
+        """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
+        return predict_values(self.head, features) * self.scale + self.mean
+
+    def trajectory(self, features: npt.NDArray[np.float32], timestamps_s: FloatArray) -> Trajectory:
+        """The predicted poses at n times, from features (n, F)."""
+        return trajectory_of(self.predict(features), timestamps_s)
+
+
+def trajectory_of(values: FloatArray, timestamps_s: FloatArray) -> Trajectory:
+    """Poses at n times from targets (n, 7): metres, and an unnormalised quaternion wxyz."""
+    return Trajectory(timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
+
+
+def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
+    """Train on training and calibration parts together, with settings as they are.
+
+    Parameters
+    ----------
+    data
+        What the conformal model was trained on.
+    config
+        What it was trained with.
+    """
+    known, (mean, scale) = known_frames(data), scaling(data)
+    return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known, config), mean, scale)
+
+
+def known_frames(data: TrainingData) -> IntArray:
+    """Training and calibration frames, sorted."""
+    return np.sort(np.concatenate((data.split.train, data.split.calibration)))
+
+
+def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
+    """Mean and scale (7,) of the targets of all known frames."""
+    known = data.targets[known_frames(data)]
+    return known.mean(axis=0), np.maximum(known.std(axis=0), _LEAST_SCALE)
+
+
+def fit_values(data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig) -> Head:
+    """Fit one output a target to squared errors.
+
+    Parameters
+    ----------
+    data
+        Features of all frames.
+    standard
+        (n, 7) standardised targets of all frames.
+    rows
+        Frames to train on.
+    config
+        Settings.
+    """
+    through = data.projection(rows, config.components)
+    outputs = [1] * standard.shape[1]
+    return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, config, projection=through)

@@ -1,0 +1,130 @@
+"""Training and calibrating a pose model on a sequence with poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from conformodal.core.extras import needing
+from conformodal.core.progress import StageProgress, stage_of
+from conformodal.datasets import Sequence, make_split, with_random_calibration
+from conformodal.localization.localizer import Localizer
+from conformodal.localization.source import PoseSource
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import Method, ModelConfig, Runtime, record_of
+from conformodal.model.identity import identify
+from conformodal.model.model import PoseModel
+from conformodal.model.place_novelty import PlaceNovelty
+from conformodal.poses import sign_reference
+from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
+from conformodal.vision.backbone import Backbone
+from conformodal.vision.features import FeatureCache, extract_features
+
+from .calibrating import calibrate_regions, compare_sources, paper_rules
+from .folds import make_folds
+from .training_data import TrainingData
+
+
+def prepare_training_data(
+    sequence: Sequence, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
+) -> TrainingData:
+    """Cut a sequence into parts and compute the features of all its frames.
+
+    Raises
+    ------
+    PoseError
+        If the sequence has no poses.
+    SplitError
+        If a part would be empty, or the sequence has not the recordings or lists that the split needs.
+    ImageError
+        If an image cannot be read; names the file.
+    VisionError
+        If the device is not there.
+    MissingPackageError
+        If what training needs is not installed.
+    """
+    with needing("train", "training"):
+        from conformodal.networks import TorchBackbone, backbone_config, exported, pick_device, quantised  # noqa: PLC0415
+
+    device, truth = pick_device(config.device), sequence.require_truth()
+    split = make_split(
+        sequence.recording,
+        config.split,
+        seed=config.seed,
+        test=config.test,
+        calibration=config.calibration,
+        used=config.used,
+        given_test=sequence.given_test,
+    )
+    if config.method is Method.PAPER:
+        split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
+    size = sequence.camera.width, sequence.camera.height
+    backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
+    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
+    targets = pose_targets(truth, reference)
+    backbone.to(device)
+    runs: Backbone = backbone
+    if config.runtime is not Runtime.TORCH:
+        runs = in_onnx = exported(backbone, cache)
+        if config.runtime is Runtime.INT8:
+            known = [sequence.image_paths[i] for i in split.train]
+            runs = quantised(in_onnx, known, cache, stage_of(progress, "quantising"))
+    stage = stage_of(progress, "features")
+    features = extract_features(sequence.image_paths, runs, cache, stage, sequence.noise)
+    return TrainingData(sequence, split, runs, features, targets, reference)
+
+
+def train_model(
+    data: TrainingData,
+    config: ModelConfig,
+    *,
+    checkpoint_dir: Path | None = None,
+    progress: StageProgress | None = None,
+    fitted: Iterable[PoseSource] = (),
+) -> PoseModel:
+    """Train on the training part and calibrate; nothing is chosen on the test part.
+
+    Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
+    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
+    both then answer some frames of the test part, to compare their scores.
+
+    `fitted` are sources of another model of the same data that do not look at the network's features: they are taken
+    as they are where they learnt from the frames that they would learn from here.
+    """
+    fitted = tuple(fitted)
+    folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
+    sources = data.for_sources(config, checkpoint_dir, progress)
+    localizers = [Localizer.fit(sources, fold.train, config.sources, fitted) for fold in folds.folds]
+    single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
+    localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources, fitted)
+    if config.method is Method.PAPER:  # which has no test for novelty
+        novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
+    else:
+        known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
+        novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
+        rules = calibrate_regions(sources, folds, localizers, novelty, config)
+    stretches, test = folds.units is not None, data.split.test
+    return PoseModel(
+        backbone=data.backbone,
+        localizer=localizer,
+        novelty=novelty,
+        rules=rules,
+        prior=_motion_prior(data, config),
+        camera=data.sequence.camera,
+        split=data.split,
+        known_frames=identify(data.sequence),
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames"),
+        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
+    )
+
+
+def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
+    truth, train = data.sequence.require_truth(), data.split.train
+    prior = fit_motion_prior(truth[train], data.sequence.recording[train])
+    if config.method is Method.PAPER:
+        return prior
+    depth, spread = data.depths
+    return replace(prior, depth_m=depth, depth_spread=spread)

@@ -1,0 +1,68 @@
+"""What the pose model and every baseline learn from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.progress import StageProgress
+from conformodal.datasets import Sequence, Split
+from conformodal.localization.source_data import SourceData
+from conformodal.model.config import ModelConfig
+from conformodal.vision.backbone import Backbone
+from conformodal.vision.projection import Projection
+
+from .depths import measure_depths
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """A sequence's features, targets and parts: what the pose model and every baseline share.
+
+    Attributes
+    ----------
+    features
+        (n, F) of all frames.
+    targets
+        (n, 7), see :func:`~conformodal.localization.targets.pose_targets`.
+    """
+
+    sequence: Sequence
+    split: Split
+    backbone: Backbone
+    features: npt.NDArray[np.float32]
+    targets: npt.NDArray[np.float64]
+    sign_reference: npt.NDArray[np.float64]
+    _shared: SourceData = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        data = SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind)
+        object.__setattr__(self, "_shared", data)
+
+    @cached_property
+    def depths(self) -> tuple[float, float]:
+        """Median depth in metres and the standard deviation of its logarithm, from the training part; or NaN."""
+        return measure_depths(self.sequence, self.split.train)
+
+    def for_sources(
+        self, config: ModelConfig, checkpoint_dir: Path | None = None, progress: StageProgress | None = None
+    ) -> SourceData:
+        """The data as pose sources see them; local features and projections are kept for the next call."""
+        return replace(
+            self._shared,
+            depth_m=self.depths[0],
+            n_bins=config.n_bins,
+            margin=config.margin,
+            sigma_bins=config.sigma_bins,
+            training=config.training,
+            checkpoint_dir=checkpoint_dir,
+            progress=progress,
+        )
+
+    def projection(self, rows: npt.NDArray[np.int64], components: int | None, *, whole: bool = False) -> Projection:
+        """Principal components of some frames, see :meth:`SourceData.projection`."""
+        return self._shared.projection(rows, components, whole=whole)

@@ -1,0 +1,268 @@
+import hashlib
+import json
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import SplitConformal
+from conformodal.datasets import read_sevenscenes
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.local_features import extract_local_features
+from conformodal.model.config import ModelConfig, config_of
+from conformodal.model.errors import ModelFileError, OdometryError
+from conformodal.model.radius import PoseRadius, Promise
+from conformodal.model.region_rules import EvidenceKind, RegionRules
+from conformodal.model.store import load_model, save_model
+from conformodal.networks import TorchBackbone
+from conformodal.poses import PinholeCamera
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.evaluation import coverage_table
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_path):
+    save_model(model, tmp_path / "copy")
+    back = load_model(tmp_path / "copy")
+    frames = model.split.test[:4]
+    features = extract_features(
+        [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
+    )
+    local = [extract_local_features(sequence.image(i), model.camera) for i in frames]
+    here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
+    for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
+        np.testing.assert_array_equal(a, b)
+    for a, b in zip(here.candidates, there.candidates, strict=True):
+        np.testing.assert_array_equal(a.positions_xyz, b.positions_xyz)
+        np.testing.assert_array_equal(a.log_mass, b.log_mass)
+    np.testing.assert_array_equal(here.regions.length, there.regions.length)
+    np.testing.assert_array_equal(here.known_p, there.known_p)
+    for one, other in zip(model.localizer.sources, back.localizer.sources, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.frames, other.frames)
+    np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)
+    for part in ("train", "calibration", "test"):
+        np.testing.assert_array_equal(model.split.part(part), back.split.part(part))
+    assert back.prior == model.prior
+    assert back.camera == model.camera
+    assert back.configuration == {**model.configuration, "sources": list(model.configuration["sources"])}
+
+
+@pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])
+def test_alpha_has_one_form_before_and_after_saving(small_world, tmp_path, alpha):
+    model = load_model(small_world.model)
+    assert [rule.alpha for rule in model.rules.of.values()] == [0.2] * len(model.rules.of)
+    model.recalibrate(alpha)
+    model.set_novelty_level(0.25)
+    save_model(model, tmp_path)
+    for one in (model, load_model(tmp_path)):
+        for held in (one.calibration.alpha, one.alpha, one.settings["alpha"], one.configuration.get("alpha", 0.3)):
+            assert held == 0.3
+            assert isinstance(held, float)
+        assert one.settings["novelty_level"] == one.configuration.get("novelty_level", 0.25) == 0.25
+        assert config_of(one.settings).alpha == 0.3
+
+
+def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
+    held_out = np.concatenate((model.split.calibration, model.split.test))
+    for source in model.localizer.sources:
+        assert not np.isin(held_out, source.frames).any()
+
+
+@pytest.mark.parametrize("limit", [0.25, np.inf])
+def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
+    radius = PoseRadius(limit, 0.1, Promise.FRAME, "smoothed", 9, metres_per_rad=3.0)
+    save_model(replace(model, radius=radius), tmp_path)
+    back = load_model(tmp_path).radius
+    assert back == radius
+    assert back.radius_m == 3 * limit
+
+
+@pytest.mark.parametrize("sizing", ["none", "roughness"])
+def test_a_radius_that_depends_on_the_recording_is_left_out(model, tmp_path, sizing):
+    radius = PoseRadius(0.25, 0.1, Promise.FRAME, "smoothed", 9)
+    save_model(replace(model, radius=radius), tmp_path)
+    record = json.loads((tmp_path / "model.json").read_text())
+    del record["sha256"]
+    record["radius"]["sizing"] = sizing
+    record["sha256"] = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+    (tmp_path / "model.json").write_text(json.dumps(record))
+    if sizing == "none":
+        assert load_model(tmp_path).radius == radius
+    else:
+        with pytest.warns(UserWarning, match="run `conformodal calibrate` again"):
+            assert load_model(tmp_path).radius is None
+
+
+def edit_json(change):
+    def spoil(folder):
+        path = folder / "model.json"
+        record = json.loads(path.read_text())
+        change(record)
+        path.write_text(json.dumps(record))
+
+    return spoil
+
+
+def flip_a_bit(folder):
+    path = folder / "weights.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(bytes(content))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "match"),
+    [
+        (flip_a_bit, r"weights\.safetensors.*digest differs"),
+        (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-12'"),
+        (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
+        (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
+        (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
+        (lambda f: (f / "weights.safetensors").unlink(), r"weights\.safetensors.*cannot be read"),
+    ],
+)
+def test_altered_models_are_refused(model, tmp_path, spoil, match):
+    save_model(model, tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(ModelFileError, match=match):
+        load_model(tmp_path)
+
+
+def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
+    in_torch = TorchBackbone(model.backbone.config)
+    save_model(replace(model, backbone=in_torch), tmp_path)
+    assert load_model(tmp_path).backbone.fingerprint == in_torch.fingerprint
+    monkeypatch.setattr(in_torch, "_identity", b"other")
+    save_model(replace(model, backbone=in_torch), tmp_path)
+    with pytest.raises(ModelFileError, match="another version"):
+        load_model(tmp_path)
+
+
+def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp_path):
+    """Scores per unit of a target have scales of their own, and both calibrations have the stretches' labels."""
+    rng, cells = np.random.default_rng(0), model.calibration.bins
+    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
+
+    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
+    overall, matched = (SplitConformal(cells, 0.2, "linear_density", "max") for _ in range(2))
+    for rule in (overall, matched):
+        rule.rule.loc_, rule.rule.scale_ = shift, scale
+        rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
+    rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
+    save_model(replace(model, rules=rules), tmp_path)
+    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceKind))
+    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
+    assert np.isfinite(rules.thresholds(kinds[:3])).all()
+    for one, other in ((back.overall, overall), (back.matched, matched)):
+        np.testing.assert_array_equal(one.groups_, groups)
+        np.testing.assert_array_equal(one.thresholds_, other.thresholds_)
+
+
+@pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
+def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
+    data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
+    config = ModelConfig(alpha=0.2, joint=joint, score=score, sources=("head",), training=TrainingConfig(epochs=2))
+    trained = train_model(data, config)
+    save_model(trained, tmp_path)
+    back = load_model(tmp_path)
+    np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
+    run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
+    statistics = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
+    table = coverage_table(statistics, back, exchangeable=True)
+    assert (table["joint_band_99"] is not None) == (joint == "max")
+    assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
+
+
+def test_recalibration_nests_regions(model, sequence, small_world):
+    cache = FeatureCache(small_world.cache)
+    odometry = VisualOdometry.load(small_world.model)
+    frames = model.split.test[:20]
+    wide = odometry.process(sequence, frames, cache=cache).regions
+    odometry.model.recalibrate(0.6)
+    narrow = odometry.process(sequence, frames, cache=cache).regions
+    assert (narrow.length <= wide.length).all()
+    assert narrow.length.sum() < wide.length.sum()
+
+
+def test_a_stream_gives_the_regions_of_the_whole_run(sequence, small_world):
+    odometry = VisualOdometry.load(small_world.model)
+    frames = np.arange(40, 60)
+    run = odometry.process(sequence, frames)
+    estimates = [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames]
+    same = []
+    for i, estimate in enumerate(estimates):
+        same += [np.array_equal(a[i], b[0]) for a, b in zip(run.regions.masks, estimate.region.masks, strict=True)]
+        assert (estimate.relative_motion is None) == (i == 0)
+        assert estimate.reliable == run.reliable[i]
+    # the network sees one image or sixteen at a time: its last digits differ, which may tip a bin that is on the edge
+    assert np.mean(same) > 0.9
+    assert len(run.trajectory) == 20
+    np.testing.assert_allclose(estimates[5].pose.timestamps_s, sequence.timestamps_s[45])
+
+
+def test_bad_frames_do_not_end_a_stream(sequence, small_world):
+    odometry = VisualOdometry.load(small_world.model)
+    first = odometry.step(sequence.image(10), 1.0)
+    assert first.reliable
+    missing = odometry.step(None, 1.1)
+    assert (missing.pose, missing.region, missing.reliable) == (None, None, False)
+    wrong = odometry.step(np.zeros((5, 5, 3), np.uint8), 1.2)
+    assert not wrong.reliable
+    assert "(120, 160, 3)" in wrong.problem
+    black = odometry.step(np.zeros((120, 160, 3), np.uint8), 1.3)
+    assert not black.reliable
+    assert black.region is not None  # the network's region alone
+    assert black.problem
+    odometry.step(sequence.image(11), 1.4)
+    assert odometry.step(sequence.image(12), 1.5).reliable
+    with pytest.raises(OdometryError, match="must increase"):
+        odometry.step(sequence.image(12), 1.5)
+
+
+def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path):
+    import shutil
+
+    shutil.copytree(small_world.folder, tmp_path / "copy")
+    copy = read_sevenscenes(tmp_path / "copy")
+    copy.image_paths[12].write_bytes(b"no image")
+    run = VisualOdometry.load(small_world.model).process(copy, np.arange(10, 16))
+    assert run.frames.tolist() == [10, 11, 13, 14, 15]
+    assert "frame-000012" in run.unreadable[12]
+    for i in (20, 21):
+        copy.image_paths[i].unlink()
+    with pytest.raises(OdometryError, match="none of 2 frames"):
+        VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
+
+
+def test_another_camera_is_refused(model):
+    with pytest.raises(OdometryError, match="trained with"):
+        model.check_camera(PinholeCamera(120, 100, 79.5, 59.5, 160, 120))
+
+
+def test_recordings_are_not_linked(small_world, two_recordings):
+    both = two_recordings
+    n = len(both) // 2
+    odometry = VisualOdometry.load(small_world.model)
+    run = odometry.process(both, np.array([n - 2, n - 1, n, n + 1]), cache=FeatureCache(small_world.cache))
+    assert run.motions[0] is None
+    assert run.motions[2] is None
+
+
+def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
+    config = ModelConfig(calibration=0.01, sources=("head",), training=TrainingConfig(epochs=1))
+    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
+    model = train_model(data, config)
+    run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
+    assert run.regions.unbounded.all()
+    assert np.isfinite(run.trajectory.positions_xyz).all()

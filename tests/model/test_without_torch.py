@@ -1,0 +1,59 @@
+"""A trained model answers where torch is not installed."""
+
+import json
+import shutil
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from conformodal.model.errors import ModelFileError
+from conformodal.model.store import load_model
+
+RUN = """
+    import sys
+
+    class Missing:
+        def find_spec(self, name, path=None, target=None):
+            if name.partition(".")[0] in {missing!r}:
+                raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+    sys.meta_path.insert(0, Missing())
+    from conformodal.cli.main import app
+    app({arguments!r})
+"""
+
+
+def run_without(missing, *arguments):
+    script = textwrap.dedent(RUN).format(missing=missing, arguments=[str(a) for a in arguments])
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
+
+
+@pytest.mark.slow
+def test_a_model_is_run_without_torch(small_world, tmp_path):
+    missing = ("torch", "efficientnet_lite_pytorch", "trimesh", "embreex", "onnxscript")
+    out = tmp_path / "out"
+    found = run_without(missing, "run", small_world.model, small_world.folder, "--part", "test", "--out", out)
+    assert found.returncode == 0, found.stderr
+    assert (out / "report.html").is_file()
+    assert json.loads((out / "metrics.json").read_text())["n_answered"] > 0
+
+
+@pytest.mark.slow
+def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tmp_path):
+    found = run_without(("torch",), "train", small_world.folder, "--out", tmp_path / "model")
+    assert found.returncode == 2
+    assert "pip install 'conformodal[train]'" in found.stderr + found.stdout
+    assert "Traceback" not in found.stderr
+
+
+def test_a_damaged_network_is_named(small_world, tmp_path):
+    folder = shutil.copytree(small_world.model, tmp_path / "model")
+    (network,) = folder.glob("network-*.onnx")
+    network.write_bytes(network.read_bytes()[:-1] + b"?")
+    with pytest.raises(ModelFileError, match=rf"{network.name}: is not the file that was saved"):
+        load_model(folder)
+    network.unlink()
+    with pytest.raises(ModelFileError, match=rf"{network.name}: cannot be read"):
+        load_model(folder)

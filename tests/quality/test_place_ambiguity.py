@@ -1,0 +1,122 @@
+"""Places in regions that were made by hand: how many are counted, and which stretches are said to look alike."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import QuantileBins, Regions
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.poses import Trajectory
+from conformodal.quality.advice import Names, record_next, said_of_quality
+from conformodal.quality.place_ambiguity import ambiguity
+from conformodal.quality.views import ViewScale
+
+SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)
+BINS = QuantileBins.from_edges([np.linspace(0, 20, 41), *[np.array([-2.0, 0.0, 2.0])] * 6])
+REFERENCE = np.array([1.0, 0, 0, 0])
+# Two rooms of 40 known frames each, 10 m apart; frames 0 to 39 and 40 to 79.
+IN_ROOM = 0.05 * np.arange(40)
+X = np.concatenate((1 + IN_ROOM, 11 + IN_ROOM))
+
+
+def at(x):
+    n = len(x)
+    zeros = np.zeros((n, 2))
+    return Trajectory(np.arange(n, dtype=float), np.column_stack((x, zeros)), np.tile(REFERENCE, (n, 1)))
+
+
+def regions(*parts):
+    """One region a list of intervals along x, the whole range in all else; None for an unbounded set."""
+    masks = [np.ones((len(parts), k), dtype=bool) for k in BINS.sizes]
+    unbounded = np.zeros((len(parts), 7), dtype=bool)
+    for i, intervals in enumerate(parts):
+        if intervals is None:
+            unbounded[i] = True
+            continue
+        masks[0][i] = False
+        for low, high in intervals:
+            masks[0][i] |= (BINS.centers[0] > low) & (BINS.centers[0] < high)
+    return Regions(BINS, masks, unbounded)
+
+
+def judged(parts, truth, known=X, frames=None):
+    n = len(parts)
+    found = SimpleNamespace(
+        regions=regions(*parts),
+        kinds=np.array([EvidenceKind.UNKNOWN if part is None else EvidenceKind.GLOBAL for part in parts]),
+        candidates=[SimpleNamespace(positions_xyz=np.zeros((1, 3)), log_mass=np.zeros(1))] * n,
+    )
+    frames = np.arange(n) if frames is None else frames
+    poses = None if truth is None else at(np.array(truth))
+    return ambiguity(frames, np.zeros(n, dtype=np.int64), found, at(known), poses, REFERENCE, SCALE)
+
+
+def test_places_in_a_region_are_counted():
+    parts = [[(1, 3)], [(1, 2), (11, 12)], [(0, 20)], None]
+    found = judged(parts, [1.5, 1.5, 1.5, 1.5])
+    assert found.n_places.tolist() == [1, 2, 2, 0]
+    assert found.n_unknown == 1
+    assert found.mean_intervals["x"] == pytest.approx(4 / 3)
+
+
+def test_places_that_known_frames_join_are_one():
+    way = np.concatenate((X, np.linspace(3, 11, 160)))
+    assert judged([[(0, 20)]], [1.5], way).n_places.tolist() == [1]
+    # two intervals of one place, with a gap that is narrower than what counts as near
+    assert judged([[(1, 1.5), (2, 2.5)]], [1.2]).n_places.tolist() == [1]
+    # both sides of a stretch that nobody knows show some of the same: 0.75 of the view lies between them
+    assert judged([[(0, 20)]], [1.5], X[(X < 1.5) | (X == 3.0)]).n_places.tolist() == [1]
+    assert judged([[(0, 20)]], [1.5], np.array([1.0, 3.1])).n_places.tolist() == [2]
+
+
+def test_the_frames_own_place_counts_where_its_region_misses_it():
+    assert judged([[(11, 12)]], [1.5]).n_places.tolist() == [2]
+    assert judged([[(11, 12)]], None).n_places.tolist() == [1]
+
+
+def test_stretches_that_look_alike_are_named_by_known_frames():
+    parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * 5 + [[(1, 3)]] * 10
+    frames = 100 + 2 * np.arange(25)
+    found = judged(parts, [1.5] * 25, frames=frames)
+    (one,) = found.stretches
+    assert (one.first, one.last, one.n_frames, one.n_places) == (120, 128, 5, 2)
+    assert one.place_xyz == (1.5, 0.0, 0.0)
+    # x from 11.5 to 12.5, of frames that stand at 11 + 0.05 (i - 40)
+    ((first, last),) = one.alike
+    assert (first, last) == (50, 69)
+
+
+def test_where_regions_hold_one_place_nothing_is_ambiguous():
+    found = judged([[(1, 2)]] * 8, [1.5] * 8)
+    assert found.stretches == []
+    assert (found.n_places == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("n", "said"), [(5, "Frames 20 to 28 (around x=1.5, y=0.0) look"), (1, "Frame 20 (around x=1.5, y=0.0) looks")]
+)
+def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
+    parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
+    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    quality = SimpleNamespace(
+        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=1000 + np.arange(80)
+    )
+    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
+    (advice,) = record_next(quality, names)
+    assert advice.startswith(f"{said} like frames 1050 to 1069: record the way")
+    assert said_of_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
+
+
+def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other():
+    parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * 5
+    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    (one,) = found.stretches
+    # the known frames elsewhere, 50 to 69 of all, bear the numbers 10 to 29: those of the stretch itself
+    quality = SimpleNamespace(
+        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=np.arange(80) - 40
+    )
+    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
+    (advice,) = record_next(quality, names)
+    assert (one.first, one.last) == (20, 28)
+    assert advice.startswith("Frames 20 to 28 (around x=1.5, y=0.0) look like one another: record them again")

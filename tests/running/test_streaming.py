@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+
+from conformodal.datasets import read_sequence
+from conformodal.datasets.streams.frames import Frame, SourceError
+from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.model.store import load_model
+from conformodal.running.estimator import VisualOdometry
+from conformodal.running.results.records import read_region_records
+from conformodal.running.results.runs import read_trajectories
+from conformodal.running.results.statistics import RegionStatistics
+from conformodal.running.results.writer import ResultsWriter
+from conformodal.running.streaming import StreamRunner
+from conformodal.vision.features import FeatureCache
+
+
+@pytest.fixture(scope="module")
+def world(small_world):
+    return read_sequence(small_world.folder), load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def batch(world, small_world):
+    """The same frames, all at once."""
+    sequence, model = world
+    frames = model.split.test[model.split.test < 300]
+    return frames, VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+
+
+def stream(world, frames, folder, **options):
+    sequence, model = world
+    with ResultsWriter(folder) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer, truth=sequence.truth, **options)
+        for frame in SequenceStream(sequence, frames):
+            runner.push(frame)
+        runner.finish()
+    return runner
+
+
+def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch, tmp_path):
+    frames, run = batch
+    runner = stream(world, frames, tmp_path)
+    assert runner.n_answered == len(frames)
+    assert not runner.windowed
+    assert runner.answered == frames.tolist()
+    found = read_trajectories(tmp_path)
+    for name, trajectory in run.trajectories.items():
+        off = np.linalg.norm(found[name].positions_xyz - trajectory.positions_xyz, axis=1)
+        # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
+        assert np.mean(off < 1e-3) > 0.97, name
+    assert set(found) == set(run.trajectories)
+    expected = RegionStatistics.of(run.regions, world[0].truth[run.frames], world[1].sign_reference)
+    statistics = runner.statistics
+    assert np.mean(statistics.n_intervals == expected.n_intervals) > 0.97
+    assert np.mean(statistics.inside == expected.inside) > 0.97
+    assert np.mean(np.abs(statistics.length - expected.length) < 1e-6) > 0.95
+    assert np.mean(statistics.kinds == run.kinds) > 0.97
+    assert runner.n_unreliable == int(np.sum(~run.reliable))
+    records = read_region_records(tmp_path / "regions.jsonl")
+    assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]
+
+
+def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):
+    sequence, model = world
+    frames, run = batch
+    n = 30
+    odometry, said = VisualOdometry(model), []
+    for frame in SequenceStream(sequence, frames[:n]):
+        if frame.answer:
+            said.append(odometry.step(frame.image, frame.timestamp_s).pose.positions_xyz[0])
+        elif frame.image is not None:
+            odometry.pass_by(frame.image)
+    online = run.trajectories["online"].positions_xyz
+    # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
+    assert np.mean(np.linalg.norm(online[:n] - said, axis=1) < 1e-3) > 0.9
+    for cut in (5, 12, 20):
+        np.testing.assert_array_equal(
+            VisualOdometry(model)._online(run, np.arange(cut)).positions_xyz, online[:cut], err_msg=f"{cut}"
+        )
+
+
+def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
+    frames, run = batch
+    assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
+    found = read_trajectories(tmp_path)
+    for name in ("smoothed", "viterbi", "online"):
+        np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)
+    off = np.linalg.norm(found["viterbi"].positions_xyz - run.trajectories["viterbi"].positions_xyz, axis=1)
+    assert np.mean(off < 1e-3) > 0.8
+    online = np.linalg.norm(found["online"].positions_xyz - run.trajectories["online"].positions_xyz, axis=1)
+    assert np.mean(online < 1e-3) > 0.97  # knows no windows
+
+
+def test_what_waits_does_not_grow(world, tmp_path):
+    sequence, model = world
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer, window=30, overlap=10)
+        for i, frame in enumerate(SequenceStream(sequence, np.arange(75))):
+            runner.push(frame)
+            assert len(runner._pending) < 30
+            # regions are on disk at once, whatever happens next
+            assert len((tmp_path / "regions.jsonl").read_text().splitlines()) == i + 1
+        runner.finish()
+    assert len(read_trajectories(tmp_path)["smoothed"]) == 75
+
+
+def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
+    sequence, model = world
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for i, frame in enumerate(SequenceStream(sequence, np.arange(12))):
+            bad = Frame(frame.name, frame.timestamp_s, None, "torn") if i in (0, 5) else frame
+            estimate = runner.push(bad)
+            assert (estimate.region is None) == (i in (0, 5))
+        small = runner.push(Frame("small", 1e6, np.zeros((3, 3, 3), np.uint8)))
+        assert "expected uint8" in small.problem
+        runner.finish()
+    assert (runner.n_answered, runner.n_problems) == (10, 3)
+    assert list(runner.problems.values())[:2] == ["torn", "torn"]
+    assert len(read_trajectories(tmp_path)["smoothed"]) == 10
+
+
+def test_time_that_goes_back_is_an_error_and_all_before_is_kept(world, tmp_path):
+    sequence, model = world
+    frames = list(SequenceStream(sequence, np.arange(8)))
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for frame in frames:
+            runner.push(frame)
+        with pytest.raises(SourceError, match=r"time goes back: frame-000003.* follows frame-000007"):
+            runner.push(frames[3])
+        runner.finish()
+    for trajectory in read_trajectories(tmp_path).values():
+        assert len(trajectory) == 8
+
+
+def test_recordings_are_answered_apart(world, tmp_path):
+    sequence, model = world
+    frames = list(SequenceStream(sequence, np.arange(20)))
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for i, frame in enumerate(frames):
+            runner.push(Frame(frame.name, frame.timestamp_s, frame.image, recording=int(i >= 10)))
+        runner.finish()
+    records = read_region_records(tmp_path / "regions.jsonl")
+    assert [i for i, r in enumerate(records) if r["motion"] == "first"] == [0, 10]
+    times = read_trajectories(tmp_path)["smoothed"].timestamps_s
+    np.testing.assert_allclose(times, [f.timestamp_s for f in frames], atol=1e-6)
+
+
+def test_results_of_an_earlier_run_do_not_stay(world, tmp_path):
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "methods" / "old.tum").write_text("1 2 3 4 0 0 0 1\n")
+    (tmp_path / "truth.tum").write_text("1 2 3 4 0 0 0 1\n")
+    (tmp_path / "metrics.json").write_text('{"command": "run"}')
+    with ResultsWriter(tmp_path):
+        pass
+    assert not list(tmp_path.rglob("*.tum"))

@@ -1,0 +1,134 @@
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from conformodal.conformal import QuantileBins
+from conformodal.localization import source as registry
+from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.model.config import Calibration, ModelConfig
+from conformodal.model.errors import OdometryError
+from conformodal.model.region_rules import EvidenceKind
+from conformodal.training.calibrating import calibrate_regions, compare_sources
+from conformodal.training.folds import Fold, Folds
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache
+
+BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)
+
+
+@dataclass(frozen=True, eq=False)
+class SeesAll:
+    """A source that looks at every frame that has a pose, whatever it is given."""
+
+    name: ClassVar[str] = "sees-all"
+    local: ClassVar[bool] = False
+    frames: np.ndarray
+
+    @classmethod
+    def fit(cls, data, frames):
+        return cls(np.arange(len(data.targets)))
+
+    def answer(self, evidence):
+        return SourceAnswer(measurements=[[]] * len(evidence))
+
+    def state(self):
+        return SourceState({"frames": self.frames})
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(state.arrays["frames"])
+
+
+@pytest.mark.parametrize("calibrate_on", [Calibration.FRAMES, Calibration.STRETCHES])
+def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_world, calibrate_on, monkeypatch):
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
+    register_source(SeesAll)
+    config = ModelConfig(alpha=0.2, sources=(SeesAll.name,), calibrate_on=calibrate_on)
+    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
+    with pytest.raises(OdometryError, match=r"pose source 'sees-all' has seen frame \d+, and (\d+) of the \1 frames"):
+        train_model(data, config)
+
+
+class Recognises:
+    """Beliefs that are the same for all images; in some, a place is recognised."""
+
+    sources = ()
+    local = True
+    cells = QuantileBins.from_edges([np.linspace(-4, 4, 41)] * 7)
+
+    def __init__(self, recognised):
+        self.recognised = recognised
+
+    def beliefs(self, evidence):
+        return SimpleNamespace(recognised=self.recognised[: len(evidence)])
+
+    def marginals_by_part(self, beliefs):
+        n = len(beliefs.recognised)
+        yield slice(0, n), [np.full((n, 40), 1 / 40)] * 7
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "n_recognised", "joint"),
+    [(100, 60, "max"), (100, 100, "bonferroni"), (140, 70, "bonferroni"), (140, 68, "max"), (100, 5, "bonferroni")],
+)
+def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_frames, n_recognised, joint):
+    """At alpha / 7 a type needs 69 frames; with 60 of 100 recognised, one threshold for all targets is finite."""
+    rng = np.random.default_rng(0)
+    data = SimpleNamespace(
+        features=np.zeros((n_frames + 20, 2), dtype=np.float32),
+        targets=rng.uniform(-1, 1, (n_frames + 20, 7)),
+        local_features=lambda frames: [None] * len(frames),
+        bins_of=lambda frames: Recognises.cells,
+    )
+    order = np.arange(n_frames + 20)
+    folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
+    config = ModelConfig(joint="bonferroni", score="lac")
+    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config)
+    assert rules.overall.joint == rules.matched.joint == joint
+    kinds = np.array([EvidenceKind.GLOBAL, EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS])
+    assert np.isfinite(rules.thresholds(kinds)).all()
+
+
+class Claims:
+    """Normal beliefs with errors of one size that claim another; an image's features are its targets."""
+
+    sources = ()
+    local = False
+    cells = QuantileBins.from_edges([np.linspace(-8, 8, 161)] * 7)
+
+    def __init__(self, error, claimed):
+        self.error, self.claimed = error, claimed
+
+    def beliefs(self, evidence):
+        rng = np.random.default_rng(int(1e6 * np.abs(evidence.features).sum()))
+        noise = rng.normal(0, self.error, (len(evidence), 7))
+        return SimpleNamespace(means=evidence.features + noise, recognised=np.zeros(len(evidence), dtype=bool))
+
+    def marginals_by_part(self, beliefs):
+        edges = self.cells.edges_[0]
+        mass = np.diff(norm.cdf((edges - beliefs.means[..., None]) / self.claimed), axis=-1)
+        mass /= mass.sum(axis=-1, keepdims=True)
+        yield slice(0, len(beliefs.means)), list(mass.transpose(1, 0, 2))
+
+
+@pytest.mark.parametrize(("claimed", "too_sure"), [(0.5, True), (0.8, False)])
+def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sure):
+    """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
+    targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
+    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS)
+    order, parts = np.arange(280), np.arange(280) // 56
+    folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
+    localizers = [Claims(1.0, 1.0)] * 5
+    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd"))
+    found = compare_sources(data, localizers, Claims(0.8, claimed), None, rules, np.arange(280, 400))
+    assert found.n_frames == 120
+    by_model, by_folds = found.covered
+    assert by_folds > 0.85
+    assert (by_model < 0.85) == too_sure
+    assert found.too_sure == too_sure
+    assert found.larger > 0.5 or not too_sure
+    assert f"hold {by_model:.3f} of the poses" in found.describe()
