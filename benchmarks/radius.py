@@ -13,7 +13,7 @@ from common import DATA, write_page
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_quantile
-from conformodal.model.radius import METRES_PER_RAD, Promise, fit_pose_radius, joint_error, pose_errors
+from conformodal.model.radius import METRES_PER_RAD, Guarantee, fit_pose_radius, joint_error, pose_errors
 from conformodal.poses import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,7 +98,7 @@ def leave_out(recordings: list[Recording], *, scenes: bool = False) -> Outcome:
     for i, r in enumerate(recordings):
         rest = [j for j, other in enumerate(recordings) if (other.scene != r.scene if scenes else j != i)]
         errors = [(recordings[j].metres, recordings[j].radians) for j in rest]
-        radius = fit_pose_radius(errors, ALPHA, Promise.FRAME, "", metres_per_rad=r.depth_m)
+        radius = fit_pose_radius(errors, ALPHA, Guarantee.FRAME, "", metres_per_rad=r.depth_m)
         kept.append(np.mean(joint_error(r.metres, r.radians, r.depth_m) <= radius.radius_rad))
         radians.append(radius.radius_rad)
     limits = np.array(radians)

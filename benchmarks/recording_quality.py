@@ -113,7 +113,7 @@ def chosen_by(row: list[str], results: list[dict[str, Any]], limit: float) -> li
 
 def lines(first: str, content: list[list[str]], *more: str) -> list[str]:
     what = ("frames", "median, m", f"% over {LARGE_M:g} m")
-    header = [first, "errors of", *(f"{part}: {name}" for part in ("thin", "others") for name in what), *more]
+    header = [first, "errors of", *(f"{part}: {name}" for part in ("sparse", "others") for name in what), *more]
     return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *content)]
 
 
@@ -128,7 +128,7 @@ def main() -> None:
     chosen = [kept(seed, options) for seed in options.chosen_on]
     reported = [kept(seed, options) for seed in options.seeds]
     each = [
-        row for seed, one in zip(options.seeds, reported, strict=True) for row in rows(str(seed), [one], QUALITY.thin)
+        row for seed, one in zip(options.seeds, reported, strict=True) for row in rows(str(seed), [one], QUALITY.sparse)
     ]
     by_limit = [chosen_by(row, chosen, limit) for limit in LIMITS for row in rows(f"{limit:g}", chosen, limit)]
     depths = [one["depth_m"] for one in chosen + reported]
@@ -139,11 +139,11 @@ def main() -> None:
         f"python benchmarks/recording_quality.py{' --quick' if options.quick else ''}",
         [
             f"redkitchen sequence 01, `blocks`, regions calibrated on frames; {models}. Frames of the test part. One "
-            f"is called thin if the nearest view that the model knows differs by more than {QUALITY.thin:g} of the "
+            f"is called thin if the nearest view that the model knows differs by more than {QUALITY.sparse:g} of the "
             f"field of view, in a scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
             "and known frames alone tell.",
             "",
-            *lines("seed", [*each, *rows("all", reported, QUALITY.thin)]),
+            *lines("seed", [*each, *rows("all", reported, QUALITY.sparse)]),
             "",
             f"Limits on the seeds on which one was chosen ({', '.join(map(str, options.chosen_on))}): that with the "
             f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls thin.",

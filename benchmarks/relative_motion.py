@@ -59,7 +59,7 @@ def measure(
         image = sequence.image(i)
         started = time.perf_counter()
         if i % stride:
-            front_end.pass_by(image)
+            front_end.track_only(image)
         else:
             motion = front_end.measure(image)
             if motion is not None:

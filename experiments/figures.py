@@ -17,7 +17,7 @@ import typer
 from matplotlib.figure import Figure
 
 from conformodal.cli.arguments import Cache, Data, DataLayout
-from conformodal.cli.console import kind_errors, print_where, progress_bars, say_line
+from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization.evidence import FrameEvidence
@@ -76,7 +76,7 @@ _POSITION = "xyz"
 
 
 @app.command()
-@kind_errors
+@report_errors
 def figures(
     data: Data,
     out: Out,
@@ -106,7 +106,7 @@ def figures(
         record: dict[str, Any] = {"command": "reproduce figures", "provenance": provenance()}
         record |= {"configuration": {"data": sequence.name, **plan.settings}, "figures": writer.written}
         write_metrics(out / "figures", record)
-    say_line(f"{len(writer.written)} figures: {', '.join(writer.written)}")
+    report_line(f"{len(writer.written)} figures: {', '.join(writer.written)}")
     print_where(out / "figures")
 
 

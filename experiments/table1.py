@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import typer
 
 from conformodal.cli.arguments import Cache, Data, DataLayout, cache_folder
-from conformodal.cli.console import kind_errors, print_where, progress_bars, say_line
+from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import open_sequence
 from conformodal.core.files import write_whole, writing_in
 from conformodal.datasets import Layout, Sequence, SplitKind
@@ -122,7 +122,7 @@ def opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterato
 
 
 @app.command()
-@kind_errors
+@report_errors
 def table1(
     data: Data,
     out: Out,
@@ -157,7 +157,7 @@ def table1(
         record["seconds"] = round(time.perf_counter() - started, 3)
         write_metrics(out, record)
     for line in text.splitlines():
-        say_line(line)
+        report_line(line)
     print_where(out)
 
 

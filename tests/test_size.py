@@ -8,15 +8,15 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 2830,
-    "conformal": 6080,
+    "conformal": 6090,
     "core": 510,
     "datasets": 5050,
-    "localization": 2550,
+    "localization": 2560,
     "model": 1410,
     "motion": 1220,
     "networks": 910,
     "poses": 1130,
-    "quality": 1390,
+    "quality": 1400,
     "reasoning": 1320,
     "report": 1210,
     "ros": 1100,

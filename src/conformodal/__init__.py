@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from conformodal.core.late import late
+from conformodal.core.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from conformodal.conformal import (
@@ -61,7 +61,7 @@ __all__ = [
     "read_sevenscenes",
 ]
 
-_find = late(__name__, {name: _LATE.get(name, ".conformal") for name in __all__})
+_find = lazy_getattr(__name__, {name: _LATE.get(name, ".conformal") for name in __all__})
 
 
 def __getattr__(name: str) -> Any:

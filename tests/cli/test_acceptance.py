@@ -29,7 +29,7 @@ def test_demo(tmp_path):
     errors = metrics["errors"]
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
     assert inside_band(metrics["coverage"])
-    assert not metrics["coverage"]["whole_space"]
+    assert not metrics["coverage"]["unbounded"]
     assert metrics["ambiguity"]["n_places"] > 300
     assert metrics["ambiguity"]["share_held"] >= 0.95
     assert "have the same view: the region holds" in (tmp_path / "report.html").read_text()

@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
 from conformodal.cli.main import app
-from conformodal.cli.model_notes import said_of_landmarks, said_of_repeated
+from conformodal.cli.model_notes import describe_landmarks, describe_repeated
 from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.datasets import read_sequence
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.poses import Trajectory, read_tum, write_tum
 from conformodal.running.estimates import Estimate
@@ -279,28 +279,28 @@ def test_calibrate_refuses_what_the_model_was_trained_on(small_world, tmp_path, 
 
 def test_training_says_what_landmarks_found(small_world):
     model = load_model(small_world.model)
-    assert said_of_landmarks(None, model.camera).startswith("no landmarks")
+    assert describe_landmarks(None, model.camera).startswith("no landmarks")
     own = model.landmarks
-    assert said_of_landmarks(own, model.camera) == (
+    assert describe_landmarks(own, model.camera) == (
         f"{len(own.map.points_xyz)} landmarks of {len(own.map.poses_se3)} frames"  # the corridor's camera is exact
     )
     longer = replace(model.camera, fx=1.2 * model.camera.fx)
-    assert f"{own.map.camera.fx:.0f} px where {longer.fx:.0f} px is given" in said_of_landmarks(own, longer)
+    assert f"{own.map.camera.fx:.0f} px where {longer.fx:.0f} px is given" in describe_landmarks(own, longer)
     told = json.loads((small_world.model / "metrics.json").read_text())["landmarks"]
     assert told == own.summary
 
 
 def test_the_status_line_says_whether_a_place_is_known():
     region = Regions(QuantileBins(2).fit(np.arange(9.0)[:, None]), [np.ones((1, 2), bool)], np.zeros((1, 1), bool))
-    seen = Estimate(0.0, None, None, region, None, None, True, known_p=0.43, evidence=EvidenceKind.LANDMARKS)
+    seen = Estimate(0.0, None, None, region, None, None, True, known_p=0.43, evidence=EvidenceType.LANDMARKS)
     assert state_of(seen) == "reliable, known p 0.43, intervals x:1"
-    assert state_of(replace(seen, known_p=0.003, evidence=EvidenceKind.UNKNOWN)) == "unknown place (p = 0.003)"
+    assert state_of(replace(seen, known_p=0.003, evidence=EvidenceType.UNKNOWN)) == "unknown place (p = 0.003)"
     assert state_of(replace(seen, region=None, problem="no image")) == "no answer: no image"
 
 
 def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
-    assert said_of_repeated(0, 5) == []
-    assert said_of_repeated(1, 5)[0].startswith("1 of 5 test frames shows the same picture as a training")
+    assert describe_repeated(0, 5) == []
+    assert describe_repeated(1, 5)[0].startswith("1 of 5 test frames shows the same picture as a training")
     folder = tmp_path / "flight"
     shutil.copytree(small_world.folder, folder)
     pictures = sorted(folder.rglob("*.color.png"))

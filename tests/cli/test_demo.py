@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli import demo
-from conformodal.cli.demo_pages import count_places, ratios_said, true_place_chosen
+from conformodal.cli.demo_pages import count_places, describe_ratios, true_place_chosen
 from conformodal.cli.main import app
 from conformodal.model.config import Method
 from conformodal.poses import Trajectory, read_tum
@@ -81,8 +81,8 @@ def test_the_papers_system_is_trained_and_compared_with_the_classical_regressor(
 def test_the_last_word_says_which_is_the_better_one():
     errors = {name: {"rmse_m": e} for name, e in (("greedy", 2.0), ("classical", 0.5))}
     metrics = {"errors": {**errors, "online": {"rmse_m": 0.25}, "smoothed": {"rmse_m": 0.1}}, "seconds": 9.6}
-    said = ratios_said(Method.PAPER, metrics)
+    said = describe_ratios(Method.PAPER, metrics)
     assert "0.25; below 1 the regressor is the better one" in said
-    assert ratios_said(Method.CONFORMODAL, metrics) == (
+    assert describe_ratios(Method.CONFORMODAL, metrics) == (
         "classical / conformal rmse_m: online 2.0, with hindsight 5.0   (10 s in all)"
     )

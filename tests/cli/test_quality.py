@@ -32,7 +32,7 @@ def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_worl
     assert len(looked) > 20
     assert not np.isin(looked, model.localizer.frames).any()
     assert found["n_known"] == len(model.localizer.frames)
-    assert {row["evidence"] for row in found["promises"]} == {"global", "unmatched", "landmarks"}
+    assert {row["evidence"] for row in found["guarantees"]} == {"global", "unmatched", "landmarks"}
     assert "frames that the model has not seen" in result.output
     page = (out / "report.html").read_text()
     assert "What to record or train on next" in page
@@ -46,7 +46,7 @@ def test_training_says_it_too(small_world):
     model = load_model(small_world.model)
     assert found["n_frames"] == len(read_sevenscenes(small_world.folder))
     assert found["ambiguity"]["n_looked_at"] == min(100, found["n_frames"] - len(model.localizer.frames))
-    assert len(found["promises"]) == 3
+    assert len(found["guarantees"]) == 3
     assert "change" not in found
 
 
@@ -55,7 +55,7 @@ def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
     result = invoke("data", "check", small_world.folder, "--out", tmp_path / "whole")
     assert result.exit_code == 0, result.output
     whole = quality_of(tmp_path / "whole")
-    assert whole["thin"] == []
+    assert whole["sparse"] == []
     assert "ambiguity" not in whole
     shutil.copytree(small_world.folder, tmp_path / "cut")
     names = sorted(path.name for path in (tmp_path / "cut" / "seq-01").glob("*.pose.txt"))
@@ -67,7 +67,7 @@ def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
         for path in (tmp_path / "cut" / "seq-01").glob(name.replace("pose.txt", "*")):
             path.unlink()
     result = invoke("data", "check", tmp_path / "cut", "--out", tmp_path / "out")
-    (gap,) = quality_of(tmp_path / "out")["thin"]
+    (gap,) = quality_of(tmp_path / "out")["sparse"]
     assert (gap["first"], gap["last"], gap["between"]) == (first, first + 1, True)
     assert f"from frame {first} to frame {first + 1}" in result.output
 

@@ -75,13 +75,13 @@ def test_a_source_of_another_size_says_so(small_world, tmp_path):
 
 
 def test_some_frames_of_a_part_are_not_exchangeable(small_world, tmp_path):
-    for limit, promised in ((None, True), (30, False)):
+    for limit, guaranteed in ((None, True), (30, False)):
         options = [] if limit is None else ["--limit", limit]
         result = invoke("run", small_world.model, small_world.folder, "--part", "test", "--out", tmp_path, *options)
         assert result.exit_code == 0, result.output
         coverage = json.loads((tmp_path / "metrics.json").read_text())["coverage"]
-        assert (coverage["joint_band_99"] is not None) == promised
-        assert ("no guarantee" in coverage["assumption"]) != promised
+        assert (coverage["joint_band_99"] is not None) == guaranteed
+        assert ("no guarantee" in coverage["assumption"]) != guaranteed
 
 
 def test_only_a_data_set_has_parts(small_world, video, tmp_path):

@@ -11,7 +11,7 @@ from conformodal.cli import info as info_module
 from conformodal.cli import view as view_module
 from conformodal.cli.main import app
 from conformodal.cli.verbs import VERBS
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 
 
@@ -62,7 +62,7 @@ def test_info_says_what_the_model_knows_and_promises(small_world):
     assert found["runtime"] == "onnx"
     assert found["network_ms"] > 0
     assert found["bytes"]["weights.safetensors"] == (small_world.model / "weights.safetensors").stat().st_size
-    assert set(found["bounded_regions"]) == {kind.name.lower() for kind in EvidenceKind}
+    assert set(found["bounded_regions"]) == {kind.name.lower() for kind in EvidenceType}
     assert not found["bounded_regions"]["unknown"]
     lines = info_module.said(found)
     assert any("with probability at least 0.8" in line for line in lines)

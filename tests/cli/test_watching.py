@@ -46,7 +46,7 @@ def test_a_recording_is_closed_where_the_view_cannot_be_opened(monkeypatch, tmp_
     monkeypatch.setattr(watching, "LiveView", no_screen)
     with (
         pytest.raises(RuntimeError, match="no screen"),
-        watching.watchers("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+        watching.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
     ):
         pass
     assert [its.open for its in opened] == [False]
@@ -60,7 +60,7 @@ def test_a_view_that_fails_to_close_leaves_no_recording_open(monkeypatch, tmp_pa
     monkeypatch.setattr(watching, "LiveView", Broken)
     with (
         pytest.raises(OSError, match="gone"),
-        watching.watchers("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+        watching.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
     ):
         pass
     assert [its.open for its in opened] == [False, True]

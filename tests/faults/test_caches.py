@@ -16,7 +16,7 @@ from conformodal.core.files import locked
 from conformodal.datasets import ImageError
 from conformodal.networks import Head, TorchBackbone, backbone_config, fit_head, mean_squared_error, soft_cross_entropy
 from conformodal.vision.features import FeatureCache, extract_features
-from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.settings import TrainingConfig
 
 
@@ -100,7 +100,7 @@ def test_states_hold_tensors_and_no_code(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         trained(tmp_path, 12)
     (file,) = tmp_path.iterdir()
-    state = torch.load(BytesIO(kept_arrays(file, file.stem)["state"].tobytes()), weights_only=True)
+    state = torch.load(BytesIO(cached_arrays(file, file.stem)["state"].tobytes()), weights_only=True)
     assert state["epochs"] == 10
 
 
@@ -202,17 +202,17 @@ def test_an_image_that_vanished_is_named(features, tmp_path):
 def test_kept_arrays_are_whole_or_gone(tmp_path, damage):
     arrays = {"a": np.arange(300.0), "b": np.ones((2, 3), np.float16)}
     path = tmp_path / "x.safetensors"
-    keep_arrays(path, "key", arrays)
-    found = kept_arrays(path, "key")
+    cache_arrays(path, "key", arrays)
+    found = cached_arrays(path, "key")
     assert all(np.array_equal(found[k], v) for k, v in arrays.items())
     DAMAGE[damage](path)
-    assert kept_arrays(path, "key") is None
+    assert cached_arrays(path, "key") is None
     assert not path.exists()
 
 
 def test_arrays_of_another_key_are_not_taken(tmp_path):
-    keep_arrays(tmp_path / "x", "key", {"a": np.arange(3)})
-    assert kept_arrays(tmp_path / "x", "other") is None
+    cache_arrays(tmp_path / "x", "key", {"a": np.arange(3)})
+    assert cached_arrays(tmp_path / "x", "other") is None
 
 
 @pytest.mark.parametrize("name", ["x", "a b", "é", "x" * 200])

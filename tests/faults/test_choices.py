@@ -16,8 +16,8 @@ from conformodal.datasets.writing import write_layout
 from conformodal.localization.source_data import SourceData
 from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.model.model import PoseModel
-from conformodal.model.radius import PoseRadius, Promise, fit_pose_radius
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.radius import Guarantee, PoseRadius, fit_pose_radius
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory, align
 from conformodal.poses.relative import MotionStatus
 from conformodal.ros.conventions import Conventions, Covariance, is_lost
@@ -53,9 +53,9 @@ ENTRIES = {
     "ModelConfig.calibrate_on": (lambda v: ModelConfig(calibrate_on=v), "calibrate_on"),
     "ModelConfig.runtime": (lambda v: ModelConfig(runtime=v), "runtime"),
     "PoseModel.method": (lambda v: PoseModel(*(None,) * 8, configuration={"method": v}).method, "method"),
-    "PoseRadius.promise": (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "promise"),
-    "fit_pose_radius promise": (lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, v, "online"), "promise"),
-    "calibrate_selection promise": (lambda v: calibrate_selection(None, None, promise=v), "promise"),
+    "PoseRadius.promise": (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "guarantee"),
+    "fit_pose_radius promise": (lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, v, "online"), "guarantee"),
+    "calibrate_selection promise": (lambda v: calibrate_selection(None, None, guarantee=v), "guarantee"),
     "make_folds": (lambda v: make_folds(None, None, v), "calibration"),
     "Estimate.evidence": (lambda v: Estimate(0.0, *LOST, False, evidence=v), "evidence"),
     "region_record": (lambda v: region_record("a", 0.0, None, [], kind=v), "kind"),
@@ -87,8 +87,8 @@ FIELDS = [
     (ModelConfig(split="recordings"), "split", SplitKind.RECORDINGS),
     (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
     (ModelConfig(runtime="int8"), "runtime", Runtime.INT8),
-    (PoseRadius(1.0, 0.1, "recording", "online", 9), "promise", Promise.RECORDING),
-    (Estimate(0.0, *LOST, False, evidence=np.int64(3)), "evidence", EvidenceKind.UNKNOWN),
+    (PoseRadius(1.0, 0.1, "recording", "online", 9), "guarantee", Guarantee.RECORDING),
+    (Estimate(0.0, *LOST, False, evidence=np.int64(3)), "evidence", EvidenceType.UNKNOWN),
     (TrainingTask(method="paper", split="blocks", **TASK), "method", Method.PAPER),
 ]
 

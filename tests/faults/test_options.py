@@ -14,7 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 from conformodal.cli import failures
-from conformodal.cli.console import kind_errors
+from conformodal.cli.console import report_errors
 from conformodal.cli.main import app
 from conformodal.cli.options import range_of
 from conformodal.conformal import ConformodalError, QuantileBins
@@ -143,7 +143,7 @@ WRONG = {
     **{
         f"the paper has no {options[0]}": (["train", "--method", "paper", *options], "the paper's system has no")
         for options in [  # our own values, given all the same
-            ("--score", "hpd_mid"),
+            ("--score", "hpd"),
             ("--joint", "max"),
             ("--sigma", "0.7"),
             ("--sources", "head,neighbours,landmarks"),
@@ -175,7 +175,7 @@ def ended(error, **kwargs):
     small = typer.Typer()
 
     @small.command()
-    @kind_errors
+    @report_errors
     def command() -> None:
         raise error
 
@@ -253,7 +253,7 @@ def test_a_signal_that_is_ignored_stays_ignored():
 def test_options_are_checked_of_every_command():
     for verb in verbs().values():
         if verb.callback is not None and not hasattr(verb, "commands"):
-            assert hasattr(verb.callback, "__wrapped__")  # by kind_errors
+            assert hasattr(verb.callback, "__wrapped__")  # by report_errors
 
 
 SAY_NOTHING = {

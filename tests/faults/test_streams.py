@@ -10,7 +10,7 @@ from PIL import Image
 from conformodal.datasets import read_sevenscenes
 from conformodal.datasets.streams.frames import Frame
 from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.poses import MotionStatus, RelativeMotion, Trajectory
 from conformodal.reasoning.orientations import smooth_orientations
@@ -122,7 +122,7 @@ def test_what_is_no_image_costs_one_frame(model, images, plain, what):
     assert lost.region is None
     assert lost.pose is None
     assert re.search(match, lost.problem), lost.problem
-    odometry.pass_by(image)
+    odometry.track_only(image)
     same(odometry.step(images[1], 0.1), plain[1])
 
 
@@ -193,7 +193,7 @@ def test_a_blank_first_frame_is_like_no_known_place(model, images, what):
     odometry = VisualOdometry(model)
     first = odometry.step(BLANK[what], 0.0)
     assert not first.reliable
-    assert first.evidence is EvidenceKind.UNKNOWN
+    assert first.evidence is EvidenceType.UNKNOWN
     assert "no place that is known" in first.problem
     assert odometry.step(images[0], 0.1).pose is not None
 

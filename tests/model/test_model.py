@@ -12,8 +12,8 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.local_features import extract_local_features
 from conformodal.model.config import ModelConfig, config_of
 from conformodal.model.errors import ModelFileError, OdometryError
-from conformodal.model.radius import PoseRadius, Promise
-from conformodal.model.region_rules import EvidenceKind, RegionRules
+from conformodal.model.radius import Guarantee, PoseRadius
+from conformodal.model.region_rules import EvidenceType, RegionRules
 from conformodal.model.store import load_model, save_model
 from conformodal.networks import TorchBackbone
 from conformodal.poses import PinholeCamera
@@ -80,7 +80,7 @@ def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
 
 @pytest.mark.parametrize("limit", [0.25, np.inf])
 def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
-    radius = PoseRadius(limit, 0.1, Promise.FRAME, "smoothed", 9, metres_per_rad=3.0)
+    radius = PoseRadius(limit, 0.1, Guarantee.FRAME, "smoothed", 9, metres_per_rad=3.0)
     save_model(replace(model, radius=radius), tmp_path)
     back = load_model(tmp_path).radius
     assert back == radius
@@ -89,7 +89,7 @@ def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
 
 @pytest.mark.parametrize("sizing", ["none", "roughness"])
 def test_a_radius_that_depends_on_the_recording_is_left_out(model, tmp_path, sizing):
-    radius = PoseRadius(0.25, 0.1, Promise.FRAME, "smoothed", 9)
+    radius = PoseRadius(0.25, 0.1, Guarantee.FRAME, "smoothed", 9)
     save_model(replace(model, radius=radius), tmp_path)
     record = json.loads((tmp_path / "model.json").read_text())
     del record["sha256"]
@@ -125,7 +125,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-12'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-13'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
@@ -161,7 +161,7 @@ def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp
         rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
     rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
     save_model(replace(model, rules=rules), tmp_path)
-    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceKind))
+    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
     assert np.isfinite(rules.thresholds(kinds[:3])).all()
     for one, other in ((back.overall, overall), (back.matched, matched)):

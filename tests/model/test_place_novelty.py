@@ -8,7 +8,7 @@ from conformodal.datasets import THUMBNAIL
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.model.errors import OdometryError
 from conformodal.model.place_novelty import PlaceNovelty
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, save_model
 from conformodal.running.estimator import VisualOdometry
 from conformodal.vision.backbone import coarse_features
@@ -51,7 +51,7 @@ def test_test_frames_are_known(model, features):
     assert len(np.unique(p)) > 0.5 * len(p)
     for u in (0.05, 0.1, 0.2, 0.5):
         assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
-    assert (kinds_of(model, p) == EvidenceKind.UNKNOWN).mean() < 0.05
+    assert (kinds_of(model, p) == EvidenceType.UNKNOWN).mean() < 0.05
     assert model.rules.level == 0.015
     np.testing.assert_array_equal(model.novelty.test.groups, model.split.train)  # every training frame by itself
 
@@ -67,9 +67,9 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
     odometry = VisualOdometry(model)
     first = odometry.step(sequence.image(50), 1.0)
     assert first.reliable
-    assert first.evidence is not EvidenceKind.UNKNOWN
+    assert first.evidence is not EvidenceType.UNKNOWN
     lost = odometry.step(SOMETHING_ELSE[what], 1.1)
-    assert lost.evidence is EvidenceKind.UNKNOWN
+    assert lost.evidence is EvidenceType.UNKNOWN
     assert lost.region.unbounded.all()
     assert not lost.reliable
     assert "like no place that is known" in lost.problem
@@ -82,13 +82,13 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
     assert lost.position_spread_m > first.position_spread_m
     assert lost.orientation_spread_rad > first.orientation_spread_rad
     again = odometry.step(sequence.image(51), 1.2)
-    assert again.evidence is not EvidenceKind.UNKNOWN
+    assert again.evidence is not EvidenceType.UNKNOWN
     assert not again.region.unbounded.all()
 
 
 def test_unknown_first_frames_of_a_stream_have_their_own_candidates(model):
     lost = VisualOdometry(model).step(SOMETHING_ELSE["noise"], 0.0)
-    assert lost.evidence is EvidenceKind.UNKNOWN
+    assert lost.evidence is EvidenceType.UNKNOWN
     assert np.isfinite(lost.pose.positions_xyz).all()
 
 
@@ -99,7 +99,7 @@ def test_a_saved_model_knows_the_same(model, features, tmp_path):
         p = model.novelty.p_values(x)
         np.testing.assert_array_equal(back.novelty.p_values(x), p)
         np.testing.assert_array_equal(kinds_of(back, p), kinds_of(model, p))
-    kinds = np.array(list(EvidenceKind))
+    kinds = np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
     np.testing.assert_array_equal(back.rules.known_p, model.rules.known_p)
     assert back.rules.level == model.rules.level
@@ -108,12 +108,12 @@ def test_a_saved_model_knows_the_same(model, features, tmp_path):
 def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     p, strict = model.novelty.p_values(features), replace(model)
     strict.set_novelty_level(0.2)
-    np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceKind.UNKNOWN, p <= 0.2)
-    assert strict.rules.of[EvidenceKind.GLOBAL].n_units == (model.rules.known_p > 0.2).sum()
+    np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
+    assert strict.rules.of[EvidenceType.GLOBAL].n_units == (model.rules.known_p > 0.2).sum()
     save_model(strict, tmp_path)
     assert load_model(tmp_path).rules.level == 0.2
     strict.set_novelty_level(0.0)
-    assert (kinds_of(strict, p) != EvidenceKind.UNKNOWN).all()
+    assert (kinds_of(strict, p) != EvidenceType.UNKNOWN).all()
     assert model.rules.level == 0.015
     for level in (-0.1, 1.0, np.nan):
         with pytest.raises(OdometryError, match="novelty_level"):
@@ -133,7 +133,7 @@ def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
 def test_images_that_are_not_known_have_the_whole_space(model, features):
     both = np.concatenate((features[:1], seen(model, SOMETHING_ELSE["noise"])))
     found = model.localize(FrameEvidence(both))
-    assert found.kinds.tolist()[1] == EvidenceKind.UNKNOWN
+    assert found.kinds.tolist()[1] == EvidenceType.UNKNOWN
     assert found.regions.unbounded[1].all()
     assert not found.regions.unbounded[0].all()
 

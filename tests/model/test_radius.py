@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.model.errors import OdometryError
-from conformodal.model.radius import Promise, fit_pose_radius, pose_errors, recordings_needed
+from conformodal.model.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.selection import recording_errors
@@ -29,8 +29,8 @@ def test_errors_are_distances_and_angles():
 def test_one_threshold_holds_the_larger_of_both_errors():
     rng = np.random.default_rng(1)
     errors = [(rng.random(k), rng.random(k)) for k in rng.integers(2, 9, 30)]
-    for promise, quantile in ((Promise.FRAME, grouped_quantile), (Promise.RECORDING, grouped_maximum_quantile)):
-        radius = fit_pose_radius(errors, 0.2, promise, "smoothed", metres_per_rad=4.0)
+    for guarantee, quantile in ((Guarantee.FRAME, grouped_quantile), (Guarantee.RECORDING, grouped_maximum_quantile)):
+        radius = fit_pose_radius(errors, 0.2, guarantee, "smoothed", metres_per_rad=4.0)
         scores = [np.maximum(m / 4, r) for m, r in errors]
         assert radius.radius_rad == quantile(scores, 0.2)
         assert radius.radius_m == 4 * radius.radius_rad
@@ -43,9 +43,9 @@ def test_nine_recordings_suffice_for_a_tenth():
     assert [recordings_needed(alpha) for alpha in (0.1, "0.05", 0.3, 0.5)] == [9, 19, 3, 1]
     rng = np.random.default_rng(2)
     errors = [(rng.random(5), rng.random(5)) for _ in range(9)]
-    for promise in Promise:
-        assert fit_pose_radius(errors[:8], 0.1, promise, "smoothed").radius_rad == np.inf
-        assert np.isfinite(fit_pose_radius(errors, 0.1, promise, "smoothed").radius_rad)
+    for guarantee in Guarantee:
+        assert fit_pose_radius(errors[:8], 0.1, guarantee, "smoothed").radius_rad == np.inf
+        assert np.isfinite(fit_pose_radius(errors, 0.1, guarantee, "smoothed").radius_rad)
 
 
 def recording_of_a_shaky_camera(rng):
@@ -67,7 +67,7 @@ def test_a_frame_of_a_new_recording_is_held_as_often_as_promised():
         recordings = [recording_of_a_shaky_camera(rng) for _ in range(12)]
         errors = [pose_errors(*pair) for pair in recordings[1:]]
         estimate, truth = recordings[0]
-        radius = fit_pose_radius(errors, alpha, Promise.FRAME, "smoothed", metres_per_rad=3.0)
+        radius = fit_pose_radius(errors, alpha, Guarantee.FRAME, "smoothed", metres_per_rad=3.0)
         held.append(radius.holds(estimate, truth).mean())
     # guaranteed in the mean; above it by at most one recording's weight
     slack = 3 * np.std(held) / np.sqrt(len(held))
@@ -77,7 +77,7 @@ def test_a_frame_of_a_new_recording_is_held_as_often_as_promised():
 @pytest.mark.parametrize("metres_per_rad", [0.0, -1.0, np.inf, np.nan])
 def test_a_weight_of_metres_is_positive_and_finite(metres_per_rad):
     with pytest.raises(OdometryError, match="metres_per_rad must be positive and finite"):
-        fit_pose_radius([([0.1], [0.1])] * 9, 0.1, Promise.FRAME, "smoothed", metres_per_rad=metres_per_rad)
+        fit_pose_radius([([0.1], [0.1])] * 9, 0.1, Guarantee.FRAME, "smoothed", metres_per_rad=metres_per_rad)
 
 
 def test_the_radius_holds_both_errors_or_not():
@@ -85,7 +85,7 @@ def test_the_radius_holds_both_errors_or_not():
     turn = Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)
     turned = turn * Rotation.from_rotvec([[0, 0, 0.1], [0, 0, 0.3], [0, 0, 0.1]])
     moved = truth.positions_xyz + np.array([[0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0]])
-    radius = fit_pose_radius([([0.2], [0.2])] * 9, 0.5, Promise.FRAME, "smoothed", metres_per_rad=1.0)
+    radius = fit_pose_radius([([0.2], [0.2])] * 9, 0.5, Guarantee.FRAME, "smoothed", metres_per_rad=1.0)
     estimate = Trajectory(truth.timestamps_s, moved, turned.as_quat(scalar_first=True))
     assert radius.holds(estimate, truth).tolist() == [True, False, False]
     assert "a frame drawn at random" in radius.assumption
@@ -97,5 +97,5 @@ def test_frames_that_could_not_be_read_are_infinitely_far_off():
     run.trajectories["smoothed"] = truth[np.array([0, 1, 3, 4, 5])]
     errors = recording_errors(run, "smoothed", truth, np.array([0, 0, 0, 1, 1, 1]))
     assert [e[0].tolist() for e in errors] == [[0, 0, np.inf], [0, 0, 0]]
-    assert fit_pose_radius(errors, 0.45, Promise.RECORDING, "smoothed").radius_m == np.inf
-    assert fit_pose_radius(errors, 0.9, Promise.FRAME, "smoothed").radius_m == pytest.approx(0)
+    assert fit_pose_radius(errors, 0.45, Guarantee.RECORDING, "smoothed").radius_m == np.inf
+    assert fit_pose_radius(errors, 0.9, Guarantee.FRAME, "smoothed").radius_m == pytest.approx(0)

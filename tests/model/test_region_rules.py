@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile, grouped_coverage_band
-from conformodal.model.region_rules import EvidenceKind, RegionRules, Sharing
+from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
 from conformodal.running.results.evaluation import coverage_table
 from conformodal.running.results.statistics import RegionStatistics
 
-GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceKind
+GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceType
 
 
 def calibrated(bins, n=80, joint="max", seed=0, groups=None):

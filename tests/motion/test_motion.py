@@ -115,7 +115,7 @@ def test_motion_over_frames_passed_by_spans_them_all():
     front_end = MotionFrontEnd(camera)
     front_end.measure(images[0])
     for image in images[1:4]:
-        front_end.pass_by(image)
+        front_end.track_only(image)
     motion = front_end.measure(images[4])
     relative = np.linalg.inv(poses[0]) @ poses[4]
     assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()) < 2
@@ -128,9 +128,9 @@ def test_renewed_corners_chain_rotations_and_leave_the_direction_out():
     first = front_end.measure(images[1]).rotation_sigma_rad
     front_end.reset()
     front_end.measure(images[0])
-    front_end.pass_by(images[1])
-    front_end._bank()  # what happens when most corners are gone
-    front_end.pass_by(images[2])
+    front_end.track_only(images[1])
+    front_end._accumulate()  # what happens when most corners are gone
+    front_end.track_only(images[2])
     motion = front_end.measure(images[3])
     assert motion.rotation_sigma_rad > first  # the last part's variance is added
     assert motion.direction_prev is None
@@ -179,7 +179,7 @@ def test_redkitchen_rotations(redkitchen):
     for i in range(200, 400):
         image = sequence.image(i)
         if i % 5:
-            front_end.pass_by(image)
+            front_end.track_only(image)
             continue
         motion = front_end.measure(image)
         if motion is not None and motion.R_prev_next is not None:

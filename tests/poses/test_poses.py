@@ -121,9 +121,9 @@ def test_association_pairs_nearest_times():
     mine, theirs = associate(shifted, truth)
     assert mine.tolist() == [0, 2]
     assert theirs.tolist() == [1, 9]
-    late = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
+    lazy_getattr = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
     with pytest.raises(PoseError, match="no estimated pose"):
-        associate(late, truth)
+        associate(lazy_getattr, truth)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.quality.advice import Names, record_next, said_of_quality
+from conformodal.quality.advice import Names, describe_quality, record_next
 from conformodal.quality.place_ambiguity import ambiguity
 from conformodal.quality.views import ViewScale
 
@@ -44,7 +44,7 @@ def judged(parts, truth, known=X, frames=None):
     n = len(parts)
     found = SimpleNamespace(
         regions=regions(*parts),
-        kinds=np.array([EvidenceKind.UNKNOWN if part is None else EvidenceKind.GLOBAL for part in parts]),
+        kinds=np.array([EvidenceType.UNKNOWN if part is None else EvidenceType.GLOBAL for part in parts]),
         candidates=[SimpleNamespace(positions_xyz=np.zeros((1, 3)), log_mass=np.zeros(1))] * n,
     )
     frames = np.arange(n) if frames is None else frames
@@ -100,12 +100,12 @@ def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
     found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
     quality = SimpleNamespace(
-        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=1000 + np.arange(80)
+        coverage=None, ambiguity=found, guarantees=[], errors_m=None, known_names=1000 + np.arange(80)
     )
     names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
     (advice,) = record_next(quality, names)
     assert advice.startswith(f"{said} like frames 1050 to 1069: record the way")
-    assert said_of_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
+    assert describe_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
 
 
 def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other():
@@ -114,7 +114,7 @@ def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other(
     (one,) = found.stretches
     # the known frames elsewhere, 50 to 69 of all, bear the numbers 10 to 29: those of the stretch itself
     quality = SimpleNamespace(
-        coverage=None, ambiguity=found, promises=[], errors_m=None, known_names=np.arange(80) - 40
+        coverage=None, ambiguity=found, guarantees=[], errors_m=None, known_names=np.arange(80) - 40
     )
     names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
     (advice,) = record_next(quality, names)

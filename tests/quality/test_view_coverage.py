@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.poses import PinholeCamera, Trajectory
-from conformodal.quality.advice import Names, record_next, said_of_quality
+from conformodal.quality.advice import Names, describe_quality, record_next
 from conformodal.quality.view_coverage import pose_coverage
 from conformodal.quality.views import KnownViews, ViewScale, stations
 
@@ -47,7 +47,7 @@ def quality(poses, known, recording=ONE):
         known_names=every,
         coverage=coverage,
         ambiguity=None,
-        promises=[],
+        guarantees=[],
         errors_m=None,
         scale=SCALE,
     )
@@ -60,8 +60,8 @@ def test_frames_that_are_not_known_are_thin_where_the_nearest_known_one_is_far()
     known = poses[(EVERY < 50) | (EVERY >= 70)]
     found, advice = quality(poses, known)
     # 0.04 m a frame: eight frames or more from 49 and from 70 are more than 0.3 m
-    assert np.flatnonzero(found.coverage.thin_frames).tolist() == [57, 58, 59, 60, 61, 62]
-    (one,) = found.coverage.thin
+    assert np.flatnonzero(found.coverage.sparse_frames).tolist() == [57, 58, 59, 60, 61, 62]
+    (one,) = found.coverage.sparse
     assert (one.first, one.last, one.between) == (57, 62, False)
     assert one.distance_m == pytest.approx(0.4, abs=0.02)
     assert one.place_xyz[0] == pytest.approx(59.5 * 0.04, abs=0.03)
@@ -74,10 +74,10 @@ def test_frames_that_are_not_known_are_thin_where_the_nearest_known_one_is_far()
 def test_only_frames_that_the_model_was_not_trained_on_are_counted_as_sparsely_covered():
     poses = corridor()
     unknown = (EVERY >= 50) & (EVERY < 70)
-    said = said_of_quality(quality(poses, poses[~unknown])[0])[0]
+    said = describe_quality(quality(poses, poses[~unknown])[0])[0]
     assert "6 of the 20 frames" in said
     # a check without a model takes all frames as known: it must not say that none of them is sparsely covered
-    assert "covered" not in said_of_quality(quality(poses, poses)[0])[0]
+    assert "covered" not in describe_quality(quality(poses, poses)[0])[0]
 
 
 def test_frames_of_the_recording_are_to_be_trained_on_and_not_recorded_again():
@@ -91,8 +91,8 @@ def test_a_piece_cut_out_of_a_recording_is_a_gap():
     whole = corridor()
     cut = whole[(EVERY < 50) | (EVERY >= 70)]
     found, advice = quality(cut, cut)
-    assert not found.coverage.thin_frames.any()
-    (one,) = found.coverage.thin
+    assert not found.coverage.sparse_frames.any()
+    (one,) = found.coverage.sparse
     assert (one.first, one.last, one.between) == (49, 50, True)
     assert one.distance_m == pytest.approx(21 * 0.04 / 2)
     assert found.coverage.fast == []  # the gap is said once
@@ -103,17 +103,17 @@ def test_a_gap_that_another_recording_fills_is_none():
     whole = corridor()
     cut = (EVERY < 50) | (EVERY >= 70)
     found, advice = quality(whole[cut], whole)
-    assert found.coverage.thin == []
+    assert found.coverage.sparse == []
     assert all("more slowly" in line for line in advice)
 
 
 @pytest.mark.parametrize("poses", [corridor(), yaw(EVERY * 0.02), path(np.zeros((N, 3)))], ids=["way", "turn", "still"])
 def test_where_nothing_is_missing_nothing_is_reported(poses):
     found, advice = quality(poses, poses)
-    assert found.coverage.thin == []
+    assert found.coverage.sparse == []
     assert found.coverage.fast == []
     assert advice == []
-    said = said_of_quality(found)[0]
+    said = describe_quality(found)[0]
     assert "no gap between the 120 frames" in said
     assert "10 % of the field of view, 8.6 degrees or 0.30 m" in said
 
@@ -121,16 +121,16 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
 def test_between_two_recordings_nothing_is_missing():
     poses = path(np.column_stack((np.where(EVERY < 60, 0, 50) + 0.04 * EVERY, ONE, ONE)))
     found, _ = quality(poses, poses, recording=(EVERY >= 60).astype(np.int64))
-    assert found.coverage.thin == []
+    assert found.coverage.sparse == []
     found, _ = quality(poses, poses)
-    assert [(one.first, one.last) for one in found.coverage.thin] == [(59, 60)]
+    assert [(one.first, one.last) for one in found.coverage.sparse] == [(59, 60)]
 
 
 @pytest.mark.parametrize(("sign", "side"), [(1, "right"), (-1, "left")])
 def test_turns_that_are_missing_are_named_by_their_side(sign, side):
     angles = sign * 0.02 * EVERY
     found, advice = quality(yaw(angles), yaw(angles)[:60])
-    (one,) = found.coverage.thin
+    (one,) = found.coverage.sparse
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
@@ -142,18 +142,18 @@ def test_pitch_and_ways_are_named_in_the_cameras_frame(sign, side):
     # about the axis that points right, positive turns look up: y points down
     level = about("x", -sign * 0.02 * EVERY)
     found, advice = quality(path(turns=level), path(turns=level)[:60])
-    assert found.coverage.thin[0].turned == side
+    assert found.coverage.sparse[0].turned == side
     ways = np.zeros((N, 3))
     ways[:, 2] = sign * 0.04 * EVERY
     found, advice = quality(path(ways), path(ways)[:60])
-    assert found.coverage.thin[0].turned == ""
+    assert found.coverage.sparse[0].turned == ""
     assert f"from further {'forward' if sign > 0 else 'back'} than known frame 59" in advice[0]
 
 
 def test_a_camera_that_turns_about_its_line_of_sight_is_tilted():
     rolled = path(turns=about("z", 0.02 * EVERY))
     found, advice = quality(rolled, rolled[:60])
-    assert found.coverage.thin[0].turned == "tilted"
+    assert found.coverage.sparse[0].turned == "tilted"
     assert "they are tilted against known frame 59;" in advice[0]
 
 
@@ -161,7 +161,7 @@ def test_neighbouring_gaps_are_one_way_that_needs_more_frames():
     rates = np.where((EVERY >= 40) & (EVERY < 45), 0.4, 0.02)
     poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
     found, advice = quality(poses, poses)
-    (one,) = found.coverage.thin
+    (one,) = found.coverage.sparse
     assert (one.first, one.last, one.between) == (40, 45, True)
     assert one.angle_deg == pytest.approx(np.degrees(0.2), abs=0.01)
     assert found.coverage.fast == []
@@ -172,7 +172,7 @@ def test_fast_turns_are_found_where_they_are():
     rates = np.where((EVERY >= 40) & (EVERY < 45), 0.24, 0.02)
     poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
     found, advice = quality(poses, poses)
-    assert found.coverage.thin == []
+    assert found.coverage.sparse == []
     (one,) = found.coverage.fast
     assert (one.first, one.last, one.turning) == (40, 45, True)
     assert one.angle_deg == pytest.approx(np.degrees(0.24))
@@ -192,7 +192,7 @@ def test_the_longest_and_farthest_stretch_comes_first():
 def test_without_a_known_frame_all_is_to_be_recorded():
     poses = corridor()
     found, advice = quality(poses, poses[:0])
-    assert found.coverage.thin_frames.all()
+    assert found.coverage.sparse_frames.all()
     assert advice == ["Train on frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
 
 

@@ -14,7 +14,14 @@ from conformodal.reasoning.orientations import smooth_orientations
 from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
 from conformodal.reasoning.settings import SEARCH
 from conformodal.reasoning.smoother import smooth, smooth_positions
-from conformodal.reasoning.viterbi import best_step, orientation_cost, position_cost, transition_cost, viterbi, way_back
+from conformodal.reasoning.viterbi import (
+    backtrack,
+    best_step,
+    orientation_cost,
+    position_cost,
+    transition_cost,
+    viterbi,
+)
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 
@@ -86,10 +93,10 @@ def two_rooms(vague_m):
     places, spreads = np.zeros((2, 3)), np.full((2, 3), 0.05)
     places[1, 0] = 5
     early = Candidates(places, spreads, facing[:2], turn[:2], np.array([0.0, -9.0]))
-    late = replace(early, log_mass=np.array([-2.0, 0.0]))
+    lazy_getattr = replace(early, log_mass=np.array([-2.0, 0.0]))
     anywhere = np.concatenate((spreads, np.full((1, 3), vague_m)))
     between = Candidates(np.vstack((places, [2.5, 0, 0])), anywhere, facing, turn, np.array([-2.0, -2.0, 0.0]))
-    candidates = [*[early] * 4, between, *[late] * 5]
+    candidates = [*[early] * 4, between, *[lazy_getattr] * 5]
     return Observations(candidates, [None] * 10, np.arange(10) * 0.1)
 
 
@@ -179,7 +186,7 @@ def test_the_way_back_is_the_best_of_all_sequences():
         return first[sequence[0]] + sum(transition[a, b] + unary[b] for a, b, transition, unary in steps)
 
     best = max(product(range(3), repeat=5), key=total)
-    np.testing.assert_array_equal(way_back(backs, int(np.argmax(score))), best)
+    np.testing.assert_array_equal(backtrack(backs, int(np.argmax(score))), best)
     assert score.max() == 0  # so that long sequences do not run out of digits
 
 

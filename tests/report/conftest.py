@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.report.thumbnails import Thumbnails
 from conformodal.running.results.writer import ResultsWriter
@@ -78,13 +78,13 @@ def made_up_run(folder, n=60, truth=True, whole_line=False):
             writer.truth(Trajectory(times, places, quats))
         for i in range(n):
             around = [np.array([[v - 0.1, v + 0.1]]) for v in (*places[i], *quats[i])]
-            kind, p = EvidenceKind.GLOBAL, 0.5
+            kind, p = EvidenceType.GLOBAL, 0.5
             if i >= 30:
                 around[0] = np.array([[-3, -2.7], [places[i, 0] - 0.1, places[i, 0] + 0.1]])
             if whole_line and i == 5:
                 around[1] = np.array([[-np.inf, np.inf]])
             if i == 7:
-                around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceKind.UNKNOWN, 0.003
+                around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceType.UNKNOWN, 0.003
             writer.region(f"frame-{i:03d}", times[i], None, around, p, kind)
             pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     return pictures.kept

@@ -26,7 +26,7 @@ METRICS = {
     "split_note": "all frames.",
     "errors": {"smoothed": ROW, "classical": ROW},
     "coverage": {
-        "whole_space": True,
+        "unbounded": True,
         "targets": dict.fromkeys(("x", "y", "z", "q_w"), TARGET),
         "joint_coverage": 0.9,
         "n_evaluated": 100,

@@ -3,7 +3,7 @@ import pytest
 
 from conformodal.core.words import counted, noun_for
 from conformodal.report.page_frames import PageFrame
-from conformodal.report.sentences import RunStatistics, frame_said, length_said, run_said, size_said
+from conformodal.report.sentences import RunStatistics, describe_frame, describe_length, describe_run, describe_size
 
 HERE = [[-0.05, 0.05]]
 THERE = [[-0.05, 0.05], [9.9, 10.15]]
@@ -60,7 +60,7 @@ def frame(intervals, position=(0.0, 0.0, 0.0), truth=None, error=0.042, **other)
     ],
 )
 def test_the_sentence_of_a_frame(shown, expected):
-    assert frame_said(shown) == expected
+    assert describe_frame(shown) == expected
 
 
 def test_unbounded_regions_do_not_count_as_holding_the_truth():
@@ -68,14 +68,14 @@ def test_unbounded_regions_do_not_count_as_holding_the_truth():
     for one in (frame([LINE] * 3, truth=(0, 0, 0)), frame([HERE, LINE, HERE], truth=(0, 0, 0))):
         found.add(one)
     assert (found.n_bounded, found.n_held) == (0, 0)
-    assert "the true position" not in run_said(found)
+    assert "the true position" not in describe_run(found)
 
 
 def test_the_error_that_a_robot_gets_comes_before_the_one_with_hindsight():
     found = RunStatistics()
     for _ in range(2):
         found.add(frame([HERE] * 3, truth=(0, 0, 0), error=0.18))
-    said = run_said(found, 0.69)
+    said = describe_run(found, 0.69)
     assert 0 < said.index("69 cm") < said.index("18 cm")
 
 
@@ -83,7 +83,7 @@ def statistics_of(*frames):
     found = RunStatistics()
     for one in frames:
         found.add(one)
-    return run_said(found)
+    return describe_run(found)
 
 
 def test_the_sentence_of_a_run():
@@ -114,12 +114,12 @@ def test_the_sentence_of_a_run():
      (12.345, "12.3 m"), (1234.5, "1234 m")],
 )  # fmt: skip
 def test_lengths_have_the_unit_that_suits_them_and_no_powers_of_ten(metres, expected):
-    assert length_said(metres) == expected
+    assert describe_length(metres) == expected
 
 
 def test_sizes_have_one_unit():
-    assert size_said([0.034, 0.5, 0.0004]) == "3.4 by 50 by 0.040 cm"
-    assert size_said([250.0, 1.0, 0.0]) == "250 by 1.0 by 0 m"
+    assert describe_size([0.034, 0.5, 0.0004]) == "3.4 by 50 by 0.040 cm"
+    assert describe_size([250.0, 1.0, 0.0]) == "250 by 1.0 by 0 m"
 
 
 def test_counts_agree_with_their_nouns():

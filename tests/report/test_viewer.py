@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.thumbnails import Thumbnails
@@ -127,8 +127,8 @@ def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
     whole = [np.array([[-np.inf, np.inf]])] * 7
     with ResultsWriter(tmp_path) as writer:
         writer.poses("smoothed", one)
-        writer.region("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceKind.LANDMARKS)
-        writer.region("b", 0.1, None, whole, 0.003, EvidenceKind.UNKNOWN)
+        writer.region("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS)
+        writer.region("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN)
     viewer = make_viewer(tmp_path, {}, 0.01)
     assert viewer.known
     data = json.loads(viewer.json)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import Candidates
 from conformodal.running.estimates import Estimate
@@ -44,13 +44,13 @@ def some_candidates():
 def make_estimate():
     """Gives an estimate at a time; `kind` None is a frame without an image."""
 
-    def make(time_s=1.5, kind=EvidenceKind.GLOBAL, seed=0, revised=None, candidates=None, region=None, **given):
+    def make(time_s=1.5, kind=EvidenceType.GLOBAL, seed=0, revised=None, candidates=None, region=None, **given):
         if kind is None:
             return Estimate(time_s, None, None, None, None, None, False, "no image")
         rng = np.random.default_rng(seed)
         found = random_candidates(rng) if candidates is None else candidates
         pose = Trajectory([time_s], found.positions_xyz[:1], found.orientations_quat_wxyz[:1])
-        unknown = kind is EvidenceKind.UNKNOWN
+        unknown = kind is EvidenceType.UNKNOWN
         given = {"position_spread_m": 0.3, "orientation_spread_rad": 0.05, "known_p": 0.5, **given}
         return Estimate(
             time_s,

@@ -14,7 +14,7 @@ from conformodal.cli.main import app
 from conformodal.core.extras import MissingPackageError
 from conformodal.datasets.streams.frames import Frame
 from conformodal.datasets.streams.opening import open_stream
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.ros.bag import BagWriter
 from conformodal.ros.conventions import TOPICS, Conventions
@@ -165,7 +165,7 @@ def test_images_are_those_of_the_source(recorded, small_world):
 def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
     truth = Trajectory([0.0], [[1, 2, 3.0]], [[0.5, -0.5, 0.5, -0.5]])
     writer = BagWriter(tmp_path / "deep" / "a.mcap", Conventions(namespace="/robot/camera"))
-    for i, kind in enumerate([None, EvidenceKind.GLOBAL, EvidenceKind.UNKNOWN, None, EvidenceKind.LANDMARKS]):
+    for i, kind in enumerate([None, EvidenceType.GLOBAL, EvidenceType.UNKNOWN, None, EvidenceType.LANDMARKS]):
         writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
     writer.close()
     writer.close()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import Candidates
 from conformodal.ros.conventions import TOPICS, Conventions, Covariance
@@ -116,7 +116,7 @@ def test_the_chosen_spread_is_that_of_the_estimate(make_estimate):
     np.testing.assert_allclose(np.diag(found)[3:], 0.04)
 
 
-@pytest.mark.parametrize("kind", [None, EvidenceKind.UNKNOWN])
+@pytest.mark.parametrize("kind", [None, EvidenceType.UNKNOWN])
 def test_lost_frames_say_no_pose(make_estimate, kind):
     conversion = Conversion()
     before = conversion.messages(make_estimate(1.0))
@@ -193,7 +193,7 @@ def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
     for i in range(7):
         times = np.arange(max(0, i - 1), i + 1, dtype=float)  # the frame before is revised
         places = np.column_stack((times, np.full((len(times), 2), float(i))))
-        kind = EvidenceKind.UNKNOWN if i == 4 else EvidenceKind.GLOBAL
+        kind = EvidenceType.UNKNOWN if i == 4 else EvidenceType.GLOBAL
         revised = Trajectory(times, places, quats[: len(times)])
         said.append("path" in conversion.messages(make_estimate(float(i), kind, revised=revised)))
     assert said == [True, False, False, True, False, False, True]

@@ -11,7 +11,7 @@ from conformodal.localization import source as registry
 from conformodal.localization.source import SourceAnswer, SourceState, register_source
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.training.calibrating import calibrate_regions, compare_sources
 from conformodal.training.folds import Fold, Folds
 from conformodal.training.training import prepare_training_data, train_model
@@ -89,7 +89,7 @@ def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_fr
     config = ModelConfig(joint="bonferroni", score="lac")
     rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config)
     assert rules.overall.joint == rules.matched.joint == joint
-    kinds = np.array([EvidenceKind.GLOBAL, EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS])
+    kinds = np.array([EvidenceType.GLOBAL, EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
     assert np.isfinite(rules.thresholds(kinds)).all()
 
 

@@ -6,7 +6,7 @@ import pytest
 from conformodal.conformal import grouped_quantile
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.model.config import Calibration, ModelConfig
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, save_model
 from conformodal.training.folds import make_folds
 from conformodal.training.training import prepare_training_data, train_model
@@ -32,7 +32,7 @@ def test_thresholds_are_those_of_stretches(trained):
     groups = folds.units[folds.held_out]
     np.testing.assert_array_equal(model.calibration.groups_, groups)
     assert model.rules.matched is None
-    rule = model.rules.of[EvidenceKind.GLOBAL]
+    rule = model.rules.of[EvidenceType.GLOBAL]
     columns = model.calibration.scores_.max(axis=1)
     known = model.rules.known_p > model.rules.level
     parts = [columns[known & (groups == g)] for g in np.unique(groups[known])]
@@ -65,7 +65,7 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     save_model(model, tmp_path)
     back = load_model(tmp_path)
     np.testing.assert_array_equal(back.calibration.groups_, model.calibration.groups_)
-    kinds = np.array(list(EvidenceKind))
+    kinds = np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
     evidence = FrameEvidence(data.features[data.split.test])
     one, other = model.localize(evidence), back.localize(evidence)

@@ -12,7 +12,7 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
-from conformodal.model.radius import Promise, recordings_needed
+from conformodal.model.radius import Guarantee, recordings_needed
 from conformodal.model.store import load_model, save_model
 from conformodal.running.paths import METHODS
 from conformodal.running.results.folders import lock_output
@@ -20,20 +20,20 @@ from conformodal.running.selection import calibrate_selection
 from conformodal.vision.features import FeatureCache
 
 from .arguments import Cache, FollowOutside, cache_folder
-from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
+from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
 from .sources import open_sequence
 
 
-@kind_errors
+@report_errors
 def calibrate(
     model: Annotated[Path, typer.Argument(help="Folder of a saved model; the radius is saved with it.")],
     data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the recordings.")] = Layout.AUTO,
     alpha: Annotated[float, typer.Option(help="Miscoverage rate of the radius.")] = 0.1,
-    promise: Annotated[
-        Promise, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
-    ] = Promise.FRAME,
+    guarantee: Annotated[
+        Guarantee, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
+    ] = Guarantee.FRAME,
     method: Annotated[str, typer.Option(help="Whose answer the radius is about.")] = METHODS[0],
     metres_per_radian: Annotated[
         float | None,
@@ -56,7 +56,7 @@ def calibrate(
                 loaded,
                 sequence,
                 alpha,
-                promise,
+                guarantee,
                 method,
                 metres_per_radian,
                 cache=features,
@@ -66,9 +66,9 @@ def calibrate(
         save_model(loaded, model)
     if isfinite(radius.radius_m):
         console.print(f"radius {radius.radius_m:.4f} m and {radius.radius_deg:.2f} degrees. ", end="")
-        say_line(radius.assumption)
+        report_line(radius.assumption)
     else:
-        say_strongly(
+        report_strongly(
             f"The radius is infinite: {counted(radius.n_recordings, 'recording')} "
             f"{noun_for(radius.n_recordings, 'is', 'are')} too few for alpha = {alpha:g}; "
             f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read."

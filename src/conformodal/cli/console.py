@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from conformodal.core.progress import StageProgress
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 
 from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
@@ -56,7 +56,7 @@ console = PlainConsole()
 _errors = PlainConsole(stderr=True)
 
 
-def kind_errors(command: Callable[P, None]) -> Callable[P, None]:
+def report_errors(command: Callable[P, None]) -> Callable[P, None]:
     """Check options first, and end what goes wrong with one line on stderr and an exit code, see :mod:`.failures`."""
     defaults = {p.name: p.default for p in inspect.signature(command).parameters.values()}
 
@@ -72,29 +72,29 @@ def kind_errors(command: Callable[P, None]) -> Callable[P, None]:
             except (typer.Exit, typer.Abort, typer.BadParameter):
                 raise
             except KeyboardInterrupt:
-                _say_error("interrupted; the same command goes on from what was kept (features, training state)", "")
+                _report_error("interrupted; the same command goes on from what was kept (features, training state)", "")
                 raise typer.Exit(stop_code(came)) from None
             except Exception as exc:
                 said, code = explained(exc)
                 if code == OWN_FAULT and show_all():
                     raise
-                _say_error(said)
+                _report_error(said)
                 raise typer.Exit(code) from exc
 
     return wrapped
 
 
-def say_line(said: str) -> None:
+def report_line(said: str) -> None:
     """One line of the result, however long."""
     console.print(said, soft_wrap=True)
 
 
-def _say_error(said: str, start: str = "error: ") -> None:
+def _report_error(said: str, start: str = "error: ") -> None:
     """One line on stderr."""
     _errors.print(Text(start, style="bold red") + Text(plain(said)), soft_wrap=True)
 
 
-def say_strongly(said: str) -> None:
+def report_strongly(said: str) -> None:
     """A line in bold, for what a user must see."""
     console.print(Text(plain(said), style="bold"), soft_wrap=True)
 
@@ -135,7 +135,7 @@ def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
 
 def print_where(folder: Path) -> None:
     """The last line: where the results are."""
-    say_line(f"results: {folder.resolve()}")
+    report_line(f"results: {folder.resolve()}")
 
 
 class StatusLine:
@@ -177,7 +177,7 @@ def state_of(estimate: Estimate) -> str:
     """What became of a frame, in a few words."""
     if estimate.region is None:
         return f"no answer: {estimate.problem}"
-    if estimate.evidence is EvidenceKind.UNKNOWN:
+    if estimate.evidence is EvidenceType.UNKNOWN:
         motion = estimate.relative_motion
         lost = "" if motion is None or motion.reliable else f", {motion.status}"
         return f"unknown place (p = {estimate.known_p:.2g}){lost}"

@@ -25,9 +25,9 @@ from conformodal.poses import PinholeCamera, read_tum
 from conformodal.running.results.provenance import provenance
 
 from .arguments import cache_folder
-from .console import console, kind_errors, print_where, progress_bars
+from .console import console, print_where, progress_bars, report_errors
 from .options import OptionError
-from .quality import FIGURES, PAGE, judge, require_figures, say_quality, write_findings
+from .quality import FIGURES, PAGE, judge, report_quality, require_figures, write_findings
 from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
 
 app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
@@ -41,7 +41,7 @@ def data() -> None:
 
 
 @app.command()
-@kind_errors
+@report_errors
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
@@ -95,7 +95,7 @@ def _check(
     if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
-        say_quality(quality, sequence)
+        report_quality(quality, sequence)
     if out is not None:
         configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
@@ -108,7 +108,7 @@ def _check(
 
 
 @app.command()
-@kind_errors
+@report_errors
 def convert(
     source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],

@@ -26,9 +26,9 @@ from conformodal.running.results.folders import lock_output
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.settings import TrainingConfig
 
-from .console import console, kind_errors, print_where, progress_bars, say_line
+from .console import console, print_where, progress_bars, report_errors, report_line
 from .demo_outcome import DemoResults, answer_test_part
-from .demo_pages import page_of, ratios_said
+from .demo_pages import describe_ratios, page_of
 from .outcome import say
 from .train import train_on
 
@@ -40,7 +40,7 @@ ALPHA = 0.02
 _PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
-@kind_errors
+@report_errors
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Of world, flight, split and training.")] = 0,
@@ -70,14 +70,14 @@ def demo(
         write_metrics(out, outcome.metrics)
         results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
         write_page(out / "report.html", page_of(results))
-    say(outcome.metrics, whole_space=outcome.metrics["coverage"]["whole_space"])
+    say(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
         f"same view, {record['n_places']} in all; the regions hold {record['share_held']:.3f} of them (whole pose)"
     )
-    say_line(ratios_said(method, outcome.metrics))
-    say_line(f"open {(out / 'report.html').resolve()}")
+    report_line(describe_ratios(method, outcome.metrics))
+    report_line(f"open {(out / 'report.html').resolve()}")
     print_where(out)
 
 

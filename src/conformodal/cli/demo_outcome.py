@@ -15,7 +15,7 @@ from conformodal.datasets import Sequence
 from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.model.config import ModelConfig
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.running.estimates import OdometryRun
@@ -26,7 +26,7 @@ from conformodal.training.plain import train_plain
 from conformodal.training.training import prepare_training_data
 from conformodal.vision.features import FeatureCache, extract_features
 
-from .outcome import Known, Part, part_frames, run_metrics
+from .outcome import GroundTruth, Part, part_frames, run_metrics
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +95,13 @@ def answer_test_part(
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
         "n_localized": sum(bool(its) for its in result.localization.beliefs.estimates),
-        "n_unknown": int(np.sum(result.kinds == EvidenceKind.UNKNOWN)),
+        "n_unknown": int(np.sum(result.kinds == EvidenceType.UNKNOWN)),
         "n_without_image": len(result.unreadable),
         "problems": {str(k): v for k, v in result.unreadable.items()},
         "motion": dict(sorted(Counter(str(m.status) for m in result.motions if m is not None).items())),
         "stopped": "",
         "seconds": seconds,
     }
-    known = Known(truth, RegionStatistics.of(result.regions, truth, model.sign_reference, result.kinds))
+    known = GroundTruth(truth, RegionStatistics.of(result.regions, truth, model.sign_reference, result.kinds))
     metrics = run_metrics(model, Part.TEST, result.trajectories, known, counts)
     return Outcome(result, truth, metrics)

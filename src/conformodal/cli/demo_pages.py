@@ -22,7 +22,7 @@ from .demo_outcome import DemoResults
 _OURS, _PAPERS = "conformal, after reasoning", "the paper's greedy answer"
 
 
-def ratios_said(method: Method, metrics: dict[str, Any]) -> str:
+def describe_ratios(method: Method, metrics: dict[str, Any]) -> str:
     """The last line on the terminal: ratios of errors."""
     errors = metrics["errors"]
     took = f"({metrics['seconds']:.0f} s in all)"
@@ -71,8 +71,8 @@ def page_of(demo: DemoResults) -> ReportContent:
     title = "conformodal: a corridor of identical rooms" + (", by the paper's system" if paper else "")
     summary = [
         _flown(demo),
-        _errors_said(outcome.metrics["errors"], paper),
-        _places_said(outcome.metrics["ambiguity"]),
+        _describe_errors(outcome.metrics["errors"], paper),
+        _describe_places(outcome.metrics["ambiguity"]),
     ]
     return ReportContent(title, summary, outcome.metrics, figures, viewer, image)
 
@@ -130,7 +130,7 @@ def _flown(demo: DemoResults) -> str:
     )
 
 
-def _errors_said(errors: dict[str, dict[str, float]], paper: bool) -> str:
+def _describe_errors(errors: dict[str, dict[str, float]], paper: bool) -> str:
     if not paper:
         return (
             f"Position RMSE: {errors[ONLINE]['rmse_m']:.3f} m when a frame comes, {errors[METHODS[0]]['rmse_m']:.3f} m "
@@ -148,7 +148,7 @@ def _over(errors: dict[str, dict[str, float]]) -> float:
     return errors["classical"]["rmse_m"] / errors["greedy"]["rmse_m"]
 
 
-def _places_said(record: dict[str, Any]) -> str:
+def _describe_places(record: dict[str, Any]) -> str:
     return (
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
         f"same view, {record['n_places']} in all; the regions hold {100 * record['share_held']:.1f} % of them."

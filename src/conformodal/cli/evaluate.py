@@ -23,12 +23,12 @@ from conformodal.running.results.records import METRICS, REGIONS, read_region_re
 from conformodal.running.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
 from .arguments import FollowOutside
-from .console import console, kind_errors, print_errors, print_where, say_line, say_strongly
+from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
 from .outcome import describe_coverage
 from .sources import open_sequence
 
 
-@kind_errors
+@report_errors
 def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
@@ -78,12 +78,12 @@ def evaluate(
         }
         write_metrics(out / "evaluation", result)
     if found.unfinished:
-        say_strongly("the run did not come to its end: what it had written until then is evaluated")
+        report_strongly("the run did not come to its end: what it had written until then is evaluated")
     have = noun_for(len(mine), "has", "have")
     console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
-    say_line(describe_coverage(result["coverage"]))
+    report_line(describe_coverage(result["coverage"]))
     print_where(out / "evaluation")
 
 

@@ -25,7 +25,7 @@ from conformodal.vision.features import FeatureCache
 from conformodal.vision.onnx_backbone import OnnxBackbone
 
 from .arguments import Cache, DataLayout, FollowOutside, SavedModel, cache_folder
-from .console import console, kind_errors, print_where, progress_bars
+from .console import console, print_where, progress_bars, report_errors
 from .options import OptionError
 from .sources import open_sequence
 from .train import train_on
@@ -33,7 +33,7 @@ from .train import train_on
 _NETWORK = "pose_network.onnx"
 
 
-@kind_errors
+@report_errors
 def export(
     model: SavedModel,
     out: Annotated[Path, typer.Option(help="Folder for the model that runs without torch.")],

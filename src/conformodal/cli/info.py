@@ -12,17 +12,17 @@ import typer
 
 from conformodal.model.config import Runtime
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.vision.onnx_backbone import OnnxBackbone
 
 from .arguments import SavedModel
-from .console import kind_errors, say_line
+from .console import report_errors, report_line
 
 _TIMED = 20
 
 
-@kind_errors
+@report_errors
 def info(
     model: SavedModel,
     as_json: Annotated[bool, typer.Option("--json", help="For machines: one JSON object.")] = False,
@@ -33,13 +33,13 @@ def info(
         typer.echo(json.dumps(found, indent=1))
         return
     for line in said(found):
-        say_line(line)
+        report_line(line)
 
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """What :func:`info` says, as JSON takes it."""
     rules, split, camera = model.rules, model.split, model.camera
-    kinds = np.array([kind.value for kind in EvidenceKind])
+    kinds = np.array([kind.value for kind in EvidenceType])
     reached = np.atleast_1d(np.isfinite(rules.thresholds(kinds)).all(axis=1)).tolist()
     return {
         "model": model_digest(folder),
@@ -55,7 +55,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "calibrated_on": model.configuration.get("calibrate_on"),
         "n_calibration": model.n_calibration,
         "novelty_level": rules.level,
-        "bounded_regions": {kind.name.lower(): one for kind, one in zip(EvidenceKind, reached, strict=True)},
+        "bounded_regions": {kind.name.lower(): one for kind, one in zip(EvidenceType, reached, strict=True)},
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
         "network": model.backbone.config.name,
@@ -76,8 +76,8 @@ def said(found: dict[str, Any]) -> list[str]:
         f"camera: {found['camera']['width']}x{found['camera']['height']}, fx {found['camera']['fx']:.1f}, "
         f"fy {found['camera']['fy']:.1f}",
         f"method {found['method']}; sources: {', '.join(found['sources'])}",
-        f"promise: regions hold {what} with probability at least {1 - found['alpha']:g}, for frames exchangeable with "
-        f"the {found['n_calibration']} {units} that calibrated them",
+        f"guarantee: regions hold {what} with probability at least {1 - found['alpha']:g}, for frames exchangeable "
+        f"with the {found['n_calibration']} {units} that calibrated them",
         *(f"evidence {kind}: too few calibration frames, the region is unbounded" for kind in unbounded),
         f"images whose p-value of showing a known place is at most {found['novelty_level']:g} get an unbounded region",
         f"radius around the chosen pose: {radius}",

@@ -17,13 +17,13 @@ from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import Sharing
 from conformodal.poses import PinholeCamera
 from conformodal.quality.advice import WHERE, describe_sharing, describe_units
-from conformodal.quality.promise import promises
+from conformodal.quality.guarantee import guarantees
 
 _NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
 
 
-def said_of_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
+def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
     """Note on the landmarks."""
     if landmarks is None:
         return (
@@ -59,7 +59,7 @@ def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     }
 
 
-def said_of_distances(split: Split, recording: IntArray) -> str:
+def describe_distances(split: Split, recording: IntArray) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
     found = distances(split, recording)
     if found["median_frames_to_known"] is None:
@@ -71,7 +71,7 @@ def said_of_distances(split: Split, recording: IntArray) -> str:
     )
 
 
-def said_of_repeated(n_repeated: int, n_test: int) -> list[str]:
+def describe_repeated(n_repeated: int, n_test: int) -> list[str]:
     """Warning about test frames with the pixels of a known frame; nothing if there are none."""
     if not n_repeated:
         return []
@@ -82,7 +82,7 @@ def said_of_repeated(n_repeated: int, n_test: int) -> list[str]:
     ]
 
 
-def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
+def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
     """Notes on the regions' calibration.
 
     Parameters
@@ -105,7 +105,7 @@ def said_of_calibration(model: PoseModel, config: ModelConfig, n_recordings: int
             f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
-        least = min((one for one in promises(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
+        least = min((one for one in guarantees(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
         said.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
             f"{config.joint}): at alpha {model.alpha:g}, alpha / {len(TARGET_NAMES)} needs "
@@ -135,22 +135,22 @@ def _units_needed(alpha: Alpha) -> int:
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
 
 
-def said_of_whole_space(model: PoseModel) -> list[str]:
+def describe_unbounded(model: PoseModel) -> list[str]:
     """Evidence types whose region is unbounded in some target or that share thresholds, with the reason."""
     said: list[str] = []
-    for promise in promises(model):
-        where = WHERE[promise.evidence]
-        if promise.finite:
-            if promise.sharing is not Sharing.OWN and describe_sharing(promise) not in said:  # once for both types
-                said.append(describe_sharing(promise))
-        elif not promise.n_frames:
+    for guarantee in guarantees(model):
+        where = WHERE[guarantee.evidence]
+        if guarantee.finite:
+            if guarantee.sharing is not Sharing.OWN and describe_sharing(guarantee) not in said:  # once for both types
+                said.append(describe_sharing(guarantee))
+        elif not guarantee.n_frames:
             said.append(f"no frame calibrates the regions {where}: there the region is unbounded")
         else:
             said.append(
-                f"The region is unbounded in some target {where}: {describe_units(promise)} "
-                f"{noun_for(promise.n_frames, 'calibrates', 'calibrate')} it, too few for alpha = {model.alpha:g} "
-                f"(joint {model.calibration.joint}), which needs a weight of {promise.weight_needed:g} of frames "
+                f"The region is unbounded in some target {where}: {describe_units(guarantee)} "
+                f"{noun_for(guarantee.n_frames, 'calibrates', 'calibrate')} it, too few for alpha = {model.alpha:g} "
+                f"(joint {model.calibration.joint}), which needs a weight of {guarantee.weight_needed:g} of frames "
                 f"within the training range. Take a larger alpha, or more "
-                f"{'frames' if promise.by_frame else 'recordings'}."
+                f"{'frames' if guarantee.by_frame else 'recordings'}."
             )
     return said

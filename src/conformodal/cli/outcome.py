@@ -14,14 +14,14 @@ from conformodal.datasets import Sequence
 from conformodal.model.errors import OdometryError
 from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.running.paths import ONLINE
 from conformodal.running.results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.statistics import RegionStatistics
 
-from .console import console, print_errors, say_line, say_strongly
+from .console import console, print_errors, report_line, report_strongly
 
 _SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
 
@@ -36,7 +36,7 @@ class Part(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class GroundTruth:
     """True poses of answered frames, and what is known of these frames' regions.
 
     Attributes
@@ -92,7 +92,7 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | 
         n_missing = int((at < 0).sum())
         are, have = noun_for(n_missing, "is", "are"), noun_for(n_missing, "has", "have")
         which = f"{n_missing} of {counted(n, 'frame')} of the {part} part"
-        say_line(f"{which} {are} not in {sequence.name}, or {have} no pose there")
+        report_line(f"{which} {are} not in {sequence.name}, or {have} no pose there")
     return np.sort(at[at >= 0])
 
 
@@ -100,7 +100,7 @@ def run_metrics(
     model: PoseModel,
     part: Part,
     trajectories: dict[str, Trajectory],
-    known: Known | None,
+    known: GroundTruth | None,
     counts: dict[str, Any],
     *,
     whole: bool = True,
@@ -142,7 +142,7 @@ def run_metrics(
         if frames is not None:
             trajectories = {name: trajectory[frames] for name, trajectory in trajectories.items()}
         metrics["errors"] = error_table(trajectories, known.truth)
-        shown = known.regions.kinds != EvidenceKind.UNKNOWN
+        shown = known.regions.kinds != EvidenceType.UNKNOWN
         if shown.any() and not shown.all():
             there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
@@ -178,7 +178,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
-    lines += [f"{line}." for line in _said_of_unknown(metrics)]
+    lines += [f"{line}." for line in _describe_unknown(metrics)]
     if metrics["radius"] is not None:
         radius = metrics["radius"]
         lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
@@ -187,17 +187,17 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     return lines
 
 
-def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
+def say(metrics: dict[str, Any], *, unbounded: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
     console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
     for name, why in list(metrics["problems"].items())[:3]:
-        say_line(f"  {name}: {why}")
-    for line in _said_of_unknown(metrics):
-        say_line(line)
-    if whole_space:
-        say_strongly(
+        report_line(f"  {name}: {why}")
+    for line in _describe_unknown(metrics):
+        report_line(line)
+    if unbounded:
+        report_strongly(
             "The region of a frame that shows a known place is unbounded in some target: too few calibration frames "
             "have the same kind of evidence for this alpha, or too many of them lie beyond the training range."
         )
@@ -208,13 +208,13 @@ def say(metrics: dict[str, Any], *, whole_space: bool) -> None:
             console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
         print_errors(metrics["errors"], metrics["split_note"])
         coverage = metrics["coverage"]
-        say_line(
+        report_line(
             f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
             f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
 
 
-def _said_of_unknown(metrics: dict[str, Any]) -> list[str]:
+def _describe_unknown(metrics: dict[str, Any]) -> list[str]:
     """What became of the frames that show no place that is known; nothing if there are none."""
     n, n_answered = metrics["n_unknown"], metrics["n_answered"]
     if not n:

@@ -9,14 +9,14 @@ from conformodal.core.progress import StageProgress
 from conformodal.datasets import DatasetCheck, Sequence
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.model import PoseModel
-from conformodal.quality.advice import record_next, said_of_quality
+from conformodal.quality.advice import describe_quality, record_next
 from conformodal.quality.examining import RecordingQuality, examine, examine_training
 from conformodal.quality.record import names_of, quality_record
 from conformodal.running.results.runs import write_metrics
 from conformodal.training.training_data import TrainingData
 from conformodal.vision.features import FeatureCache
 
-from .console import console, say_strongly
+from .console import console, report_strongly
 
 PAGE, FIGURES = "report.html", "figures"
 _IN_TRAINING = 3  # sentences of advice
@@ -30,13 +30,13 @@ def judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: Stag
     return None if found.poses is None else found
 
 
-def say_quality(found: RecordingQuality, sequence: Sequence) -> None:
+def report_quality(found: RecordingQuality, sequence: Sequence) -> None:
     """The findings, and what to record or train on next."""
-    for line in said_of_quality(found):
+    for line in describe_quality(found):
         console.print(line, soft_wrap=True)
     advice = record_next(found, names_of(found, sequence))
     if advice:
-        say_strongly("what to record or train on next, the most valuable first:")
+        report_strongly("what to record or train on next, the most valuable first:")
     for number, line in enumerate(advice, start=1):
         console.print(f"  {number}. {line}", soft_wrap=True)
 
@@ -79,9 +79,9 @@ def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfi
     return examine_training(data, model, data.for_sources(config).local_features)
 
 
-def say_shortly(found: RecordingQuality, sequence: Sequence) -> None:
+def report_briefly(found: RecordingQuality, sequence: Sequence) -> None:
     """What ``train`` says of it."""
-    for line in said_of_quality(found):
+    for line in describe_quality(found):
         console.print(line, soft_wrap=True)
     for line in record_next(found, names_of(found, sequence))[:_IN_TRAINING]:
         console.print(line, soft_wrap=True)

@@ -18,7 +18,7 @@ from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
@@ -33,19 +33,19 @@ from conformodal.running.results.writer import ResultsWriter
 from conformodal.running.streaming import StreamRunner
 
 from .arguments import FollowOutside, SavedModel
-from .console import StatusLine, kind_errors, print_where, say_strongly
+from .console import StatusLine, print_where, report_errors, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import OptionError
-from .outcome import Known, Part, part_frames, run_metrics, say, summary, unfinished_metrics
+from .outcome import GroundTruth, Part, part_frames, run_metrics, say, summary, unfinished_metrics
 from .sources import open_source
-from .watching import Watcher, watchers
+from .watching import FrameSink, frame_sinks
 
 _INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
 MATCH_EVERY_LIVE = 6
 
 
-@kind_errors
+@report_errors
 def run(
     model: SavedModel,
     source: Annotated[
@@ -103,11 +103,11 @@ def run(
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
-        with watchers(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
-            metrics, whole_space = _stream_through(loaded, stream, out, how, watching)
-    say(metrics, whole_space=whole_space)
+        with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
+            metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
+    say(metrics, unbounded=unbounded)
     if metrics["stopped"]:
-        say_strongly(f"stopped early: {metrics['stopped']}")
+        report_strongly(f"stopped early: {metrics['stopped']}")
     print_where(out)
     if metrics["stopped"] == _INTERRUPTED:
         raise typer.Exit(stop_code([metrics["signal"]]))
@@ -138,21 +138,21 @@ class _StreamOptions:
 class _Shown:
     """What is shown of a stream: live views while it runs, pictures for the page afterwards."""
 
-    watching: tuple[Watcher, ...]
+    watching: tuple[FrameSink, ...]
     pictures: Thumbnails = field(default_factory=Thumbnails)
-    whole_space: bool = False
+    unbounded: bool = False
 
     def take(self, frame: Frame, estimate: Estimate, truth: Trajectory | None) -> None:
         if estimate.region is not None and frame.image is not None:
             self.pictures.add(frame.name, frame.image)
-            for_want = estimate.evidence is not EvidenceKind.UNKNOWN and estimate.region.unbounded.any()
-            self.whole_space = self.whole_space or bool(for_want)
+            for_want = estimate.evidence is not EvidenceType.UNKNOWN and estimate.region.unbounded.any()
+            self.unbounded = self.unbounded or bool(for_want)
         for watcher in self.watching:
             watcher.log(frame, estimate, truth)
 
 
 def _stream_through(
-    model: PoseModel, stream: FrameStream, out: Path, how: _StreamOptions, watching: tuple[Watcher, ...]
+    model: PoseModel, stream: FrameStream, out: Path, how: _StreamOptions, watching: tuple[FrameSink, ...]
 ) -> tuple[dict[str, Any], bool]:
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
@@ -181,7 +181,7 @@ def _stream_through(
         counts |= {"signal": stop[0]} if stopped == _INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
         metrics = _write_results(model, runner, shown, how.part, counts, stream.name, whole=whole)
-    return metrics, shown.whole_space
+    return metrics, shown.unbounded
 
 
 def _push_all(
@@ -215,7 +215,7 @@ def _write_results(
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None
     if runner.truth is not None:
-        known = Known(runner.truth, runner.statistics, np.array(runner.known))
+        known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known))
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     metrics = run_metrics(

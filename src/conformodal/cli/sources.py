@@ -15,7 +15,7 @@ from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PinholeCamera
 
-from .console import say_line
+from .console import report_line
 from .options import OptionError
 
 _MOST_REMARKS = 5
@@ -24,20 +24,20 @@ FOLLOW_OUTSIDE = (
 )
 
 
-def _say_remarks(sequence: Sequence) -> None:
+def _report_warnings(sequence: Sequence) -> None:
     """Name what the reader left out, or found unlikely."""
     counts: dict[str, int] = {}
     for what, where in sequence.remarks:
         counts[what] = counts.get(what, 0) + 1
         if counts[what] <= _MOST_REMARKS:
-            say_line(f"{what}: {where}")
+            report_line(f"{what}: {where}")
     for what, count in counts.items():
         if count > _MOST_REMARKS:
-            say_line(f"{what}: {count - _MOST_REMARKS} more")
+            report_line(f"{what}: {count - _MOST_REMARKS} more")
 
 
 @contextmanager
-def _said_elsewhere() -> Iterator[None]:
+def _describe_elsewhere() -> Iterator[None]:
     """Keep quiet what the command prints itself."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DatasetWarning)
@@ -56,11 +56,11 @@ def open_sequence(
     """
     if layout is Layout.AUTO:
         layout = recognise(path)
-        say_line(f"{path}: {layout} layout")
-    with _said_elsewhere():
+        report_line(f"{path}: {layout} layout")
+    with _describe_elsewhere():
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
     if remarks:
-        _say_remarks(sequence)
+        _report_warnings(sequence)
     return sequence
 
 
@@ -82,7 +82,7 @@ def open_source(
     DatasetError
         If it cannot be opened.
     """
-    with _said_elsewhere():
+    with _describe_elsewhere():
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
         if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
             with suppress(DatasetError):  # no frame has a pose
@@ -93,10 +93,10 @@ def open_source(
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
-        say_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
-        _say_remarks(stream.sequence)
+        report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
+        _report_warnings(stream.sequence)
     else:
         count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
-        say_line(f"{stream.name}: {kind_of_stream}{count}")
+        report_line(f"{stream.name}: {kind_of_stream}{count}")
     return stream

@@ -29,24 +29,24 @@ from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig
 
 from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
-from .console import console, kind_errors, print_where, progress_bars, say_line, say_strongly
+from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .model_notes import (
+    describe_calibration,
+    describe_distances,
+    describe_landmarks,
+    describe_repeated,
+    describe_unbounded,
     distances,
-    said_of_calibration,
-    said_of_distances,
-    said_of_landmarks,
-    said_of_repeated,
-    said_of_whole_space,
 )
 from .options import was_given
-from .quality import quality_of_training, say_shortly
+from .quality import quality_of_training, report_briefly
 from .sources import open_sequence
 
 # Settings whose options have other names.
 _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 
 
-@kind_errors
+@report_errors
 def train(
     context: typer.Context,
     data: Data,
@@ -75,7 +75,8 @@ def train(
         ),
     ] = (ModelConfig.joint),
     score: Annotated[
-        str, typer.Option(help="Nonconformity score: hpd_mid, hpd, aps, density, linear_density, or the paper's, lac.")
+        str,
+        typer.Option(help="Nonconformity score: hpd, hpd_random, aps, density, linear_density, lac (the paper's)."),
     ] = ModelConfig.score,
     bins: Annotated[int, typer.Option(help="Bins per target (K).")] = ModelConfig.n_bins,
     sigma: Annotated[float, typer.Option(help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
@@ -200,22 +201,22 @@ def train_on(
         f"{sequence.name}: {counted(parts['train'], 'frame')} for training, {parts['calibration']} for calibration, "
         f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
     )
-    say_line(said_of_distances(split, sequence.recording))
-    for line in said_of_repeated(repeated, len(split.test)):
-        say_strongly(line)
+    report_line(describe_distances(split, sequence.recording))
+    for line in describe_repeated(repeated, len(split.test)):
+        report_strongly(line)
     if LandmarkSource.name in config.sources:
-        console.print(said_of_landmarks(model.landmarks, model.camera))
-    for line in said_of_calibration(model, config, len(np.unique(sequence.recording[used]))):
-        say_line(line)
+        console.print(describe_landmarks(model.landmarks, model.camera))
+    for line in describe_calibration(model, config, len(np.unique(sequence.recording[used]))):
+        report_line(line)
     if model.comparison is not None:
-        say_line(model.comparison.describe())
+        report_line(model.comparison.describe())
         if model.comparison.too_sure:
-            say_strongly(
+            report_strongly(
                 "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
                 "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
             )
-    for line in said_of_whole_space(model):
-        say_strongly(line)
+    for line in describe_unbounded(model):
+        report_strongly(line)
     if quality is not None:
-        say_shortly(quality, sequence)
+        report_briefly(quality, sequence)
     return model

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from conformodal.core.extras import MissingPackageError, needing
+from conformodal.core.extras import MissingPackageError, require_extra
 
 from .failures import explained
 
@@ -66,7 +66,7 @@ class _Late(TyperCommand):
         """The command itself."""
         module, attribute = self._verb.place.split(":")
         try:
-            with needing(self._verb.extra, f"conformodal {self.name}"):
+            with require_extra(self._verb.extra, f"conformodal {self.name}"):
                 found = getattr(import_module(f"{__package__}.{module}"), attribute)
         except MissingPackageError as exc:
             said, code = explained(exc)

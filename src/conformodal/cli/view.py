@@ -10,12 +10,12 @@ import typer
 
 from conformodal.model.errors import ResultsError
 
-from .console import console, kind_errors, say_line
+from .console import console, report_errors, report_line
 
 _PAGES = ("report.html",)
 
 
-@kind_errors
+@report_errors
 def view(
     results: Annotated[Path, typer.Argument(help="Folder of run or demo, or a page.")],
     browser: Annotated[bool, typer.Option(help="Open it; --no-browser only says where it is.")] = True,
@@ -24,7 +24,7 @@ def view(
     page = page_of(results)
     if browser and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser was found here; open this file in one:")
-    say_line(str(page.resolve()))
+    report_line(str(page.resolve()))
 
 
 def page_of(results: Path) -> Path:

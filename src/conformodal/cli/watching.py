@@ -16,7 +16,7 @@ from conformodal.running.estimates import Estimate
 from .options import ROS_SUFFIX
 
 
-class Watcher(Protocol):
+class FrameSink(Protocol):
     """Receives every frame with its estimate."""
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
@@ -29,7 +29,9 @@ class Watcher(Protocol):
 
 
 @contextmanager
-def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images: bool) -> Iterator[tuple[Watcher, ...]]:
+def frame_sinks(
+    name: str, alpha: object, *, view: bool, save: Path | None, images: bool
+) -> Iterator[tuple[FrameSink, ...]]:
     """The views and recordings that the options of a run ask for, closed at the end however it comes.
 
     Parameters
@@ -52,7 +54,7 @@ def watchers(name: str, alpha: object, *, view: bool, save: Path | None, images:
     """
     ros = save is not None and save.suffix.lower() == ROS_SUFFIX
     rerun = None if ros else save
-    found: list[Watcher] = []
+    found: list[FrameSink] = []
     with ExitStack() as opened:
         if save is not None and ros:
             found.append(BagWriter(save, images=images))

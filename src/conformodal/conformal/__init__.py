@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from conformodal.conformal.online.aci import Aci
 from conformodal.conformal.online.pid import ConformalPid
 from conformodal.conformal.online.sets import OnlineConformal
-from conformodal.core.late import late
+from conformodal.core.lazy import lazy_getattr
 
 from .bins import QuantileBins
 from .calibration import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from conformodal.conformal.learning.regressor import ConformalRegressor
     from conformodal.conformal.learning.stacked import StackedDensity
 
-__getattr__ = late(  # scikit-learn takes half a second to import
+__getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
     __name__,
     {
         "ConformalRegressor": ".learning.regressor",

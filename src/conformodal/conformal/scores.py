@@ -138,10 +138,15 @@ def _per_unit(widths: FloatArray, dtype: np.dtype[Any]) -> RealArray:
 _LEAST_WIDTH = {4: 2 / float(np.finfo(np.float32).max), 8: 2 / float(np.finfo(np.float64).max)}
 
 
-_SUFFIXES = {0.5: "_mid", 1.0: "_full"}  # of the names of scores that are not randomised
-
-
 Order = Literal["probability", "density"]
+_NAMES = {  # of the share of the bin's own probability that counts, randomised or not; the usual ones need no suffix
+    ("probability", None): "aps",
+    ("probability", 0.5): "aps_mid",
+    ("probability", 1.0): "aps_full",
+    ("density", None): "hpd_random",
+    ("density", 0.5): "hpd",
+    ("density", 1.0): "hpd_full",
+}
 
 
 class Aps:
@@ -151,7 +156,8 @@ class Aps:
     row is scored, in whatever order, and the score stays a fixed function of the sample, as the guarantee needs.
 
     Source: Romano, Sesia and Candes (2020). Ordered by density instead, these are the highest-density sets of
-    Izbicki, Shimizu and Stern (2022).
+    Izbicki, Shimizu and Stern (2022). The score named ``"hpd"`` is the mid-p version of these: half of the bin's own
+    probability counts. ``"hpd_random"`` counts a random share.
 
     Parameters
     ----------
@@ -188,8 +194,8 @@ class Aps:
         own_share = as_number(own_share, "own_share", "above 0 and at most 1", lambda share: 0 < share <= 1)
         self.order, self.randomized, self.own_share = order, randomized, own_share
         self.seed = as_count(seed, "seed")
-        suffix = "" if randomized else _SUFFIXES.get(own_share, "_fixed")
-        self.name = ("aps" if order == "probability" else "hpd") + suffix
+        family = "aps" if order == "probability" else "hpd"
+        self.name = _NAMES.get((order, None if randomized else own_share), f"{family}_fixed")
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""

@@ -13,7 +13,7 @@ class MissingPackageError(ConformodalError, ImportError):
 
 
 @contextmanager
-def needing(extra: str, what: str) -> Iterator[None]:
+def require_extra(extra: str, what: str) -> Iterator[None]:
     """Context for the imports of an optional part.
 
     Parameters

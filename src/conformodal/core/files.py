@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import ConformodalError
-from .extras import needing
+from .extras import require_extra
 
 LOCK, PART = ".lock", ".conformodal-part"
 _PROBE_BYTES = 1 << 20
@@ -108,7 +108,7 @@ def locked(file: Path) -> Iterator[None]:
     FolderInUseError
         If another process or thread holds it.
     """
-    with needing("run", "locking a folder"):
+    with require_extra("run", "locking a folder"):
         from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra
 
     lock = FileLock(file.absolute(), timeout=0, is_singleton=True)

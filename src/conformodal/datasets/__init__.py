@@ -1,8 +1,8 @@
 """Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 
-with needing("run", "reading images"):
+with require_extra("run", "reading images"):
     import cv2  # noqa: F401
     import PIL  # noqa: F401
 

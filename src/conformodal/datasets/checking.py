@@ -85,7 +85,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)
     steps = np.diff(sequence.timestamps_s)[linked]
     usual = float(np.median(steps)) if steps.size else float("nan")
-    found = _remarks(sequence)
+    found = _warnings(sequence)
 
     def add(what: str, at: list[int], *, wrong: bool = True) -> None:
         if at:
@@ -135,7 +135,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     )
 
 
-def _remarks(sequence: Sequence) -> list[Finding]:
+def _warnings(sequence: Sequence) -> list[Finding]:
     """What the reader found, each kind once."""
     places: dict[str, list[str]] = {}
     for remark in sequence.remarks:

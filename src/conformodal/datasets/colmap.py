@@ -18,10 +18,10 @@ from conformodal.poses.text import number, pose_faults, table_of, whole_number
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
-from .draft import Damaged, Draft
+from .draft import Damaged, FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
-from .reading import Inside, Remark, frame_times, image_files, read_lines, reader
+from .reading import PathGuard, Remark, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
@@ -89,7 +89,7 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     if len(used) != 1 or used[0] not in cameras:
         raise DatasetError(f"{of_images}: uses cameras {used}, expected one of {sorted(cameras)}")
     base = folder / "images" if (folder / "images").is_dir() else folder
-    image = Inside(folder, of_images, follow_outside=follow_outside)
+    image = PathGuard(folder, of_images, follow_outside=follow_outside)
     registered = {name: image(base, name) for name in rows}
     others = [] if base == folder else _unregistered(base, list(registered.values()))
     found = registered | {name: image(base, name) for name in others}
@@ -102,7 +102,7 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         images, camera = undistorted(images, camera), camera.pinhole
     poses, why = _poses(of_images, names, rows)
     recording = np.zeros(len(names), dtype=np.int64)
-    draft = Draft(folder.name, images, frame_times(folder, len(names)), recording, poses, why, remarks)
+    draft = FrameTable(folder.name, images, frame_times(folder, len(names)), recording, poses, why, remarks)
     return draft.sequence(camera, require_poses=require_poses)
 
 

@@ -29,7 +29,7 @@ _LEFT_OUT = "left out, "
 
 
 @dataclass(eq=False)
-class Draft:
+class FrameTable:
     """Frames as a reader finds them.
 
     Attributes

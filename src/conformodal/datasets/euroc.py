@@ -18,9 +18,9 @@ from conformodal.poses.text import matrix_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size
-from .draft import Draft, listed, paired_by_time
+from .draft import FrameTable, listed, paired_by_time
 from .errors import DatasetError
-from .reading import Inside, Remark, read_lines, reader
+from .reading import PathGuard, Remark, read_lines, reader
 from .sequence import Sequence
 
 # Ground truth comes at 200 Hz.
@@ -53,7 +53,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     path, truth = root / "cam0" / "data.csv", root / _TRUTH / "data.csv"
     data, remarks = root / "cam0" / "data", list[Remark]()
 
-    place = Inside(root, path, follow_outside=follow_outside)
+    place = PathGuard(root, path, follow_outside=follow_outside)
 
     def parse(line: str) -> tuple[float, Path]:
         time, name = (field.strip() for field in line.split(",")[:2])
@@ -71,7 +71,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         known = np.isfinite(poses).all(axis=1)
         body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
         poses[known] = table_of(body.poses_se3 @ T_body_cam)
-    draft = Draft(folder.name, images, times, np.zeros(len(images), dtype=np.int64), poses, remarks=remarks)
+    draft = FrameTable(folder.name, images, times, np.zeros(len(images), dtype=np.int64), poses, remarks=remarks)
     draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
     return draft.sequence(camera, require_poses=require_poses)
 

@@ -14,7 +14,7 @@ from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Damaged, Draft, paired_by_time
+from .draft import Damaged, FrameTable, paired_by_time
 from .errors import DatasetError
 from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, frame_times, image_files, reader
 from .sequence import Sequence
@@ -56,7 +56,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     if require_poses and poses is None:
         raise DatasetError(f"{folder / _TUM[0]}: poses are missing (or {', '.join((*_TUM[1:], *_KITTI))})")
     recording = np.zeros(len(images), dtype=np.int64)
-    draft = Draft(folder.name, images, times, recording, poses, damaged, remarks)
+    draft = FrameTable(folder.name, images, times, recording, poses, damaged, remarks)
     return draft.sequence(camera, require_poses=require_poses)
 
 

@@ -17,7 +17,7 @@ from conformodal.poses.text import number, table_of
 
 from .cameras import camera_of, check_matrix
 from .decoding import common_size
-from .draft import Damaged, Draft, rows_of
+from .draft import Damaged, FrameTable, rows_of
 from .errors import DatasetError
 from .reading import Remark, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
@@ -68,7 +68,7 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     if times is None:
         times = frames / FRAME_RATE_HZ
     recording = np.zeros(len(images), dtype=np.int64)
-    draft = Draft(f"kitti {folder.name}", images, times, recording, poses, damaged, remarks)
+    draft = FrameTable(f"kitti {folder.name}", images, times, recording, poses, damaged, remarks)
     return draft.sequence(intrinsics, require_poses=require_poses)
 
 

@@ -18,10 +18,10 @@ from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
-from .draft import Draft
+from .draft import FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
-from .reading import Inside, Remark, frame_times, read_lines, reader
+from .reading import PathGuard, Remark, frame_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -70,7 +70,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     twice = next((a for a, b in pairwise(names) if a == b), None)
     if twice is not None:
         raise DatasetError(f"{path}: names {twice} twice, expected one pose for an image")
-    place = Inside(folder, path, follow_outside=follow_outside)
+    place = PathGuard(folder, path, follow_outside=follow_outside)
     images = [_image(place, name) for name in names]
     if not any(image.is_file() for image in images):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
@@ -85,7 +85,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     recording = np.zeros(len(frames), dtype=np.int64)
     poses[unknown] = np.nan
     table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    draft = Draft(folder.name, images, frame_times(folder, len(frames)), recording, table, why, remarks)
+    draft = FrameTable(folder.name, images, frame_times(folder, len(frames)), recording, table, why, remarks)
     return draft.sequence(camera, require_poses=require_poses)
 
 
@@ -104,7 +104,7 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _image(place: Inside, name: str) -> Path:
+def _image(place: PathGuard, name: str) -> Path:
     whole = place(place.folder, name)
     found = (whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name)
     there = next((p for p in found if os.path.lexists(p)), whole)

@@ -78,7 +78,7 @@ def image_files(folder: Path, remarks: list[Remark] | None = None) -> list[Path]
     return sorted(found.values(), key=lambda p: natural_key(p.name))
 
 
-class Inside:
+class PathGuard:
     """Files that a data set's list names.
 
     Parameters

@@ -16,7 +16,7 @@ from conformodal.poses.text import drop_faults, number, pose_faults, read_rows
 
 from .cameras import camera_beside
 from .decoding import common_size, natural_key
-from .draft import Damaged, Draft
+from .draft import Damaged, FrameTable
 from .errors import DatasetError
 from .reading import Remark, reader
 from .sequence import Sequence
@@ -81,7 +81,7 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         raise DatasetError(why[0])
     name = folder.name if scenes == [folder] else f"{folder.name} ({len(scenes)} scenes)"
     known = np.concatenate(poses) if missing < len(scenes) else None
-    draft = Draft(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, remarks)
+    draft = FrameTable(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, remarks)
     return draft.sequence(camera_beside(folder, common_size(images), CAMERA, remarks), require_poses=require_poses)
 
 

@@ -21,7 +21,7 @@ from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import camera_beside
 from .decoding import common_size, natural_key
-from .draft import Damaged, Draft
+from .draft import Damaged, FrameTable
 from .errors import DatasetError
 from .reading import Remark, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
@@ -102,7 +102,7 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     posed = require_poses or any(pose_path(path).exists() for path in images)
     poses = _poses(images, why) if posed else None
     recording_of = np.array(owner, dtype=np.int64)
-    draft = Draft(name, images, np.array(times), recording_of, poses, why, remarks)
+    draft = FrameTable(name, images, np.array(times), recording_of, poses, why, remarks)
     camera = _camera(folder, images, remarks)
     return draft.sequence(
         camera, require_poses=require_poses, given_test=None if held_out is None else held_out[recording_of]

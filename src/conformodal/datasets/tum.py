@@ -13,8 +13,8 @@ from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Draft, listed, paired_by_time
-from .reading import MAX_TIME_DIFFERENCE_S, Inside, Remark, reader
+from .draft import FrameTable, listed, paired_by_time
+from .reading import MAX_TIME_DIFFERENCE_S, PathGuard, Remark, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -49,7 +49,7 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
     remarks: list[Remark] = []
 
-    place = Inside(folder, path, follow_outside=follow_outside)
+    place = PathGuard(folder, path, follow_outside=follow_outside)
 
     def parse(line: str) -> tuple[float, Path]:
         time, name = line.split(maxsplit=1)
@@ -62,6 +62,6 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     if require_poses or truth.is_file():
         poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, remarks)
     recording = np.zeros(len(images), dtype=np.int64)
-    draft = Draft(folder.name, images, times, recording, poses, remarks=remarks)
+    draft = FrameTable(folder.name, images, times, recording, poses, remarks=remarks)
     draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
     return draft.sequence(camera, require_poses=require_poses)

@@ -47,7 +47,7 @@ _NOWHERE = (float("nan"),) * 7
 
 
 @dataclass
-class Written:
+class ConversionReport:
     """What was written, and what was not; the notes name the frames.
 
     Attributes
@@ -78,7 +78,7 @@ def write_layout(
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
     *,
     binary: bool = False,
-) -> Written:
+) -> ConversionReport:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
 
     They are written beside the folder and moved into its place at the end: a failure leaves nothing there.
@@ -208,11 +208,11 @@ class _Kept:
             Image.fromarray(np.asarray(frame.image)).save(target)
         return str(target.relative_to(self.place))
 
-    def finish(self, *, binary: bool) -> Written:
+    def finish(self, *, binary: bool) -> ConversionReport:
         """Write everything but the images."""
         poses = np.array(self.poses).reshape(-1, 7)
         posed = np.isfinite(poses).all(axis=1)
-        done = Written(
+        done = ConversionReport(
             n_unreadable=len(self.left[_NO_IMAGE]),
             n_without_time=len(self.left[_NO_TIME]),
         )

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from conformodal.core.arrays import IntArray
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.progress import stage_of
 from conformodal.vision.head import SoftmaxHead
 
@@ -39,7 +39,7 @@ class HeadSource:
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self:
         """Train on order-aware labels, or one-hot ones where ``sigma_bins`` is 0."""
-        with needing("train", "training"):
+        with require_extra("train", "training"):
             from conformodal.networks import fit_head, soft_cross_entropy  # noqa: PLC0415
 
         bins = data.bins_of(frames)

@@ -119,7 +119,9 @@ def find_source(name: str) -> type[PoseSource]:
     """
     _import_built_in(name)
     if name not in _KINDS:
-        raise LocalizationError(f"pose source must be one of {', '.join(sorted({**_BUILT_IN, **_KINDS}))}, got {name!r}")
+        raise LocalizationError(
+            f"pose source must be one of {', '.join(sorted({**_BUILT_IN, **_KINDS}))}, got {name!r}"
+        )
     return _KINDS[name]
 
 

@@ -112,7 +112,7 @@ class ModelConfig:
     margin: float = 0.02
     sigma_bins: float = 0.7
     alpha: float = 0.1
-    score: str = "hpd_mid"
+    score: str = "hpd"
     joint: str = "max"
     test: float = 0.2
     calibration: float = 0.16

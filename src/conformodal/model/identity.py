@@ -24,7 +24,7 @@ _MOST_DECODED = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FrameMatches:
     """Where known frames are in a sequence.
 
     Attributes
@@ -68,7 +68,7 @@ class FrameIdentities:
         mine = {row.tobytes() for row in self.pixels} - {_NOTHING}
         return np.array([row.tobytes() in mine for row in others.pixels], dtype=bool)
 
-    def find(self, others: FrameIdentities) -> Found:
+    def find(self, others: FrameIdentities) -> FrameMatches:
         """Find each of these frames among the `others`: by its pixels, and by its pose where both have one.
 
         Frames with the same pixels are told apart by their poses; those with the same pose as well are taken in order.
@@ -92,7 +92,7 @@ class FrameIdentities:
             for k in alike[digest]:
                 if at[k] < 0 and moved[k] < 0:
                     moved[k] = i
-        return Found(at, moved)
+        return FrameMatches(at, moved)
 
 
 def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameIdentities:

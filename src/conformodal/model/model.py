@@ -29,7 +29,7 @@ from .errors import OdometryError
 from .identity import FrameIdentities
 from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
-from .region_rules import EvidenceKind, RegionRules
+from .region_rules import EvidenceType, RegionRules
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Localization:
     known_p
         (n,) p-values of "this image shows a place that is known"; NaN where images are not tested.
     kinds
-        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceKind`.
+        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`.
     """
 
     beliefs: Beliefs
@@ -61,7 +61,7 @@ class Localization:
     @property
     def known(self) -> npt.NDArray[np.bool_]:
         """(n,) whether each image shows a place that is known."""
-        return np.asarray(self.kinds != EvidenceKind.UNKNOWN)
+        return np.asarray(self.kinds != EvidenceType.UNKNOWN)
 
 
 @dataclass(eq=False)

@@ -23,7 +23,7 @@ from .errors import OdometryError
 METRES_PER_RAD = 2.0
 
 
-class Promise(StrEnum):
+class Guarantee(StrEnum):
     """What holds with probability 1 - alpha in a new recording."""
 
     FRAME = "frame"  # a frame of it, drawn at random, lies within the radius
@@ -56,18 +56,18 @@ class PoseRadius:
     Raises
     ------
     OdometryError
-        If there is no such `promise`.
+        If there is no such `guarantee`.
     """
 
     radius_rad: float
     alpha: float
-    promise: Promise
+    guarantee: Guarantee
     method: str
     n_recordings: int
     metres_per_rad: float = METRES_PER_RAD
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "promise", as_member(self.promise, Promise, "promise", OdometryError))
+        object.__setattr__(self, "guarantee", as_member(self.guarantee, Guarantee, "guarantee", OdometryError))
 
     @property
     def radius_m(self) -> float:
@@ -83,7 +83,7 @@ class PoseRadius:
     @property
     def assumption(self) -> str:
         """What the guarantee rests on, for people."""
-        what = "every frame" if self.promise is Promise.RECORDING else "a frame drawn at random"
+        what = "every frame" if self.guarantee is Guarantee.RECORDING else "a frame drawn at random"
         return (
             f"If a recording is exchangeable with the {self.n_recordings} that the radius was calibrated on, the true "
             f"pose of {what} of it is within the radius with probability at least {1 - self.alpha:g}."
@@ -131,7 +131,7 @@ def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np
 def fit_pose_radius(
     errors: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]],
     alpha: Alpha,
-    promise: Promise | str,
+    guarantee: Guarantee | str,
     method: str,
     *,
     metres_per_rad: float = METRES_PER_RAD,
@@ -150,13 +150,13 @@ def fit_pose_radius(
     Raises
     ------
     OdometryError
-        If `metres_per_rad` is not positive and finite, or there is no such `promise`.
+        If `metres_per_rad` is not positive and finite, or there is no such `guarantee`.
     ConformalError
         If a recording has no frames, errors are NaN, or `alpha` is outside (0, 1).
     """
     check_metres_per_rad(metres_per_rad)
-    promise = as_member(promise, Promise, "promise", OdometryError)
+    guarantee = as_member(guarantee, Guarantee, "guarantee", OdometryError)
     scores = [joint_error(metres, np.asarray(radians), metres_per_rad) for metres, radians in errors]
-    quantile = grouped_quantile if promise is Promise.FRAME else grouped_maximum_quantile
+    quantile = grouped_quantile if guarantee is Guarantee.FRAME else grouped_maximum_quantile
     limit = quantile(scores, alpha)
-    return PoseRadius(limit, float(as_alpha(alpha)), promise, method, len(errors), metres_per_rad)
+    return PoseRadius(limit, float(as_alpha(alpha)), guarantee, method, len(errors), metres_per_rad)

@@ -18,7 +18,7 @@ from conformodal.core.arrays import BoolArray
 FloatArray = npt.NDArray[np.floating[Any]]
 
 
-class EvidenceKind(IntEnum):
+class EvidenceType(IntEnum):
     """What a region rests on; each kind has thresholds of its own."""
 
     GLOBAL = 0  # the image as a whole: local features were not matched
@@ -27,7 +27,7 @@ class EvidenceKind(IntEnum):
     UNKNOWN = 3  # the image is novel: the region is unbounded
 
 
-_MATCHED = (EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS)
+_MATCHED = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)
 
 
 class Sharing(StrEnum):
@@ -73,7 +73,7 @@ class RegionRules:
     known_p
         (n,) p-values of each, see :class:`~conformodal.model.place_novelty.PlaceNovelty`.
     level
-        Images with a p-value of at most this are :attr:`EvidenceKind.UNKNOWN`; so are calibration frames.
+        Images with a p-value of at most this are :attr:`EvidenceType.UNKNOWN`; so are calibration frames.
     """
 
     overall: SplitConformal
@@ -83,13 +83,13 @@ class RegionRules:
     level: float
 
     @cached_property
-    def own(self) -> dict[EvidenceKind, SplitConformal]:
+    def own(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however little they weigh."""
         known = self.known_p > self.level
-        rules = {EvidenceKind.GLOBAL: _part(self.overall, known)}
+        rules = {EvidenceType.GLOBAL: _part(self.overall, known)}
         if self.matched is not None:
-            rules[EvidenceKind.UNMATCHED] = _part(self.matched, known & ~self.recognised)
-            rules[EvidenceKind.LANDMARKS] = _part(self.matched, known & self.recognised)
+            rules[EvidenceType.UNMATCHED] = _part(self.matched, known & ~self.recognised)
+            rules[EvidenceType.LANDMARKS] = _part(self.matched, known & self.recognised)
         return rules
 
     @cached_property
@@ -112,7 +112,7 @@ class RegionRules:
         return Sharing.WIDER if least + 1 >= needed else Sharing.SHARED
 
     @cached_property
-    def of(self) -> dict[EvidenceKind, SplitConformal]:
+    def of(self) -> dict[EvidenceType, SplitConformal]:
         """The rule in force of each evidence type but ``UNKNOWN``."""
         if self.both is None or self.sharing is Sharing.OWN:
             return self.own
@@ -135,9 +135,9 @@ class RegionRules:
         looked, recognised
             (m,) whether local features were extracted, and whether a place was recognised by them.
         """
-        matched = np.where(recognised, EvidenceKind.LANDMARKS, EvidenceKind.UNMATCHED)
-        kinds = np.where(looked & (self.matched is not None), matched, EvidenceKind.GLOBAL)
-        return np.where(known_p <= self.level, EvidenceKind.UNKNOWN, kinds).astype(np.int64)
+        matched = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
+        kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
+        return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
     def thresholds(self, kinds: npt.NDArray[np.int64]) -> FloatArray:
         """(m, 7) thresholds of images with these kinds of evidence."""

@@ -22,7 +22,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
-from conformodal.core.extras import MissingPackageError, needing
+from conformodal.core.extras import MissingPackageError, require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Split
 from conformodal.localization.localizer import Localizer
@@ -40,7 +40,7 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-12"
+_FORMAT = "conformodal-model-13"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -184,7 +184,7 @@ def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Ba
     config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
     if network is not None:
         return OnnxBackbone(config, network)
-    with needing("train", f"{folder}: a model that runs its network in torch"):
+    with require_extra("train", f"{folder}: a model that runs its network in torch"):
         from conformodal.networks import TorchBackbone  # noqa: PLC0415
 
     backbone = TorchBackbone(config)

@@ -19,7 +19,7 @@ from .two_view import TwoViewSolver, solve_poselib
 class FrontEnd(ABC):
     """Relative motion between frames of one camera.
 
-    :meth:`pass_by` shows it a frame that lies between; :meth:`measure` ends an interval and starts the next.
+    :meth:`track_only` shows it a frame that lies between; :meth:`measure` ends an interval and starts the next.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class FrontEnd(ABC):
         """Start a new recording."""
         self.tracker.reset()
 
-    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+    def track_only(self, image: npt.NDArray[np.uint8]) -> None:
         """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
         self.tracker.advance(grey_image(image))
 
@@ -81,24 +81,24 @@ class MotionFrontEnd(FrontEnd):
     def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
         super().__init__(camera)
         self.solver = solver
-        self._forget_bank()
+        self._forget_accumulated()
 
     def reset(self) -> None:
         """Start a new recording."""
         super().reset()
-        self._forget_bank()
+        self._forget_accumulated()
 
-    def _forget_bank(self) -> None:
-        self._banked = np.eye(3)  # rotation from the frame measured last to the mark
-        self._n_banked = 0
-        self._banked_variance = 0.0
+    def _forget_accumulated(self) -> None:
+        self._accumulated = np.eye(3)  # rotation from the frame measured last to the mark
+        self._n_accumulated = 0
+        self._accumulated_variance = 0.0
         self._broken = False
 
-    def pass_by(self, image: npt.NDArray[np.uint8]) -> None:
+    def track_only(self, image: npt.NDArray[np.uint8]) -> None:
         """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
-        super().pass_by(image)
+        super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
-            self._bank()
+            self._accumulate()
 
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
         """Motion from the frame measured last to this one.
@@ -112,22 +112,22 @@ class MotionFrontEnd(FrontEnd):
 
     def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
         motion = self._since_mark(before, now)
-        if self._n_banked or self._broken:
+        if self._n_accumulated or self._broken:
             motion = self._chain(motion)
-        self._forget_bank()
+        self._forget_accumulated()
         return motion
 
     def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
         return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
 
-    def _bank(self) -> None:
+    def _accumulate(self) -> None:
         motion = self._since_mark(*self.tracker.pairs())
         if motion.R_prev_next is None:
             self._broken = True
         else:
-            self._banked = self._banked @ motion.R_prev_next
-            self._n_banked += 1
-            self._banked_variance += motion.rotation_sigma_rad**2
+            self._accumulated = self._accumulated @ motion.R_prev_next
+            self._n_accumulated += 1
+            self._accumulated_variance += motion.rotation_sigma_rad**2
         self.tracker.mark()
 
     def _chain(self, last: RelativeMotion) -> RelativeMotion:
@@ -136,9 +136,9 @@ class MotionFrontEnd(FrontEnd):
             return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
         return RelativeMotion(
             MotionStatus.LOW_PARALLAX,
-            self._banked @ last.R_prev_next,
+            self._accumulated @ last.R_prev_next,
             None,
             last.n_tracks,
             last.n_inliers,
-            rotation_sigma_rad=float(np.sqrt(self._banked_variance + last.rotation_sigma_rad**2)),
+            rotation_sigma_rad=float(np.sqrt(self._accumulated_variance + last.rotation_sigma_rad**2)),
         )

@@ -5,8 +5,8 @@ Every name is imported when it is first used; the names of networks are known wi
 
 from typing import TYPE_CHECKING, Any
 
-from conformodal.core.extras import needing
-from conformodal.core.late import late
+from conformodal.core.extras import require_extra
+from conformodal.core.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from .exporting import exported, quantised, with_head
@@ -33,7 +33,7 @@ __all__ = [
     "with_head",
 ]
 
-_find = late(
+_find = lazy_getattr(
     __name__,
     {
         **dict.fromkeys(("exported", "quantised", "with_head"), ".exporting"),
@@ -47,5 +47,5 @@ _find = late(
 
 
 def __getattr__(name: str) -> Any:
-    with needing("train", "training"):
+    with require_extra("train", "training"):
         return _find(name)

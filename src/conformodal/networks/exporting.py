@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.progress import Progress
 from conformodal.datasets import read_image
 from conformodal.vision.backbone import Backbone
 from conformodal.vision.errors import VisionError
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.head import SoftmaxHead
-from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.onnx_backbone import INPUT, OUTPUT, OnnxBackbone
 
 from .torch_backbone import TorchBackbone
@@ -99,7 +99,7 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
     targets
         Names of the outputs, one per target.
     """
-    with needing("train", "the export of a network"):
+    with require_extra("train", "the export of a network"):
         import onnx  # noqa: PLC0415
         from onnx import helper, numpy_helper  # noqa: PLC0415
 
@@ -146,15 +146,15 @@ def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...
 def _cached_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
     """A backbone in the ONNX file that the cache holds under a key; it is made where the cache does not hold it."""
     path = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
-    found = None if path is None else kept_arrays(path, key)
+    found = None if path is None else cached_arrays(path, key)
     content = make() if found is None else found["onnx"].tobytes()
     if path is not None and found is None:
-        keep_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
+        cache_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
     return OnnxBackbone(backbone.config, content)
 
 
 def _export(backbone: TorchBackbone) -> bytes:
-    with needing("train", "the export of a network"):
+    with require_extra("train", "the export of a network"):
         import onnxscript  # noqa: F401, PLC0415 - torch asks for it
     two = torch.zeros((2, backbone.config.height, backbone.config.width, 3), dtype=torch.uint8, device=backbone.device)
     try:
@@ -187,7 +187,7 @@ def _check_same(backbone: TorchBackbone, made: OnnxBackbone) -> None:
 
 
 def _quantise(content: bytes, images: Sequence[npt.NDArray[np.uint8]]) -> bytes:
-    with needing("train", "quantisation"):
+    with require_extra("train", "quantisation"):
         from onnxruntime.quantization import (  # noqa: PLC0415 - only here
             CalibrationDataReader,
             QuantFormat,

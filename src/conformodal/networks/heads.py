@@ -18,7 +18,7 @@ from torch import nn
 from conformodal.core.progress import Progress
 from conformodal.vision.errors import VisionError
 from conformodal.vision.head import SoftmaxHead
-from conformodal.vision.keeping import keep_arrays, kept_arrays
+from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.projection import Projection, fit_projection
 from conformodal.vision.settings import TrainingConfig
 
@@ -214,7 +214,7 @@ def _train(
     key = _digest(head, x, y, loss, config)
     file = None if checkpoint_dir is None else checkpoint_dir / f"{key}.safetensors"
     start = 0
-    if file is not None and (saved := kept_arrays(file, key)) is not None:
+    if file is not None and (saved := cached_arrays(file, key)) is not None:
         state = torch.load(BytesIO(saved["state"].tobytes()), weights_only=True)
         start = state["epochs"]
         for part, name in ((head, "head"), (optimizer, "optimizer"), (schedule, "schedule")):
@@ -233,7 +233,7 @@ def _train(
             state = {"epochs": epoch + 1, "head": head.state_dict(), "optimizer": optimizer.state_dict()}
             state |= {"schedule": schedule.state_dict(), "random": torch.get_rng_state()}
             torch.save(state, content := BytesIO())
-            keep_arrays(file, key, {"state": np.frombuffer(content.getvalue(), np.uint8)})
+            cache_arrays(file, key, {"state": np.frombuffer(content.getvalue(), np.uint8)})
         if progress is not None:
             progress(epoch + 1, config.epochs)
     if file is not None:

@@ -7,7 +7,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.vision.errors import VisionError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class LiteNetwork:
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
         """See :class:`Network`."""
-        with needing("train", "a network"):  # here, because names of networks are asked for without torch
+        with require_extra("train", "a network"):  # here, because names of networks are asked for without torch
             import torch  # noqa: PLC0415
             from efficientnet_lite_pytorch import EfficientNet  # noqa: PLC0415
 
@@ -116,7 +116,7 @@ def find_network(name: str) -> Network:
     """
     check_network(name)
     if name.startswith(PREFIX):
-        with needing("train", "a network"):
+        with require_extra("train", "a network"):
             from .hub import HubNetwork  # noqa: PLC0415
 
         return HubNetwork(name.removeprefix(PREFIX))

@@ -9,18 +9,18 @@ import numpy as np
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, listed, noun_for
 from conformodal.datasets import Sequence
-from conformodal.model.region_rules import EvidenceKind, Sharing
+from conformodal.model.region_rules import EvidenceType, Sharing
 
 from .examining import RecordingQuality
+from .guarantee import N_NEW, EvidenceGuarantee
 from .place_ambiguity import AmbiguousStretch
-from .promise import N_NEW, KindPromise
 from .settings import QUALITY
-from .view_coverage import TILTED, FastStretch, ThinStretch
+from .view_coverage import TILTED, FastStretch, SparseStretch
 
 WHERE = {
-    EvidenceKind.GLOBAL: "where local features are not matched",
-    EvidenceKind.UNMATCHED: "where landmarks recognise no place",
-    EvidenceKind.LANDMARKS: "where landmarks recognise the place",
+    EvidenceType.GLOBAL: "where local features are not matched",
+    EvidenceType.UNMATCHED: "where landmarks recognise no place",
+    EvidenceType.LANDMARKS: "where landmarks recognise the place",
 }
 
 
@@ -66,11 +66,11 @@ def _plan_axes(extent: FloatArray) -> tuple[int, int]:
 
 def record_next(found: RecordingQuality, names: Names) -> list[str]:
     """What to record or train on next, the most valuable first; empty where nothing is missing."""
-    said = [_more_units(promise) for promise in found.promises if not promise.finite and promise.n_frames]
+    said = [_more_units(guarantee) for guarantee in found.guarantees if not guarantee.finite and guarantee.n_frames]
     if found.coverage is not None:
         # far from everything known, and long: that is where most errors are to expect
-        thin = sorted(found.coverage.thin, key=lambda one: -(one.way + one.change))
-        said += [_again(one, names, found) for one in thin]
+        sparse = sorted(found.coverage.sparse, key=lambda one: -(one.way + one.change))
+        said += [_again(one, names, found) for one in sparse]
         fast = sorted(found.coverage.fast, key=lambda one: -one.change * (one.last - one.first))
         said += [_slower(one, names) for one in fast]
     if found.ambiguity is not None:
@@ -80,19 +80,19 @@ def record_next(found: RecordingQuality, names: Names) -> list[str]:
     return said if more <= 0 else [*said[: QUALITY.most_advice], f"metrics.json lists {more} more such stretches."]
 
 
-def said_of_quality(found: RecordingQuality) -> list[str]:
+def describe_quality(found: RecordingQuality) -> list[str]:
     """The findings in short."""
     said = []
     coverage = found.coverage
     if coverage is not None:
-        gaps = sum(one.between for one in coverage.thin)
+        gaps = sum(one.between for one in coverage.sparse)
         between = f"{counted(gaps, 'gap') if gaps else 'no gap'} between "
-        far = f"differs by more than {100 * QUALITY.thin:.0f} % of the field of view{_as_step(found)}"
-        n_unknown, n_thin = int((~found.known).sum()), int(coverage.thin_frames.sum())
+        far = f"differs by more than {100 * QUALITY.sparse:.0f} % of the field of view{_as_step(found)}"
+        n_unknown, n_sparse = int((~found.known).sum()), int(coverage.sparse_frames.sum())
         if n_unknown:
-            stretches = f", in {counted(len(coverage.thin) - gaps, 'stretch', 'stretches')}" if n_thin else ""
+            stretches = f", in {counted(len(coverage.sparse) - gaps, 'stretch', 'stretches')}" if n_sparse else ""
             said.append(
-                f"sparsely covered: {n_thin or 'none'} of the {counted(n_unknown, 'frame')} that the model was not "
+                f"sparsely covered: {n_sparse or 'none'} of the {counted(n_unknown, 'frame')} that the model was not "
                 f"trained on{stretches}; {between}frames (sparsely covered: the nearest view that it was trained on "
                 f"{far})"
             )
@@ -106,19 +106,19 @@ def said_of_quality(found: RecordingQuality) -> list[str]:
             + (counted(len(coverage.fast), "stretch", "stretches") if coverage.fast else "nowhere")
         )
     if found.ambiguity is not None:
-        said += _said_of_ambiguity(found)
-    return said + [said_of_promise(promise) for promise in found.promises]
+        said += _describe_ambiguity(found)
+    return said + [describe_guarantee(guarantee) for guarantee in found.guarantees]
 
 
 def _as_step(found: RecordingQuality) -> str:
     """The limit as a turn and as a step."""
     if found.scale is None:
         return ""
-    turn = QUALITY.thin * found.scale.fov_rad
+    turn = QUALITY.sparse * found.scale.fov_rad
     return f", {np.degrees(turn):.1f} degrees or {turn * found.scale.depth_m:.2f} m"
 
 
-def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
+def _describe_ambiguity(found: RecordingQuality) -> list[str]:
     places = found.ambiguity
     assert places is not None
     n, several = len(places.frames), int((places.n_places > 1).sum())
@@ -132,44 +132,46 @@ def _said_of_ambiguity(found: RecordingQuality) -> list[str]:
     if places.n_unknown:
         said[0] += f"; {places.n_unknown} show no place that is known"
     if found.errors_m is not None and found.coverage is not None:
-        thin = found.coverage.thin_frames[np.searchsorted(found.posed, places.frames)]
-        if thin.any() and not thin.all():
+        sparse = found.coverage.sparse_frames[np.searchsorted(found.posed, places.frames)]
+        if sparse.any() and not sparse.all():
             said.append(
                 "median position error of these frames, each answered by itself: "
-                f"{np.median(found.errors_m[thin]):.3f} m where they are sparsely covered, "
-                f"{np.median(found.errors_m[~thin]):.3f} m elsewhere"
+                f"{np.median(found.errors_m[sparse]):.3f} m where they are sparsely covered, "
+                f"{np.median(found.errors_m[~sparse]):.3f} m elsewhere"
             )
     return said
 
 
-def said_of_promise(promise: KindPromise) -> str:
+def describe_guarantee(guarantee: EvidenceGuarantee) -> str:
     """What the regions of one evidence type can guarantee."""
-    where = f"regions {WHERE[promise.evidence]}"
-    if not promise.n_frames and promise.sharing is Sharing.OWN:
+    where = f"regions {WHERE[guarantee.evidence]}"
+    if not guarantee.n_frames and guarantee.sharing is Sharing.OWN:
         return f"{where}: no frame calibrates them, they are unbounded"
-    said = f"{where}: {describe_units(promise)} {noun_for(promise.n_frames, 'calibrates', 'calibrate')} them"
-    if promise.sharing is not Sharing.OWN:
-        said += f" (thresholds: {promise.sharing})"
-    bounded = promise.least_alpha < 1
-    said += f", finite from alpha = {promise.least_alpha_shown:g}" if bounded else ", finite at no alpha"
-    if promise.band is not None and promise.finite:
-        low, high = promise.band
-        said += f"; of {N_NEW} new frames {low:.3f} to {high:.3f} are covered at alpha = {promise.alpha:g} (99 % band)"
+    said = f"{where}: {describe_units(guarantee)} {noun_for(guarantee.n_frames, 'calibrates', 'calibrate')} them"
+    if guarantee.sharing is not Sharing.OWN:
+        said += f" (thresholds: {guarantee.sharing})"
+    bounded = guarantee.least_alpha < 1
+    said += f", finite from alpha = {guarantee.least_alpha_shown:g}" if bounded else ", finite at no alpha"
+    if guarantee.band is not None and guarantee.finite:
+        low, high = guarantee.band
+        said += (
+            f"; of {N_NEW} new frames {low:.3f} to {high:.3f} are covered at alpha = {guarantee.alpha:g} (99 % band)"
+        )
     return said
 
 
-def describe_units(promise: KindPromise) -> str:
+def describe_units(guarantee: EvidenceGuarantee) -> str:
     """The frames of an evidence type that calibrate, and what they weigh."""
-    frames = counted(promise.n_frames, "frame")
-    if promise.by_frame:
+    frames = counted(guarantee.n_frames, "frame")
+    if guarantee.by_frame:
         return frames
-    units = counted(promise.n_units, "stretch or recording", "stretches or recordings")
-    return f"{frames} of {units}, which weigh {promise.weight:.1f} whole ones,"
+    units = counted(guarantee.n_units, "stretch or recording", "stretches or recordings")
+    return f"{frames} of {units}, which weigh {guarantee.weight:.1f} whole ones,"
 
 
-def describe_sharing(promise: KindPromise) -> str:
+def describe_sharing(guarantee: EvidenceGuarantee) -> str:
     """Whose thresholds an evidence type has that shares them, and what that guarantees."""
-    if promise.sharing is Sharing.WIDER:
+    if guarantee.sharing is Sharing.WIDER:
         return (
             "one evidence type is at the limit of too few frames: its thresholds are the larger of its own and those "
             "shared with the other"
@@ -180,29 +182,29 @@ def describe_sharing(promise: KindPromise) -> str:
     )
 
 
-def _more_units(promise: KindPromise) -> str:
-    where, alpha = WHERE[promise.evidence], promise.alpha
-    shared = promise.sharing is Sharing.SHARED
+def _more_units(guarantee: EvidenceGuarantee) -> str:
+    where, alpha = WHERE[guarantee.evidence], guarantee.alpha
+    shared = guarantee.sharing is Sharing.SHARED
     them = "them, together with those of the other evidence type," if shared else "them"
-    if promise.n_needed is None:
+    if guarantee.n_needed is None:
         return (
             f"Record again with training data that reaches further: regions are unbounded {where}, because more than "
             f"alpha = {alpha:g} of the frames that calibrate {them} lie beyond the training range."
         )
-    if promise.by_frame:
+    if guarantee.by_frame:
         return (
             f"Record more frames {where}: regions are unbounded there, because "
-            f"{counted(promise.n_frames, 'frame')} {noun_for(promise.n_frames, 'calibrates', 'calibrate')} {them}; "
-            f"alpha = {alpha:g} needs at least {promise.n_needed}{' in all' if shared else ''}."
+            f"{counted(guarantee.n_frames, 'frame')} {noun_for(guarantee.n_frames, 'calibrates', 'calibrate')} {them}; "
+            f"alpha = {alpha:g} needs at least {guarantee.n_needed}{' in all' if shared else ''}."
         )
     return (
-        f"Record more: regions are unbounded {where}. {describe_units(promise)} calibrate {them}; alpha = {alpha:g} "
-        f"needs a weight of {promise.weight_needed:g}, which takes {promise.n_needed} stretches or recordings like "
+        f"Record more: regions are unbounded {where}. {describe_units(guarantee)} calibrate {them}; alpha = {alpha:g} "
+        f"needs a weight of {guarantee.weight_needed:g}, which takes {guarantee.n_needed} stretches or recordings like "
         "these."
     )
 
 
-def _again(one: ThinStretch, names: Names, found: RecordingQuality) -> str:
+def _again(one: SparseStretch, names: Names, found: RecordingQuality) -> str:
     if not isfinite(one.distance_m):
         return f"Train on {names.frames(one.first, one.last)} (around {names.place(one.place_xyz)}): nothing is known."
     gap = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"

@@ -21,8 +21,8 @@ from conformodal.training.depths import measure_depths
 from conformodal.training.training_data import TrainingData
 from conformodal.vision.features import FeatureCache, extract_features
 
+from .guarantee import EvidenceGuarantee, guarantees
 from .place_ambiguity import Ambiguity, ambiguity, most_probable
-from .promise import KindPromise, promises
 from .settings import QUALITY
 from .view_coverage import PoseCoverage, pose_coverage
 from .views import ViewScale
@@ -61,7 +61,7 @@ class RecordingQuality:
     scale: ViewScale | None
     coverage: PoseCoverage | None
     ambiguity: Ambiguity | None
-    promises: list[KindPromise]
+    guarantees: list[EvidenceGuarantee]
     errors_m: FloatArray | None = None
 
 
@@ -208,7 +208,7 @@ def _judged(
         None if poses is None else scale,
         coverage,
         places,
-        [] if model is None else promises(model),
+        [] if model is None else guarantees(model),
         errors,
     )
 

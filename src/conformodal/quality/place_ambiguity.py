@@ -12,7 +12,7 @@ from conformodal.conformal import Regions
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.model import Localization
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 
 from .settings import QUALITY
@@ -168,7 +168,7 @@ def ambiguity(
     return Ambiguity(
         frames,
         n_places,
-        int((found.kinds == EvidenceKind.UNKNOWN).sum()),
+        int((found.kinds == EvidenceType.UNKNOWN).sum()),
         dict(zip(TARGET_NAMES, mean, strict=False)),
         stretches,
     )

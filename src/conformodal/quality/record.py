@@ -10,7 +10,7 @@ import numpy as np
 
 from conformodal.datasets import Sequence
 
-from .advice import Names, record_next, said_of_quality
+from .advice import Names, describe_quality, record_next
 from .examining import RecordingQuality
 from .settings import QUALITY
 
@@ -31,30 +31,30 @@ def quality_record(found: RecordingQuality, sequence: Sequence, *, short: bool =
     """
     names = names_of(found, sequence)
     record: dict[str, Any] = {
-        "summary": said_of_quality(found),
+        "summary": describe_quality(found),
         "record_next": record_next(found, names),
         "settings": asdict(QUALITY),
         "n_frames": len(sequence),
         "n_with_pose": len(found.posed),
         "n_known": int(found.known.sum()),
-        "promises": [
+        "guarantees": [
             {
-                **asdict(promise),
-                "evidence": promise.evidence.name.lower(),
-                "least_alpha": promise.least_alpha_shown if promise.least_alpha < 1 else None,
-                "band": None if promise.band is None else list(promise.band),
+                **asdict(guarantee),
+                "evidence": guarantee.evidence.name.lower(),
+                "least_alpha": guarantee.least_alpha_shown if guarantee.least_alpha < 1 else None,
+                "band": None if guarantee.band is None else list(guarantee.band),
             }
-            for promise in found.promises
+            for guarantee in found.guarantees
         ],
     }
     coverage, places = found.coverage, found.ambiguity
     if coverage is not None and found.scale is not None:
         record["scale"] = {"depth_m": found.scale.depth_m, "field_of_view_deg": float(np.degrees(found.scale.fov_rad))}
-        record["thin"] = [
-            {**_stretch(asdict(one), sequence), "nearest": _name(found, one.nearest)} for one in coverage.thin
+        record["sparse"] = [
+            {**_stretch(asdict(one), sequence), "nearest": _name(found, one.nearest)} for one in coverage.sparse
         ]
         record["fast"] = [_stretch(asdict(one), sequence) for one in coverage.fast]
-        record["n_thin_frames"] = int(coverage.thin_frames.sum())
+        record["n_sparse_frames"] = int(coverage.sparse_frames.sum())
         if not short:
             record["change"] = [_number(change) for change in coverage.change.tolist()]
     if places is not None:

@@ -37,7 +37,7 @@ class QualitySettings:
         Sentences on what to record next.
     """
 
-    thin: float = 0.1
+    sparse: float = 0.1
     fast: float = 0.15
     spacing: float = 0.05
     most_stations: int = 64

@@ -20,7 +20,7 @@ _SHARE = 0.5  # of the largest part of a turn or a way that another part is name
 
 
 @dataclass(frozen=True)
-class ThinStretch:
+class SparseStretch:
     """Neighbouring frames whose views are far from every known one; places are in metres.
 
     Attributes
@@ -87,15 +87,15 @@ class PoseCoverage:
     ----------
     change
         (n,) how much each frame's view differs from the nearest known one.
-    thin_frames
+    sparse_frames
         (n,) whether it is more than the limit.
     thin, fast
         Stretches, in the order of time.
     """
 
     change: FloatArray
-    thin_frames: BoolArray
-    thin: list[ThinStretch]
+    sparse_frames: BoolArray
+    sparse: list[SparseStretch]
     fast: list[FastStretch]
 
 
@@ -117,17 +117,19 @@ def pose_coverage(poses: Trajectory, recording: IntArray, known: Trajectory, sca
     """
     way, views = stations(poses, recording, scale), KnownViews(known, scale)
     found = views.nearest(way.views)
-    thin = found.change > QUALITY.thin
+    sparse = found.change > QUALITY.sparse
     own = recording[np.floor(way.at).astype(np.int64)] if len(way.at) else np.empty(0, dtype=np.int64)
     stretches = []
-    for run in runs_of(thin, way.at, own):
+    for run in runs_of(sparse, way.at, own):
         worst = int(run[np.argmax(found.change[run])])
         nearest = int(found.index[worst])
         stretches.append(
-            _thin(way.at[run], way.views[run], way.views[worst : worst + 1], nearest, float(found.change[worst]), views)
+            _sparse(
+                way.at[run], way.views[run], way.views[worst : worst + 1], nearest, float(found.change[worst]), views
+            )
         )
     whole = np.flatnonzero(way.at == np.floor(way.at))
-    return PoseCoverage(found.change[whole], thin[whole], stretches, _fast(poses, recording, scale, stretches))
+    return PoseCoverage(found.change[whole], sparse[whole], stretches, _fast(poses, recording, scale, stretches))
 
 
 def runs_of(chosen: BoolArray, at: FloatArray | IntArray, recording: IntArray) -> Iterator[IntArray]:
@@ -144,16 +146,16 @@ def runs_of(chosen: BoolArray, at: FloatArray | IntArray, recording: IntArray) -
         yield from np.split(places, np.flatnonzero(apart) + 1)
 
 
-def _thin(
+def _sparse(
     at: FloatArray, run: Trajectory, worst: Trajectory, nearest: int, change: float, views: KnownViews
-) -> ThinStretch:
+) -> SparseStretch:
     frames = at[at == np.floor(at)].astype(np.int64)
     between = frames.size == 0
     first, last = (np.floor(at[0]), np.ceil(at[-1])) if between else (frames[0], frames[-1])
     x, y, z = worst.positions_xyz[0].tolist()
     way = float(views.scale.change(run[:-1], run[1:]).sum())
     if nearest < 0:
-        return ThinStretch(int(first), int(last), between, (x, y, z), change, -1, np.inf, np.inf, "", "", way)
+        return SparseStretch(int(first), int(last), between, (x, y, z), change, -1, np.inf, np.inf, "", "", way)
     known = views.poses[nearest : nearest + 1]
     metres = float(np.linalg.norm(worst.positions_xyz - known.positions_xyz))
     angle = float(angle_between_quats(worst.orientations_quat_wxyz, known.orientations_quat_wxyz)[0])
@@ -162,7 +164,7 @@ def _thin(
     # a turn is worth a word if it changes the view, and so is a way
     turned = turned if angle / share.fov_rad > _SHARE * change else ""
     moved = moved if metres / share.depth_m / share.fov_rad > _SHARE * change else ""
-    return ThinStretch(
+    return SparseStretch(
         int(first), int(last), between, (x, y, z), change, nearest, metres, np.degrees(angle), turned, moved, way
     )
 
@@ -189,7 +191,7 @@ def _in_words(way: FloatArray) -> str:
     return listed(named)
 
 
-def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[ThinStretch]) -> list[FastStretch]:
+def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, sparse: list[SparseStretch]) -> list[FastStretch]:
     """Steps that are larger than the limit, but those of thin stretches, which are to be recorded anyway."""
     if len(poses) < 2:
         return []
@@ -198,7 +200,7 @@ def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, thin: list[T
     metres = np.linalg.norm(after.positions_xyz - before.positions_xyz, axis=1)
     turned = angle_between_quats(before.orientations_quat_wxyz, after.orientations_quat_wxyz)
     fast = (change > QUALITY.fast) & (np.diff(recording) == 0)
-    for gap in thin:
+    for gap in sparse:
         fast[gap.first : gap.last] = False
     found = []
     for run in runs_of(fast, np.arange(len(fast)), recording[:-1]):

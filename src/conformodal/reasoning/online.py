@@ -19,7 +19,7 @@ from .errors import ReasoningError
 from .observations import Observations, PosePath
 from .prior import MotionPrior
 from .settings import SEARCH
-from .viterbi import best_step, survivors, transition_cost, way_back
+from .viterbi import backtrack, best_step, survivors, transition_cost
 
 LAG = SEARCH.lag
 
@@ -87,7 +87,7 @@ class OnlineReasoner:
             start = survivors(before.start, candidates, back, cost, motion, step, self.prior)
         self._frames.append(_Frame(candidates, timestamp_s, score, back, start))
         frames = list(self._frames)
-        chosen = way_back([f.back for f in frames], int(np.argmax(score)))
+        chosen = backtrack([f.back for f in frames], int(np.argmax(score)))
         return PosePath.choose([f.candidates for f in frames], [f.timestamp_s for f in frames], chosen)
 
 

@@ -72,9 +72,9 @@ def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> Mot
         quats = part.orientations_quat_wxyz
         turns.append(angle_between_quats(quats[1:], quats[:-1]) / np.diff(part.timestamps_s))
         for every in MOTION_PRIOR.decimations:
-            thin = part[::every]
-            if len(thin) >= 3:
-                levels.setdefault(every, []).append(_changes(thin))
+            sparse = part[::every]
+            if len(sparse) >= 3:
+                levels.setdefault(every, []).append(_changes(sparse))
     if not turns:
         raise ReasoningError("a motion prior needs at least three frames of one recording")
     table: list[tuple[float, float, float]] = []

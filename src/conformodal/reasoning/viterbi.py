@@ -38,7 +38,7 @@ def best_step(score: FloatArray, log_transition: FloatArray, log_unary: FloatArr
     return after - after.max(), origin
 
 
-def way_back(backs: Sequence[IntArray], last: int) -> IntArray:
+def backtrack(backs: Sequence[IntArray], last: int) -> IntArray:
     """Indices of the sequence that ends in candidate `last`, one a frame."""
     chosen = np.empty(len(backs), dtype=np.int64)
     at = last
@@ -58,7 +58,7 @@ def viterbi(seen: Observations, prior: MotionPrior) -> PosePath:
         score, origin = best_step(score, -cost, candidates[t].log_mass)
         start = survivors(start, candidates[t], origin, cost, seen.motions[t], step_s, prior)
         backs.append(origin)
-    return PosePath.choose(candidates, seen.timestamps_s, way_back(backs, int(np.argmax(score))))
+    return PosePath.choose(candidates, seen.timestamps_s, backtrack(backs, int(np.argmax(score))))
 
 
 def transition_cost(
@@ -144,7 +144,7 @@ def survivors(
     step = after.positions_xyz - came
     length = np.linalg.norm(step, axis=1, keepdims=True)
     led = came + step * np.minimum(1, reach_m / np.maximum(length, 1e-9))
-    vaguer = linked & (np.sum(after.position_spreads**2, axis=1) > np.sum(spread**2, axis=1))
+    wider_position = linked & (np.sum(after.position_spreads**2, axis=1) > np.sum(spread**2, axis=1))
 
     facing = Rotation.from_quat(start.orientations_quat_wxyz[origin], scalar_first=True)
     if motion is not None and motion.R_prev_next is not None:
@@ -155,13 +155,13 @@ def survivors(
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
         turned = facing * Rotation.from_rotvec(turn * np.minimum(1, sigma / np.maximum(angle, 1e-9)))
     turn_spread = np.hypot(start.orientation_spreads_rad[origin], sigma)
-    dizzier = linked & (after.orientation_spreads_rad > turn_spread)
+    wider_rotation = linked & (after.orientation_spreads_rad > turn_spread)
     return replace(
         after,
-        positions_xyz=np.where(vaguer[:, None], led, after.positions_xyz),
-        position_spreads=np.where(vaguer[:, None], spread, after.position_spreads),
+        positions_xyz=np.where(wider_position[:, None], led, after.positions_xyz),
+        position_spreads=np.where(wider_position[:, None], spread, after.position_spreads),
         orientations_quat_wxyz=np.where(
-            dizzier[:, None], turned.as_quat(scalar_first=True), after.orientations_quat_wxyz
+            wider_rotation[:, None], turned.as_quat(scalar_first=True), after.orientations_quat_wxyz
         ),
-        orientation_spreads_rad=np.where(dizzier, turn_spread, after.orientation_spreads_rad),
+        orientation_spreads_rad=np.where(wider_rotation, turn_spread, after.orientation_spreads_rad),
     )

@@ -8,11 +8,11 @@ import numpy as np
 
 from conformodal.conformal.diagnostics import Diagnosis
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted
 
-with needing("figures", "the picture of a diagnosis"):
+with require_extra("figures", "the picture of a diagnosis"):
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 

@@ -12,11 +12,11 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import OdometryRun
 
-with needing("figures", "a figure"):
+with require_extra("figures", "a figure"):
     import matplotlib as mpl
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets.streams.frames import Frame
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import Estimate
 
@@ -80,7 +80,7 @@ class LiveView:
         if estimate.region is None or estimate.pose is None or estimate.candidates is None:
             return
         here = estimate.pose.positions_xyz[0]
-        unknown = estimate.evidence is EvidenceKind.UNKNOWN
+        unknown = estimate.evidence is EvidenceType.UNKNOWN
         self._log("world/region", rr.Clear(recursive=False) if unknown else self._cuboids(estimate, here))
         if estimate.known_p is not None:
             self._log("plots/known_p", rr.Scalars(estimate.known_p))

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 
 from .templating import render_page
 from .viewer import Viewer
 
-with needing("run", "a page of results"):
+with require_extra("run", "a page of results"):
     from PIL import Image
 
 _LABELS = {

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 Interval = list[float | None]
 AXES = "xyz"
-_UNKNOWN = EvidenceKind.UNKNOWN.name.lower()
+_UNKNOWN = EvidenceType.UNKNOWN.name.lower()
 
 
 @dataclass(frozen=True, eq=False)

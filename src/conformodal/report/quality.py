@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory, matrix_from_quat_wxyz
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.record import names_of
 from conformodal.quality.settings import QUALITY
-from conformodal.quality.view_coverage import ThinStretch
+from conformodal.quality.view_coverage import SparseStretch
 
 from .templating import render_page
 
-with needing("figures", "the page of a recording"):
+with require_extra("figures", "the page of a recording"):
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -55,15 +55,15 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
     for number in np.unique(recording):
         axis.plot(*flat[recording == number].T, "-", lw=1, color=KNOWN, alpha=0.6, zorder=1)
     axis.annotate("start", flat[0], xytext=(-6, -14), textcoords="offset points", fontsize="small", zorder=6)
-    thin, ambiguous = found.coverage.thin_frames, _ambiguous(found)
-    good = ~thin & ~ambiguous
+    sparse, ambiguous = found.coverage.sparse_frames, _ambiguous(found)
+    good = ~sparse & ~ambiguous
     axis.plot(*flat[good].T, ".", ms=5, color=GOOD, label=f"well covered ({good.sum()} frames)", zorder=2)
     if ambiguous.any():
         label = f"ambiguous: looks like another place ({ambiguous.sum()})"
         axis.plot(*flat[ambiguous].T, "s", ms=9, mfc="none", mew=1.4, color=AMBIGUOUS, label=label, zorder=3)
-    if thin.any():
-        label = f"sparsely covered ({thin.sum()})"
-        axis.plot(*flat[thin].T, "x", ms=6, mew=1.6, color=THIN, label=label, zorder=4)
+    if sparse.any():
+        label = f"sparsely covered ({sparse.sum()})"
+        axis.plot(*flat[sparse].T, "x", ms=6, mew=1.6, color=THIN, label=label, zorder=4)
     _steps(axis, found, flat)
     _stretches(axis, found, axes, _ARROW * max(float(width), float(height)))
     axis.set_aspect("equal", adjustable="datalim")
@@ -94,7 +94,7 @@ def write_quality_page(
     if plan is not None:
         write_whole(folder / "figures" / PLAN, plan)
     quality = record["quality"]
-    rows = [(kind, row) for kind in ("thin", "fast") for row in quality.get(kind, [])]
+    rows = [(kind, row) for kind in ("sparse", "fast") for row in quality.get(kind, [])]
     rows += [("ambiguous", row) for row in quality.get("ambiguity", {}).get("stretches", [])]
     render_page(
         folder / "report.html",
@@ -105,7 +105,7 @@ def write_quality_page(
         rows=sorted(rows, key=lambda row: row[1]["first"]),
         findings=findings,
         made={key: record[key] for key in ("provenance", "configuration")},
-        thin_share=round(100 * QUALITY.thin),
+        sparse_share=round(100 * QUALITY.sparse),
     )
 
 
@@ -119,7 +119,7 @@ def _ambiguous(found: RecordingQuality) -> BoolArray:
 def _steps(axis: Axes, found: RecordingQuality, flat: FloatArray) -> None:
     """Gaps and fast stretches as lines over the path."""
     assert found.coverage is not None
-    gaps = [(one.first, one.last) for one in found.coverage.thin if one.between]
+    gaps = [(one.first, one.last) for one in found.coverage.sparse if one.between]
     fast = [(one.first, one.last) for one in found.coverage.fast]
     kinds = ((fast, "--", FAST, 1.5, "turning or moving fast"), (gaps, ":", THIN, 4, "gap between neighbours"))
     for stretches, style, colour, order, what in kinds:
@@ -133,7 +133,7 @@ def _stretches(axis: Axes, found: RecordingQuality, axes: tuple[int, int], lengt
     """Thin stretches with their frames and the direction in which the camera looks."""
     assert found.coverage is not None
     assert found.poses is not None
-    for one in found.coverage.thin:
+    for one in found.coverage.sparse:
         at = one.place_xyz[axes[0]], one.place_xyz[axes[1]]
         axis.annotate(
             f"{one.first}-{one.last}",
@@ -148,7 +148,7 @@ def _stretches(axis: Axes, found: RecordingQuality, axes: tuple[int, int], lengt
             _looks(axis, _some(found, one), axes, length)
 
 
-def _some(found: RecordingQuality, one: ThinStretch) -> Trajectory:
+def _some(found: RecordingQuality, one: SparseStretch) -> Trajectory:
     """A few poses of a stretch, evenly spread."""
     assert found.poses is not None
     rows = np.flatnonzero((found.posed >= one.first) & (found.posed <= one.last))

@@ -10,7 +10,7 @@ from conformodal.core.words import counted, listed, noun_for
 from .page_frames import PageFrame, lengths
 
 
-def frame_said(frame: PageFrame) -> str:
+def describe_frame(frame: PageFrame) -> str:
     """What to see in a frame: the region first, then the chosen pose.
 
     Parameters
@@ -18,13 +18,13 @@ def frame_said(frame: PageFrame) -> str:
     frame
         The frame.
     """
-    said = [_region_said(frame), _pose_said(frame)]
+    said = [_describe_region(frame), _describe_pose(frame)]
     if not frame.reliable and not frame.unknown:
         said.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
     return " ".join(part for part in said if part)
 
 
-def _region_said(frame: PageFrame) -> str:
+def _describe_region(frame: PageFrame) -> str:
     if frame.unknown:
         p = "" if frame.known_p is None else f" (p = {frame.known_p:.2g})"
         return f"Unknown place{p}: the image shows no place that is known, so the region is unbounded."
@@ -35,11 +35,11 @@ def _region_said(frame: PageFrame) -> str:
     places = "one place" if frame.n_places == 1 else f"{frame.n_places} places"
     if frame.unbounded:
         return f"The region names {places}, without bounds along {listed(frame.unbounded)}."
-    largest = size_said([max(lengths(parts)) for parts in frame.intervals])
+    largest = describe_size([max(lengths(parts)) for parts in frame.intervals])
     return f"The region names {places}, {'' if frame.n_places == 1 else 'the largest '}{largest}."
 
 
-def _pose_said(frame: PageFrame) -> str:
+def _describe_pose(frame: PageFrame) -> str:
     """Where the chosen pose is: in the region or not, and how far from the truth."""
     bounded = not frame.whole and frame.n_places > 0
     inside = bounded and frame.holds(frame.position_xyz)
@@ -51,7 +51,7 @@ def _pose_said(frame: PageFrame) -> str:
     subject = "The chosen pose is"
     if bounded and frame.n_places > 1:
         subject = "The path chooses one of them," if inside else "The chosen pose lies in none of them,"
-    far = f"{length_said(frame.error_m)} and {frame.error_deg:.2f} degrees from the truth"
+    far = f"{describe_length(frame.error_m)} and {frame.error_deg:.2f} degrees from the truth"
     held = "lies in the region" if frame.holds(frame.truth_xyz) else "lies outside the region"
     return f"{subject} {far}{f'; the true position {held}' if bounded else ''}."
 
@@ -87,7 +87,7 @@ class RunStatistics:
             self.squares += frame.error_m**2
 
 
-def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> str:
+def describe_run(statistics: RunStatistics, online_rmse_m: float | None = None) -> str:
     """What to see in the whole run.
 
     Parameters
@@ -98,7 +98,7 @@ def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> s
         Of the positions as a robot gets them, where that is not the answer itself.
     """
     if statistics.n < 2:
-        return _one_said(statistics) if statistics.n else "No frame was answered."
+        return _describe_one(statistics) if statistics.n else "No frame was answered."
     regions = []
     if statistics.n_one:
         regions.append(f"names one place in {statistics.n_one}")
@@ -111,7 +111,7 @@ def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> s
         regions.append(f"is empty in {empty}")
     said = f"Of {counted(statistics.n, 'frame')}, the region {listed(regions)}."
     if statistics.n_true:
-        rmse = length_said(sqrt(statistics.squares / statistics.n_true))
+        rmse = describe_length(sqrt(statistics.squares / statistics.n_true))
         if statistics.n_bounded:
             bounded = counted(statistics.n_bounded, "bounded region")
             said += (
@@ -120,13 +120,13 @@ def run_said(statistics: RunStatistics, online_rmse_m: float | None = None) -> s
         if online_rmse_m is None:
             return f"{said} The chosen path is {rmse} from the truth (RMSE)."
         said += (
-            f" Poses are {length_said(online_rmse_m)} from the truth when their frames come (RMSE); with hindsight, as "
-            f"shown here, {rmse}."
+            f" Poses are {describe_length(online_rmse_m)} from the truth when their frames come (RMSE); with "
+            f"hindsight, as shown here, {rmse}."
         )
     return said
 
 
-def _one_said(statistics: RunStatistics) -> str:
+def _describe_one(statistics: RunStatistics) -> str:
     """Of a run of one frame, where counts of frames say nothing."""
     region = f"names {counted(statistics.most_places, 'place')}" if statistics.most_places else "is empty"
     if statistics.n_whole:
@@ -135,7 +135,7 @@ def _one_said(statistics: RunStatistics) -> str:
     if statistics.n_true:
         if statistics.n_bounded:
             said += f" It {'holds' if statistics.n_held else 'does not hold'} the true position."
-        said += f" The chosen pose is {length_said(sqrt(statistics.squares))} from the truth."
+        said += f" The chosen pose is {describe_length(sqrt(statistics.squares))} from the truth."
     return said
 
 
@@ -148,13 +148,13 @@ def _why_whole(statistics: RunStatistics) -> str:
     return f" ({who} {noun_for(n, 'shows', 'show')} no place that is known)"
 
 
-def length_said(metres: float) -> str:
+def describe_length(metres: float) -> str:
     """A length in the unit that suits it."""
     unit, factor = _unit(metres)
     return f"{_number(metres * factor, 3 if unit == 'm' else 2)} {unit}"
 
 
-def size_said(metres: list[float]) -> str:
+def describe_size(metres: list[float]) -> str:
     """Lengths along several axes, in one unit."""
     unit, factor = _unit(max(metres))
     return f"{' by '.join(_number(m * factor, 2) for m in metres)} {unit}"

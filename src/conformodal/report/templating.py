@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted
 
-with needing("run", "a page of results"):
+with require_extra("run", "a page of results"):
     from jinja2 import Environment, PackageLoader
 
 

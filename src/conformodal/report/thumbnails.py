@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 
-with needing("run", "a page of results"):
+with require_extra("run", "a page of results"):
     import cv2
 
 MOST, WIDTH, QUALITY = 1000, 200, 60

@@ -18,7 +18,7 @@ from conformodal.running.paths import ONLINE
 from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
 from .page_frames import Paths, page_frame
-from .sentences import RunStatistics, frame_said, run_said
+from .sentences import RunStatistics, describe_frame, describe_run
 
 MOST_FRAMES = 1000
 # In this order they are one script; a later one uses names of the earlier ones.
@@ -78,7 +78,7 @@ def make_viewer(
         frame = page_frame(i, record, paths, errors)
         statistics.add(frame)
         if frame.name in images if images else i % stride == 0:
-            shown.append(frame.as_json(frame_said(frame), images.get(frame.name)))
+            shown.append(frame.as_json(describe_frame(frame), images.get(frame.name)))
     extent = np.ptp(answer.positions_xyz, axis=0)
     flat = sorted(np.argsort(-extent)[:2].tolist())
     data = {
@@ -93,7 +93,7 @@ def make_viewer(
     return Viewer(
         json=json_in_script(data),
         script=_script(),
-        said=run_said(statistics, _online_rmse_m(paths)),
+        said=describe_run(statistics, _online_rmse_m(paths)),
         note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         n_shown=len(shown),
         has_images=bool(images),

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.datasets.streams.frames import Frame
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import Estimate
@@ -49,7 +49,7 @@ class BagWriter:
     """
 
     def __init__(self, path: Path, how: Conventions | None = None, *, images: bool = False) -> None:
-        with needing("ros", "a recording of ROS messages"):
+        with require_extra("ros", "a recording of ROS messages"):
             from rosbags.rosbag2 import (  # noqa: PLC0415 - an extra
                 CompressionFormat,
                 CompressionMode,

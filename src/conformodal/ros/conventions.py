@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from conformodal.core.choices import as_member
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 
 from . import messages as ros
@@ -85,4 +85,4 @@ IMAGE: dict[str, type[ros.RosMessage]] = {"image/compressed": ros.CompressedImag
 
 def is_lost(estimate: Estimate) -> bool:
     """Whether nothing may be built on the pose: there is no image, or it shows no place that is known."""
-    return estimate.pose is None or estimate.evidence is EvidenceKind.UNKNOWN
+    return estimate.pose is None or estimate.evidence is EvidenceType.UNKNOWN

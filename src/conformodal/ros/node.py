@@ -175,7 +175,7 @@ def message_class(kind: str) -> Any:
         If ROS is not there.
     """
     package, _, name = kind.split("/")
-    with _needing_ros():
+    with _require_ros():
         found = getattr(import_module(f"{package}.msg"), name)
     if kind != ros.DiagnosticStatus.TYPE:
         return found
@@ -183,7 +183,7 @@ def message_class(kind: str) -> Any:
 
 
 @contextmanager
-def _needing_ros() -> Iterator[None]:
+def _require_ros() -> Iterator[None]:
     """Around imports of what comes with ROS and not from pip."""
     try:
         yield
@@ -226,7 +226,7 @@ def main(arguments: list[str] | None = None) -> int:
         For ROS; by default those of the command line.
     """
     try:
-        with _needing_ros():
+        with _require_ros():
             import rclpy  # noqa: PLC0415 - comes with ROS
             from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
     except MissingPackageError as exc:

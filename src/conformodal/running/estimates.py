@@ -13,7 +13,7 @@ from conformodal.core.choices import as_member
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Submap, Trajectory
 from conformodal.reasoning.candidates import Candidates
@@ -68,7 +68,7 @@ class Estimate:
     Raises
     ------
     OdometryError
-        If `evidence` is not one of :class:`EvidenceKind`.
+        If `evidence` is not one of :class:`EvidenceType`.
     """
 
     timestamp_s: float
@@ -84,14 +84,14 @@ class Estimate:
     corners: Corners | None = None
     estimates: list[PoseMeasurement] = field(default_factory=list)
     known_p: float | None = None
-    evidence: EvidenceKind | None = None
+    evidence: EvidenceType | None = None
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
     matched: bool = False
 
     def __post_init__(self) -> None:
         if self.evidence is not None:
-            object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceKind, "evidence", OdometryError))
+            object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceType, "evidence", OdometryError))
 
 
 @dataclass(eq=False)
@@ -140,7 +140,7 @@ class OdometryRun:
 
     @property
     def kinds(self) -> IntArray:
-        """(m,) what each region rests on, see :class:`EvidenceKind`."""
+        """(m,) what each region rests on, see :class:`EvidenceType`."""
         return self.localization.kinds
 
     @property
@@ -152,7 +152,7 @@ class OdometryRun:
     def reliable(self) -> npt.NDArray[np.bool_]:
         """(m,) whether a frame shows a known place, and motion since the frame before, if any, could be used."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
-        return np.asarray(moving & (self.kinds != EvidenceKind.UNKNOWN))
+        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN))
 
     def observations(self, at: IntArray) -> Observations:
         """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""

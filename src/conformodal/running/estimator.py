@@ -17,7 +17,7 @@ from conformodal.localization.local_features import LocalFeatures, extract_local
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization, PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.motion.frontend import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory
@@ -96,9 +96,9 @@ class VisualOdometry(Odometry):
         path = self._reasoner.push(here, motion, timestamp_s)
         self._last_s = timestamp_s
         revised = as_trajectory(path)
-        kind, known_p = EvidenceKind(int(found.kinds[0])), float(found.known_p[0])
+        kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
-        if kind is EvidenceKind.UNKNOWN:
+        if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
         return Estimate(
             timestamp_s,

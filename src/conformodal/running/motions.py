@@ -88,7 +88,7 @@ def measure_motions(
                 corners[i] = front_end.corners
                 found.local_features[i] = extract_local_features(image, sequence.camera)
         else:
-            front_end.pass_by(image)
+            front_end.track_only(image)
         if progress is not None:
             progress("motion", done, len(span))
     _add_submaps(found, corners, sequence)

@@ -76,11 +76,11 @@ class Odometry(ABC):
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         """The estimate of a frame that can be used; its time becomes the last one."""
 
-    def pass_by(self, image: npt.ArrayLike) -> None:
+    def track_only(self, image: npt.ArrayLike) -> None:
         """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
         found = as_image(image, self.model.camera)
         if not isinstance(found, str):
-            self._front_end.pass_by(found)
+            self._front_end.track_only(found)
 
     def run(self, sequence: Sequence) -> Trajectory:
         """The trajectory of a whole sequence; :meth:`process` gives all the rest."""

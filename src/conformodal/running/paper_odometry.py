@@ -12,7 +12,7 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization, PoseModel
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.essential import EssentialFrontEnd
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import interval_candidates, interval_runs
@@ -74,7 +74,7 @@ class PaperOdometry(Odometry):
             found,
             self._front_end.tracks,
             self._front_end.corners,
-            evidence=EvidenceKind.GLOBAL,
+            evidence=EvidenceType.GLOBAL,
             position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
             orientation_spread_rad=float(path.orientation_spreads_rad[0]),
         )
@@ -113,7 +113,7 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     """Regions of n images as the paper has them: sets of bins, whatever the image."""
     beliefs = model.localizer.beliefs(FrameEvidence(features))
     n = len(features)
-    kinds = np.full(n, EvidenceKind.GLOBAL, dtype=np.int64)
+    kinds = np.full(n, EvidenceType.GLOBAL, dtype=np.int64)
     return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
 
 

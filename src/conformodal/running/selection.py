@@ -19,8 +19,8 @@ from conformodal.model.errors import OdometryError
 from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
 from conformodal.model.radius import (
+    Guarantee,
     PoseRadius,
-    Promise,
     check_metres_per_rad,
     depth_or_default,
     fit_pose_radius,
@@ -38,7 +38,7 @@ def calibrate_selection(
     model: PoseModel,
     sequence: Sequence,
     alpha: Alpha = 0.1,
-    promise: Promise | str = Promise.FRAME,
+    guarantee: Guarantee | str = Guarantee.FRAME,
     method: str = METHODS[0],
     metres_per_rad: float | None = None,
     *,
@@ -72,7 +72,7 @@ def calibrate_selection(
     """
     if method not in METHODS:
         raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
-    promise = as_member(promise, Promise, "promise", OdometryError)  # before hours of work
+    guarantee = as_member(guarantee, Guarantee, "guarantee", OdometryError)  # before hours of work
     known = model.known_frames.known(identify(sequence, model.known_frames))
     if known.any():
         raise OdometryError(
@@ -87,7 +87,7 @@ def calibrate_selection(
     return fit_pose_radius(
         recording_errors(run, method, truth, sequence.recording),
         alpha,
-        promise,
+        guarantee,
         method,
         metres_per_rad=depth,
     )

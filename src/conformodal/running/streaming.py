@@ -13,7 +13,7 @@ import numpy as np
 from conformodal.core.arrays import IntArray
 from conformodal.core.memory import release_freed_memory
 from conformodal.datasets.streams.frames import Frame, SourceError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Trajectory
@@ -155,7 +155,7 @@ class StreamRunner:
         self._last = frame
         if not frame.answer:
             if frame.image is not None:
-                self.odometry.pass_by(frame.image)
+                self.odometry.track_only(frame.image)
             return None
         estimate = self.odometry.step(frame.image, frame.timestamp_s)
         if estimate.region is None:
@@ -193,7 +193,7 @@ class StreamRunner:
         self.n_localized += bool(estimate.estimates)
         if motion is not None:
             self.motion[str(motion.status)] += 1
-        self.n_unknown += estimate.evidence is EvidenceKind.UNKNOWN
+        self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
         said = estimate.known_p, estimate.evidence
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
         here = self.true_pose(frame)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence, make_split, with_random_calibration
 from conformodal.localization.localizer import Localizer
@@ -46,7 +46,7 @@ def prepare_training_data(
     MissingPackageError
         If what training needs is not installed.
     """
-    with needing("train", "training"):
+    with require_extra("train", "training"):
         from conformodal.networks import TorchBackbone, backbone_config, exported, pick_device, quantised  # noqa: PLC0415
 
     device, truth = pick_device(config.device), sequence.require_truth()

@@ -14,7 +14,7 @@ from conformodal.core.progress import Progress
 from conformodal.datasets import ImageError, PixelNoise, read_image
 
 from .backbone import Backbone
-from .keeping import keep_arrays, kept_arrays
+from .keeping import cache_arrays, cached_arrays
 
 _BATCH = 16
 
@@ -50,14 +50,14 @@ class FeatureCache:
         """The vector of a key, or None where it is not there or not whole."""
         if self.folder is None:
             return None
-        found = kept_arrays(self._path(key), key)
+        found = cached_arrays(self._path(key), key)
         return None if found is None else found.get("features")
 
     def store(self, key: str, vector: npt.NDArray[np.float16]) -> None:
         """Keep a vector; written beside and moved into place, so that a killed run leaves no half file."""
         if self.folder is None:
             return
-        keep_arrays(self._path(key), key, {"features": vector})
+        cache_arrays(self._path(key), key, {"features": vector})
 
     def _path(self, key: str) -> Path:
         assert self.folder is not None

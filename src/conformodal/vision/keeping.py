@@ -20,12 +20,12 @@ _DIGEST = "digest"
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def keep_arrays(path: Path, key: str, arrays: Arrays) -> None:
+def cache_arrays(path: Path, key: str, arrays: Arrays) -> None:
     """Write arrays with a digest of them and of their key."""
     write_whole(path, save_tensors({**arrays, _DIGEST: _digest(key, arrays)}))
 
 
-def kept_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
+def cached_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
     """The arrays of a file, or None where there are none; a file that is damaged, or another key's, is removed."""
     try:
         content = path.read_bytes()

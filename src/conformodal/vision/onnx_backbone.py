@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 from conformodal.core.threads import thread_limit
 from conformodal.datasets import THUMBNAIL
 
@@ -37,7 +37,7 @@ class OnnxBackbone(Backbone):
     """
 
     def __init__(self, config: BackboneConfig, content: bytes) -> None:
-        with needing("run", "running a model"):
+        with require_extra("run", "running a model"):
             import onnxruntime  # noqa: PLC0415 - only where a network is run
         self.config, self.content = config, content
         options = onnxruntime.SessionOptions()

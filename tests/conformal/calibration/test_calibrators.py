@@ -20,7 +20,7 @@ from conformodal.conformal import (
 )
 from conformodal.conformal.calibration.joint import highest_float
 
-SCORES = ["lac", "density", "linear_density", "aps", "hpd"]
+SCORES = ["lac", "density", "linear_density", "aps", "hpd_random"]
 
 
 @settings(deadline=None, max_examples=80)
@@ -179,7 +179,7 @@ def test_coverage_with_scales_from_other_rows_follows_the_exact_law():
     assert stats.chisquare(np.histogram(counts, edges)[0], expected).pvalue > 0.001
 
 
-@pytest.mark.parametrize("score", [*SCORES, "hpd_mid"])
+@pytest.mark.parametrize("score", [*SCORES, "hpd"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_a_threshold_that_lets_every_bin_in_is_told(score, dtype):
     rng = np.random.default_rng(0)

@@ -16,7 +16,7 @@ from conformodal.localization.source_data import SourceData
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import Trajectory, sign_reference
 from conformodal.running.estimator import VisualOdometry
@@ -193,8 +193,8 @@ def test_regions_with_landmarks_are_smaller_and_as_sure(model, blind, sequence, 
         RegionStatistics.of(r.regions, truth, model.sign_reference, r.kinds) for r in (run, plain)
     )
     # a corridor that repeats itself: no single estimate is sure, but the region rests on all of them
-    assert np.isin(run.kinds, [EvidenceKind.UNMATCHED, EvidenceKind.LANDMARKS]).mean() > 0.9
-    assert np.isin(plain.kinds, [EvidenceKind.GLOBAL, EvidenceKind.UNKNOWN]).all()
+    assert np.isin(run.kinds, [EvidenceType.UNMATCHED, EvidenceType.LANDMARKS]).mean() > 0.9
+    assert np.isin(plain.kinds, [EvidenceType.GLOBAL, EvidenceType.UNKNOWN]).all()
     sizes = [np.median(its.length[:, :3].sum(axis=1)) for its in (with_landmarks, without)]
     assert sizes[0] < 0.7 * sizes[1]
     for statistics, which in ((with_landmarks, model), (without, blind)):
@@ -216,7 +216,7 @@ def test_frames_that_are_not_matched_have_the_regions_of_the_image_as_a_whole(mo
 
     seldom = answered(model, match_every=2)
     every, second, none = ([e.region for e in its] for its in (answered(model), seldom, answered(blind)))
-    assert [e.evidence is EvidenceKind.GLOBAL for e in seldom] == [False, True, False, True]
+    assert [e.evidence is EvidenceType.GLOBAL for e in seldom] == [False, True, False, True]
     for k in (0, 2):
         np.testing.assert_array_equal(second[k].length, every[k].length)
     for k in (1, 3):
@@ -238,7 +238,7 @@ def test_recalibration_reaches_both_kinds_of_regions(model):
     other = replace(model)
     other.recalibrate(0.5)
     assert (other.calibration.thresholds_ <= model.calibration.thresholds_).all()
-    kind = np.array([EvidenceKind.UNMATCHED])
+    kind = np.array([EvidenceType.UNMATCHED])
     assert (other.rules.thresholds(kind) < model.rules.thresholds(kind)).any()
 
 

@@ -131,8 +131,8 @@ class Diagnosis:
         for column in self.columns:
             lines += ["", *_table(column)]
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
-            promise = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
-            lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{promise}."]
+            least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
+            lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
         assumption = describe_assumption(self.columns[0].coverage.level, len(self.columns))
         return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
 

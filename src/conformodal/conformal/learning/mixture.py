@@ -55,7 +55,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         place: tuple[FloatArray, FloatArray],
         groups: tuple[Groups, Groups],
         by_forest: list[FloatArray],
-        judges: IntArray,
+        validation: IntArray,
     ) -> None:
         """Choose every member's bandwidth, then the weights, by the likelihood of held-out values.
 
@@ -76,7 +76,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         scaled = (table.z - loc) / spread
         self._z_edges, self._grid = table.z_edges, _grid_of(scaled)
         self._pooled = [np.bincount(of, table.weight)[None] / table.weight.sum() for of, _ in groups]
-        codes, widths, weight = table.codes[judges], np.diff(table.z_edges), table.weight[judges]
+        codes, widths, weight = table.codes[validation], np.diff(table.z_edges), table.weight[validation]
         self._kernels: list[FloatArray] = []
         likelihoods = []
         for residual, weights in zip(RESIDUAL, [*self._pooled, *by_forest], strict=True):
@@ -86,8 +86,8 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
             found = []
             for factor in _FACTORS:
                 kernel = kernel_masses(centers, sample, edges, factor)
-                masses = np.broadcast_to(weights @ kernel, (judges.size, edges.size - 1))
-                proba = self._shifted(masses, loc[judges], spread[judges]) if residual else masses
+                masses = np.broadcast_to(weights @ kernel, (validation.size, edges.size - 1))
+                proba = self._shifted(masses, loc[validation], spread[validation]) if residual else masses
                 each = log_density(proba, codes, widths)
                 found.append((float(np.average(each, weights=weight)), kernel, each))
             _, kernel, each = max(found, key=lambda one: one[0])

@@ -94,21 +94,21 @@ class QuickDensity(MixtureDensity):
         if table.z.size > most:
             kept = random.permutation(table.z.size)[:most]
             table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
-        judges = random.permutation(table.z.size)[:_JUDGES]
+        validation = random.permutation(table.z.size)[:_JUDGES]
         with threadpool_limits(1):  # threads that wait for each other spin: a core that is busy elsewhere costs minutes
-            place, groups, by_forest = self._learn(table, judges, seed)
-        self._mix(table, place, groups, by_forest, judges)
+            place, groups, by_forest = self._learn(table, validation, seed)
+        self._mix(table, place, groups, by_forest, validation)
         return self
 
     def _learn(
-        self, table: Standardised, judges: IntArray, seed: int
+        self, table: Standardised, validation: IntArray, seed: int
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[Groups, Groups], list[FloatArray]]:
         """Location and spread, groups of values and of scaled residuals, and the judges' weights out of bag."""
         X, z, weight = table.X, table.z, table.weight
         n_trees = next((trees for most, trees in _TREES if z.size <= most), _FEWEST_TREES)
         values, z_at = group_values(z)
         direct = SharedForest(n_trees, 3, seed, self.n_jobs)
-        direct.fit(X, rank_cosines(z, 4), z, weight, [(values, z_at.size)], judges)
+        direct.fit(X, rank_cosines(z, 4), z, weight, [(values, z_at.size)], validation)
         self.location_ = QuickLocation(seed).fit(X, z, weight, direct.out_of_bag_mean_)
         summary = self.location_.summary(self.location_.out_of_fold_)
         loc, extended = summary[:, 0], np.column_stack((X, summary))
@@ -121,7 +121,7 @@ class QuickDensity(MixtureDensity):
         residuals, scaled_at = group_values(scaled)
         guided = SharedForest(n_trees, 5, seed + 1, self.n_jobs)
         both = np.column_stack((rank_cosines(scaled, 2), rank_cosines(z, 4)))
-        guided.fit(extended, both, z, weight, [(residuals, scaled_at.size), (values, z_at.size)], judges)
+        guided.fit(extended, both, z, weight, [(residuals, scaled_at.size), (values, z_at.size)], validation)
         self.forests_ = direct, guided
         groups = (values, z_at), (residuals, scaled_at)
         return (loc, spread), groups, [*guided.out_of_bag_, *direct.out_of_bag_]

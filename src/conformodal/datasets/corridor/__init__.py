@@ -1,8 +1,8 @@
 """Worlds whose rooms look alike, and the truth about what looks alike in them."""
 
-from conformodal.core.extras import needing
+from conformodal.core.extras import require_extra
 
-with needing("train", "the corridor world"):
+with require_extra("train", "the corridor world"):
     import trimesh  # noqa: F401
 
 from .path import drone_path

@@ -13,7 +13,7 @@ from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.model import PoseModel
 from conformodal.model.radius import PoseRadius
-from conformodal.model.region_rules import EvidenceKind, RegionRules, Sharing
+from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
 from conformodal.poses import Trajectory, trajectory_errors
 from conformodal.running.paths import ONLINE
 
@@ -90,7 +90,7 @@ def coverage_table(
     for _, rule, count in kinds:
         laws[id(rule)] = (rule.n_units, laws.get(id(rule), (0, 0))[1] + count)
     met = [(n, count) for n, count in laws.values() if count]
-    met += [(0, int((statistics.kinds == EvidenceKind.UNKNOWN).sum()))]  # always covered
+    met += [(0, int((statistics.kinds == EvidenceType.UNKNOWN).sum()))]  # always covered
     by_frame = rules.overall.groups_ is None
     # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
     one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
@@ -108,14 +108,14 @@ def coverage_table(
         "score": calibration.score.name,
         "n_calibration": model.n_calibration,
         "n_evaluated": len(statistics),
-        "whole_space": bool(statistics.unbounded[statistics.kinds != EvidenceKind.UNKNOWN].any()),
+        "unbounded": bool(statistics.unbounded[statistics.kinds != EvidenceType.UNKNOWN].any()),
         "abstained": float((~finite).mean()),
         **bounded_coverage(held, finite),
         "by_evidence": {
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
-                "thresholds": str(Sharing.OWN if kind is EvidenceKind.GLOBAL else rules.sharing),
+                "thresholds": str(Sharing.OWN if kind is EvidenceType.GLOBAL else rules.sharing),
                 "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
                 **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
             }
@@ -150,9 +150,9 @@ def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]
     return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
 
 
-def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceKind, SplitConformal, int]]) -> bool:
+def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceType, SplitConformal, int]]) -> bool:
     """Whether two types share thresholds however these frames and those that calibrate are drawn from all together."""
-    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind is not EvidenceKind.GLOBAL]
+    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind is not EvidenceType.GLOBAL]
     return min(both) + 1 < 1 / rules.overall.alpha_per_target
 
 
@@ -174,7 +174,7 @@ def _target_row(
 
 
 def _assumption(
-    promised: bool,
+    guaranteed: bool,
     by_frame: bool,
     whole: bool,
     one_law: bool,
@@ -184,9 +184,9 @@ def _assumption(
     comparison: SourceComparison | None,
 ) -> str:
     """What the coverage rests on, for people."""
-    if promised and shared and not one_law:
+    if guaranteed and shared and not one_law:
         return _ASSUMPTION_SHARED
-    if promised:
+    if guaranteed:
         return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
     if seen:
         return _ASSUMPTION_SEEN
@@ -223,7 +223,7 @@ def radius_table(
         "radius_m": _finite(radius.radius_m),
         "radius_deg": _finite(radius.radius_deg),
         "alpha": radius.alpha,
-        "promise": str(radius.promise),
+        "guarantee": str(radius.guarantee),
         "method": radius.method,
         "n_recordings": radius.n_recordings,
         "share_held": held,

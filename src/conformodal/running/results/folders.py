@@ -44,12 +44,12 @@ def check_owner(folder: Path, command: str) -> None:
         If it does; names both.
     """
     mine = command.split(maxsplit=1)[0]
-    for other in sorted(_owners(folder) - ({mine, "run"} if mine == "bins" else {mine})):
+    for other in sorted(_lock_holders(folder) - ({mine, "run"} if mine == "bins" else {mine})):
         what = _COMMANDS[other][0] if other in _COMMANDS else "a metrics.json of unknown origin"
         raise FolderError(f"{folder}: holds {what}, which {mine} would overwrite; take another folder, or empty it")
 
 
-def _owners(folder: Path) -> set[str]:
+def _lock_holders(folder: Path) -> set[str]:
     found = {who for who, (_, first, _) in _COMMANDS.items() if any((folder / name).exists() for name in first)}
     try:
         found.add(str(json.loads((folder / METRICS).read_text(encoding="utf-8"))["command"]).split()[0])
@@ -86,7 +86,7 @@ def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Itera
         check_owner(folder, command)
         _, _, later = _COMMANDS.get(command, ("", (), ()))
         stray = [name for name in later if (folder / name).exists()]
-        if stray and not _owners(folder):
+        if stray and not _lock_holders(folder):
             raise FolderError(
                 f"{folder / stray[0]}: was not written by {command}, which would overwrite it; take another folder"
             )

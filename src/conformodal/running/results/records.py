@@ -14,7 +14,7 @@ import numpy.typing as npt
 from conformodal.core.choices import as_member
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.errors import ResultsError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
@@ -27,7 +27,7 @@ def region_record(
     motion: RelativeMotion | None,
     intervals: Sequence[npt.NDArray[np.float64]],
     known_p: float | None = None,
-    kind: EvidenceKind = EvidenceKind.GLOBAL,
+    kind: EvidenceType = EvidenceType.GLOBAL,
 ) -> dict[str, Any]:
     """The record of a frame.
 
@@ -43,13 +43,13 @@ def region_record(
     Raises
     ------
     ResultsError
-        If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceKind`.
+        If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceType`.
     """
-    kind = as_member(kind, EvidenceKind, "kind", ResultsError)
+    kind = as_member(kind, EvidenceType, "kind", ResultsError)
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
-        "reliable": bool(motion is None or motion.reliable) and kind is not EvidenceKind.UNKNOWN,
+        "reliable": bool(motion is None or motion.reliable) and kind is not EvidenceType.UNKNOWN,
         "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
         "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),

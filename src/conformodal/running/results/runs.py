@@ -12,7 +12,7 @@ from typing import Any
 from conformodal.core.files import write_whole
 from conformodal.model.config import Method
 from conformodal.model.errors import ResultsError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paths import METHODS, PAPERS_METHOD
@@ -46,7 +46,7 @@ def write_run(
         if truth is not None:
             writer.truth(truth)
         for i, name in enumerate(frame_names):
-            said = float(run.known_p[i]), EvidenceKind(int(run.kinds[i]))
+            said = float(run.known_p[i]), EvidenceType(int(run.kinds[i]))
             writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i), *said)
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from conformodal.conformal import Regions
 from conformodal.localization.targets import pose_targets
 from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 
 
@@ -30,7 +30,7 @@ class RegionStatistics:
     unbounded
         Whether it is the whole line.
     kinds
-        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceKind`.
+        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`.
     """
 
     inside: npt.NDArray[np.bool_]
@@ -51,7 +51,7 @@ class RegionStatistics:
         kinds: npt.NDArray[np.int64] | None = None,
     ) -> RegionStatistics:
         """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
-        kinds = np.full(len(regions), EvidenceKind.GLOBAL, dtype=np.int64) if kinds is None else kinds
+        kinds = np.full(len(regions), EvidenceType.GLOBAL, dtype=np.int64) if kinds is None else kinds
         inside = regions.contains(pose_targets(truth, sign_reference))
         return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded, kinds)
 

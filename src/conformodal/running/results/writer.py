@@ -13,7 +13,7 @@ from typing import Any, Self, TextIO
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.model.region_rules import EvidenceKind
+from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory, tum_lines
 from conformodal.running.paths import METHODS
 
@@ -82,7 +82,7 @@ class ResultsWriter:
         motion: RelativeMotion | None,
         intervals: Sequence[npt.NDArray[np.float64]],
         known_p: float | None = None,
-        kind: EvidenceKind = EvidenceKind.GLOBAL,
+        kind: EvidenceType = EvidenceType.GLOBAL,
     ) -> dict[str, Any]:
         """Write the region of the next frame; returns its record."""
         record = region_record(name, timestamp_s, motion, intervals, known_p, kind)

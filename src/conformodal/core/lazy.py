@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any
 
 
-def late(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy_getattr(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     """A package's ``__getattr__`` (PEP 562).
 
     Parameters

@@ -9,9 +9,9 @@ from scipy.stats import betabinom
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
 from conformodal.datasets import SplitKind
-from conformodal.model.region_rules import EvidenceKind, RegionRules
-from conformodal.quality.advice import _more_units, said_of_promise
-from conformodal.quality.promise import N_NEW, least_alpha, promises
+from conformodal.model.region_rules import EvidenceType, RegionRules
+from conformodal.quality.advice import _more_units, describe_guarantee
+from conformodal.quality.guarantee import N_NEW, guarantees, least_alpha
 
 BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
 A_BIT = Fraction(1, 10**9)
@@ -60,11 +60,11 @@ def model(split, **how):
 
 
 def test_each_kind_of_evidence_promises_for_itself():
-    found = {one.evidence: one for one in promises(model(SplitKind.INTERLEAVED))}
+    found = {one.evidence: one for one in guarantees(model(SplitKind.INTERLEAVED))}
     assert {kind: one.n_frames for kind, one in found.items()} == {
-        EvidenceKind.GLOBAL: 60,
-        EvidenceKind.UNMATCHED: 40,
-        EvidenceKind.LANDMARKS: 20,
+        EvidenceType.GLOBAL: 60,
+        EvidenceType.UNMATCHED: 40,
+        EvidenceType.LANDMARKS: 20,
     }
     for one in found.values():
         n = one.n_units
@@ -74,7 +74,7 @@ def test_each_kind_of_evidence_promises_for_itself():
         k = conformal_rank(n, 0.1)
         law = betabinom(N_NEW, k, n + 1 - k)
         assert one.band == pytest.approx((law.ppf(0.005) / N_NEW, law.ppf(0.995) / N_NEW))
-    said = said_of_promise(found[EvidenceKind.LANDMARKS])
+    said = describe_guarantee(found[EvidenceType.LANDMARKS])
     assert "20 frames calibrate them, finite from alpha = 0.0164" in said  # 1 / 61, with the other type, rounded up
     assert "at alpha = 0.1 (99 % band)" in said
 
@@ -83,18 +83,18 @@ def test_each_kind_of_evidence_promises_for_itself():
     ("split", "groups"), [(SplitKind.BLOCKS, None), (SplitKind.INTERLEAVED, np.repeat(np.arange(12), 5))]
 )
 def test_no_band_is_stated_where_no_law_is_exact(split, groups):
-    for one in promises(model(split, groups=groups)):
+    for one in guarantees(model(split, groups=groups)):
         assert one.band is None
-        assert "band" not in said_of_promise(one)
+        assert "band" not in describe_guarantee(one)
 
 
 def test_too_few_are_said_to_give_the_whole_space():
     few = rule(5, joint="max")
     rules = RegionRules(few, None, np.zeros(5, dtype=bool), np.ones(5), 0.0)
-    (one,) = promises(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
+    (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
     assert not one.finite
     assert one.n_needed == 9
-    assert said_of_promise(one).endswith("5 frames calibrate them, finite from alpha = 0.1667")
+    assert describe_guarantee(one).endswith("5 frames calibrate them, finite from alpha = 0.1667")
 
 
 SHARED = {
@@ -113,7 +113,7 @@ def test_regions_are_bounded_from_the_least_alpha_on(case, joint):
     groups = np.arange(n) % 16 if case.startswith("stretches") else None
     whole = rule(n, infinite=infinite or 0, joint=joint, groups=groups)
     rules = RegionRules(whole, whole, np.arange(n) < n_recognised, np.ones(n), 0.0)
-    for one in promises(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))):
+    for one in guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))):
         kind, least = np.array([one.evidence]), one.least_alpha
         larger = [least, *(least + (1 - least) * Fraction(k, 10) for k in range(1, 10))]
         for alpha in larger:
@@ -136,12 +136,12 @@ def stretches(n_units, joint="max"):
 @pytest.mark.parametrize("joint", ["max", "bonferroni"])
 def test_as_many_stretches_as_are_said_to_be_needed_give_bounded_regions(joint):
     """Nine stretches are too few where a quarter of their frames is unknown: those that count weigh less than nine."""
-    for one in promises(stretches(9, joint)):
+    for one in guarantees(stretches(9, joint)):
         assert not one.finite
         assert one.n_needed > 9
         assert f"takes {one.n_needed} stretches" in _more_units(one)
-        after = {new.evidence: new.finite for new in promises(stretches(one.n_needed, joint))}
-        before = {new.evidence: new.finite for new in promises(stretches(one.n_needed - 1, joint))}
+        after = {new.evidence: new.finite for new in guarantees(stretches(one.n_needed, joint))}
+        before = {new.evidence: new.finite for new in guarantees(stretches(one.n_needed - 1, joint))}
         assert after[one.evidence]
         assert not before[one.evidence]
 
@@ -149,7 +149,7 @@ def test_as_many_stretches_as_are_said_to_be_needed_give_bounded_regions(joint):
 def test_more_of_the_same_is_not_advised_where_too_many_frames_lie_beyond_the_range():
     made = rule(60, infinite=7, joint="max")
     rules = RegionRules(made, None, np.zeros(60, dtype=bool), np.ones(60), 0.0)
-    (one,) = promises(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
+    (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
     assert not one.finite
     assert one.n_needed is None
     assert "beyond the training range" in _more_units(one)

@@ -12,14 +12,14 @@ from conformodal.conformal import SplitConformal
 from conformodal.conformal.diagnostics import coverage_band
 from conformodal.datasets import SplitKind
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceKind, RegionRules, Sharing
+from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
 
 N_NEW = 1000
 _DIGITS = 10_000
 
 
 @dataclass(frozen=True)
-class KindPromise:
+class EvidenceGuarantee:
     """What the regions of one evidence type can guarantee.
 
     Attributes
@@ -49,7 +49,7 @@ class KindPromise:
         exact.
     """
 
-    evidence: EvidenceKind
+    evidence: EvidenceType
     alpha: float
     n_frames: int
     n_units: int
@@ -72,17 +72,17 @@ class KindPromise:
         return ceil(self.least_alpha * _DIGITS) / _DIGITS
 
 
-def promises(model: PoseModel) -> list[KindPromise]:
+def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     """What a model can guarantee, one for each evidence type that has regions of its own."""
     exchangeable = model.split.kind is SplitKind.INTERLEAVED
     rules, found = model.rules, []
     for kind, rule in rules.of.items():
         own = rules.own[kind]
-        sharing = Sharing.OWN if kind is EvidenceKind.GLOBAL else rules.sharing
+        sharing = Sharing.OWN if kind is EvidenceType.GLOBAL else rules.sharing
         exact = exchangeable and rule.groups_ is None and rule.joint != "bonferroni" and sharing is Sharing.OWN
         band = coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if exact and len(rule.scores_) else None
         found.append(
-            KindPromise(
+            EvidenceGuarantee(
                 evidence=kind,
                 alpha=float(rule.alpha),
                 n_frames=len(own.scores_),
@@ -109,13 +109,13 @@ def _units_needed(rule: SplitConformal, n_units: int) -> int | None:
     return ceil(n_units * (1 - rate) / room) if room > 0 else None
 
 
-def _bounded_from(rules: RegionRules, kind: EvidenceKind) -> Fraction:
+def _bounded_from(rules: RegionRules, kind: EvidenceType) -> Fraction:
     """The least rate from which on the regions of an evidence type are bounded."""
     own, both = least_alpha(rules.own[kind]), rules.both
-    if both is None or kind is EvidenceKind.GLOBAL:
+    if both is None or kind is EvidenceType.GLOBAL:
         return own
     share = both.bins.n_targets if both.joint == "bonferroni" else 1
-    least = min(rule.weight for k, rule in rules.own.items() if k is not EvidenceKind.GLOBAL)
+    least = min(rule.weight for k, rule in rules.own.items() if k is not EvidenceType.GLOBAL)
     # from the first rate on its own frames count, below the second those of both types do
     first, second = share / (least + 1), share / least if least else Fraction(1)
     below = min(second, least_alpha(both))
