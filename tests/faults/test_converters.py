@@ -304,10 +304,10 @@ def test_a_flight_that_fails_leaves_nothing(tmp_path, error):
 
 def test_truth_of_a_video_outside_its_time_is_told(tmp_path):
     stream = Failing(None)
-    lazy_getattr = replace(poses_for(), timestamps_s=5 + np.arange(9.0))
-    write_tum(tmp_path / "p.tum", lazy_getattr)
+    late = replace(poses_for(), timestamps_s=5 + np.arange(9.0))
+    write_tum(tmp_path / "p.tum", late)
     with pytest.raises(DatasetError, match="nothing to write"):
-        write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, lazy_getattr)
+        write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, late)
     assert not (tmp_path / "out").exists()
 
 

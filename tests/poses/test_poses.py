@@ -121,9 +121,9 @@ def test_association_pairs_nearest_times():
     mine, theirs = associate(shifted, truth)
     assert mine.tolist() == [0, 2]
     assert theirs.tolist() == [1, 9]
-    lazy_getattr = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
+    late = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
     with pytest.raises(PoseError, match="no estimated pose"):
-        associate(lazy_getattr, truth)
+        associate(late, truth)
 
 
 @pytest.mark.parametrize(

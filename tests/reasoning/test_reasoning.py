@@ -93,10 +93,10 @@ def two_rooms(vague_m):
     places, spreads = np.zeros((2, 3)), np.full((2, 3), 0.05)
     places[1, 0] = 5
     early = Candidates(places, spreads, facing[:2], turn[:2], np.array([0.0, -9.0]))
-    lazy_getattr = replace(early, log_mass=np.array([-2.0, 0.0]))
+    late = replace(early, log_mass=np.array([-2.0, 0.0]))
     anywhere = np.concatenate((spreads, np.full((1, 3), vague_m)))
     between = Candidates(np.vstack((places, [2.5, 0, 0])), anywhere, facing, turn, np.array([-2.0, -2.0, 0.0]))
-    candidates = [*[early] * 4, between, *[lazy_getattr] * 5]
+    candidates = [*[early] * 4, between, *[late] * 5]
     return Observations(candidates, [None] * 10, np.arange(10) * 0.1)
 
 

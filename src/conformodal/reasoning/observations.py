@@ -49,9 +49,9 @@ class Observations:
                 f"observations need as many candidates as motions and timestamps, at least one: got {n} candidates, "
                 f"{len(self.motions)} motions, {len(self.timestamps_s)} timestamps"
             )
-        lazy_getattr = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
-        if lazy_getattr.size:
-            t = int(lazy_getattr[0])
+        not_later = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
+        if not_later.size:
+            t = int(not_later[0])
             raise ReasoningError(f"timestamps must increase: {self.timestamps_s[t : t + 2]} s at frames {t}, {t + 1}")
         for submap in self.submaps:
             if submap.frames[0] < 0 or submap.frames[-1] >= n:
