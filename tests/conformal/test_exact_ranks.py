@@ -24,7 +24,7 @@ def exact(n: int, thousandths: int) -> int:
 
 @pytest.mark.slow
 def test_ranks_to_2000_in_thousandths():
-    # every n, and for each a part of the rates, another for the next n; benchmarks/exact_ranks.py does all
+    # every n, and for each n every 37th rate, starting at another one
     past = PastScores()
     for n in range(1, 2001):
         past.add(float(n))
