@@ -2,7 +2,7 @@
 
 python benchmarks/choices.py [--seeds 20 21] [--runs FOLDER]
 
-Seeds 20 and 21 served to choose by; models are those of benchmarks/ladder.py, kept in the folder of runs.
+Seeds 20 and 21 served to choose by; models are those of benchmarks/ablation.py, kept in the folder of runs.
 """
 
 from __future__ import annotations
@@ -19,16 +19,13 @@ from unittest.mock import patch
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 
 import numpy as np
+from ablation import ALL, EVERY, Frames, Models, Paths
 from common import ROOT, write_table
-from ladder_parts import ALL, Frames, Paths, spaced
-from ladder_runs import Models
 
 from conformodal.localization.settings import BELIEF
 from conformodal.reasoning.settings import CANDIDATES, SEARCH
-from conformodal.running.motions import measure_motions
 
 PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
-EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}
 # By the settings' object and attribute: other values than the present one.
 OTHERS = {
     ("CANDIDATES", "least_mass"): (1e-4, 1e-5),
@@ -57,12 +54,10 @@ def setting(name: str, attribute: str, value: float) -> Iterator[None]:
 def ratios(place: str, seed: int, runs: Path) -> dict[str, list[list[float]]]:
     """By setting and value: ratios of position and orientation error, an interval a row."""
     models = Models(place, seed, runs)
-    ours = models.ours()
+    ours = models.ours
     found: dict[str, list[list[float]]] = {}
     for interval in EVERY.values():
-        test = ours.model.split.test
-        frames = spaced(models.sequence.timestamps_s, test, interval) if interval else test
-        seen = Frames(models.sequence, frames, measure_motions(models.sequence, frames))
+        seen = Frames(models.sequence, ours.model.split.test, interval)
         present = seen.error(Paths(ours, seen).path(ALL))
         for (name, attribute), values in OTHERS.items():
             for value in values:
@@ -76,7 +71,7 @@ def ratios(place: str, seed: int, runs: Path) -> dict[str, list[list[float]]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[20, 21])
-    parser.add_argument("--runs", type=Path, default=ROOT / "ladder-out")
+    parser.add_argument("--runs", type=Path, default=ROOT / "ablation-out")
     asked = parser.parse_args()
     of = {place: [ratios(place, seed, asked.runs) for seed in asked.seeds] for place in PLACES}
     rows = []
@@ -90,7 +85,7 @@ def main() -> None:
     header = ["setting", "present", "other", *(f"{place}, {every}" for place in PLACES for every in EVERY)]
     note = (
         f"Ratio of position errors / of orientation errors, geometric means over seeds {asked.seeds}; above 1 the "
-        "present value is the better one. Models, frames, intervals as in ladder.md; frames calibrate in both splits."
+        "present value is the better one. Models, frames, intervals as in ablation.md; frames calibrate in both splits."
     )
     line = f"python benchmarks/choices.py --seeds {' '.join(map(str, asked.seeds))}"
     write_table("choices", "Settings of belief and search", line, header, rows, note)

@@ -2,7 +2,7 @@
 
 python benchmarks/projection.py [--seeds 0 1 2] [--cache FOLDER]
 
-What it is worth to ours in errors and sets: row "projection" of benchmarks/results/ladder.md. One core. Nothing else
+What it is worth to ours in errors and sets: row "projection" of benchmarks/results/ablation.md. One core. Nothing else
 should run.
 """
 

@@ -5,17 +5,33 @@ python benchmarks/two_truths.py
 
 from __future__ import annotations
 
-import numpy as np
-from common import DATA, colmap_truth, write_table
+import csv
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.poses import align, orientation_errors_deg, position_errors_m
+import numpy as np
+from common import DATA, REDKITCHEN, write_table
+
+from conformodal.core.arrays import IntArray
+from conformodal.datasets import Sequence, read_sevenscenes
+from conformodal.poses import Trajectory, align, orientation_errors_deg, position_errors_m
 
 ALIGNMENTS = ("none", "se3", "sim3")
 
 
+def colmap_truth(kitchen: Sequence) -> tuple[IntArray, Trajectory]:
+    """The frames of redkitchen that COLMAP has poses of (Brachmann et al., ICCV 2021), and these, in its own world."""
+    with (DATA / "recordings" / "truth" / "sfm" / "redkitchen_seq-01.csv").open(encoding="utf-8") as file:
+        rows = {
+            row["frame"]: [float(row[k]) for k in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")]
+            for row in csv.DictReader(file)
+        }
+    names = [path.name.split(".")[0] for path in kitchen.image_paths]
+    frames = np.array([i for i, name in enumerate(names) if name in rows])
+    poses = np.array([rows[names[i]] for i in frames])
+    return frames, Trajectory(kitchen.timestamps_s[frames], poses[:, :3], poses[:, 3:])
+
+
 def main() -> None:
-    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    sequence = read_sevenscenes(REDKITCHEN)
     fusion = sequence.require_truth()
     both, colmap = colmap_truth(sequence)
     table = []

@@ -41,7 +41,7 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     """Principal components of standardised features, all on one scale: their mean variance is one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
-    features: benchmarks/ladder.py.
+    features: benchmarks/ablation.py.
 
     Parameters
     ----------
