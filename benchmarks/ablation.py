@@ -590,7 +590,7 @@ def write_tables(numbers: Numbers) -> None:
     seeds, sources = sorted({s for _, s in numbers}), sorted({one["source"] for one in numbers.values()})
     frames_row = ["test frames", *(", ".join(map(str, its)) for its in n_frames)]
     costly = [[*ratios(part), *costs(numbers, part)] for part in parts]
-    content = [
+    content: list[str | list[str]] = [
         "Position RMSE in metres, mean over seeds and 95 % interval (Student's t). Each row has one change more than "
         "the row above it.",
         table_lines(["system", *header], [frames_row, *means("steps")]),
@@ -623,8 +623,7 @@ def write_tables(numbers: Numbers) -> None:
         "reference (two_truths.md): differences of millimetres say how two systems agree with one reference. TUM "
         "cabinet (58 frames) and KITTI 06 (51) have 12 test frames or fewer.",
     ]
-    lines = [line for part in content for line in ([part] if isinstance(part, str) else part) + [""]]
-    write_page("ablation", "From the paper's system to ours", shlex.join(["python", *sys.argv]), lines[:-1])
+    write_page("ablation", "From the paper's system to ours", shlex.join(["python", *sys.argv]), *content)
     draw(numbers)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from conformodal.datasets import Sequence
 from conformodal.poses import RelativeMotion
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.running.results.provenance import provenance
@@ -66,6 +68,35 @@ def cached_json(file: Path, measure: Callable[[], Any]) -> Any:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
+def train_briefly(sequence: Sequence, folder: Path, *sources: str) -> Path:
+    """Save a model whose training is short: that does not change how fast it is."""
+    from conformodal.model.config import ModelConfig  # noqa: PLC0415 - torch
+    from conformodal.model.store import save_model  # noqa: PLC0415
+    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
+    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
+    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
+
+    config = ModelConfig(sources=sources or ModelConfig().sources, training=TrainingConfig(epochs=5))
+    save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
+    return folder
+
+
+def in_process(script: str, asked: object, cores: int) -> dict[str, Any]:
+    """The numbers that a script prints in a process of its own, kept to some cores."""
+    here = sorted(os.sched_getaffinity(0))[:cores]
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name(script))],
+        input=json.dumps(asked),
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, here),
+        env={**os.environ, "OMP_NUM_THREADS": str(cores), "OPENBLAS_NUM_THREADS": str(cores)},
+    )
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
 def without_limits(prior: MotionPrior) -> MotionPrior:
     """A motion prior that allows any speed and any turning rate."""
     speeds = tuple(UNLIMITED for _ in prior.top_speed_mps)
@@ -84,21 +115,19 @@ def table_lines(header: list[str], rows: list[list[str]]) -> list[str]:
 
 def write_table(name: str, title: str, command: str, header: list[str], rows: list[list[str]], notes: str = "") -> None:
     """Print a Markdown table and keep it under ``benchmarks/results``, with what made it."""
-    lines = table_lines(header, rows)
-    write_page(name, title, command, [*lines, "", notes] if notes else lines)
+    write_page(name, title, command, table_lines(header, rows), *([notes] if notes else []))
 
 
-def write_page(name: str, title: str, command: str, content: list[str]) -> None:
-    """Print Markdown lines and keep them likewise."""
+def write_page(name: str, title: str, command: str, *blocks: str | list[str]) -> None:
+    """Print a Markdown page and keep it likewise; a block is a paragraph, or the lines of a table or a list."""
     made = provenance()
     packages = ", ".join(f"{k} {v}" for k, v in made["packages"].items())
-    lines = [f"# {title}", "", f"`{command}`", "", *content]
-    lines += [
-        "",
+    written = (
         f"{date.today()}, source {made['source_revision']}, {platform.machine()} with {os.cpu_count()} cores, "
-        f"Python {made['python']}, {packages}.",
-        "",
-    ]
+        f"Python {made['python']}, {packages}."
+    )
+    parts = [f"# {title}", f"`{command}`", *blocks, written]
+    page = "\n\n".join(part if isinstance(part, str) else "\n".join(part) for part in parts) + "\n"
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{name}.md").write_text("\n".join(lines), encoding="utf-8")
-    print("\n".join(lines))
+    (RESULTS / f"{name}.md").write_text(page, encoding="utf-8")
+    print(page)

@@ -9,10 +9,6 @@ time on this core, so that other programs on the machine change them little.
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -20,18 +16,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import DATA, write_page
+from common import REDKITCHEN, in_process, table_lines, train_briefly, write_page
 from torch import nn
 
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.model.config import ModelConfig
-from conformodal.model.store import save_model
+from conformodal.datasets import read_sevenscenes
 from conformodal.networks import TorchBackbone
 from conformodal.networks.exporting import OPSET
 from conformodal.networks.torch_backbone import backbone_config
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
 
 DROP_PATH = 0.2  # EfficientNet's own rate, of its last block
 JOULES = Path("/sys/class/powercap")
@@ -110,73 +101,51 @@ def export_dropout(folder: Path, width: int, height: int) -> int:
     return len(residual)
 
 
-def trained(sequence: Sequence, sources: tuple[str, ...], folder: Path) -> None:
-    """A model; how well it was trained does not change how fast it is."""
-    config = ModelConfig(sources=sources, training=TrainingConfig(epochs=5))
-    save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
-
-
-def measured(name: str, folder: Path, images: list[Path]) -> dict[str, Any]:
-    """One process's milliseconds and memory."""
-    done = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name("lightness_row.py"))],
-        input=json.dumps([name, str(folder), [str(path) for path in images]]),
-        capture_output=True,
-        text=True,
-        check=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1]),
-        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-    )
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=110)
     parser.add_argument("--rounds", type=int, default=3)
     asked = parser.parse_args()
-    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    sequence = read_sevenscenes(REDKITCHEN)
     images = sequence.image_paths[: asked.frames]
     spent: dict[str, list[float]] = {name: [] for name in WAYS}
     resident: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        trained(sequence, ("head",), folder / "head")
-        trained(sequence, ModelConfig().sources, folder / "three")
+        train_briefly(sequence, folder / "head", "head")
+        train_briefly(sequence, folder / "three")
         n_blocks = export_dropout(folder, sequence.camera.width, sequence.camera.height)
         for _ in range(asked.rounds):  # all ways in turn, so that what disturbs the machine disturbs all alike
             for name in WAYS:
-                row = measured(name, folder, images)
+                row = in_process("lightness_row.py", [name, str(folder), [str(path) for path in images]], 1)
                 spent[name] += row["ms"]
                 resident[name] = max(resident.get(name, 0.0), row["resident_mb"])
                 print(name, float(np.median(row["ms"])), flush=True)
     median = {name: float(np.median(its)) for name, its in spent.items()}
     base = median["bare"]
-    lines = [
-        "| from pixels to an answer | median, ms (10th to 90th percentile) | of the bare network's | resident, MB |",
-        "| --- | --- | --- | --- |",
+    header = [
+        "from pixels to an answer",
+        "median, ms (10th to 90th percentile)",
+        "of the bare network's",
+        "resident, MB",
     ]
-    for name, said in WAYS.items():
+    rows = []
+    for name, label in WAYS.items():
         low, high = np.percentile(spent[name], [10, 90])
-        lines.append(
-            f"| {said} | {median[name]:.2f} ({low:.2f} to {high:.2f}) | {median[name] / base:.2f} | "
-            f"{resident[name]:.0f} |"
-        )
+        cell = f"{median[name]:.2f} ({low:.2f} to {high:.2f})"
+        rows.append([label, cell, f"{median[name] / base:.2f}", f"{resident[name]:.0f}"])
     joules = (
         "Joules are not given: the machine has /sys/class/powercap, and this script does not read it."
         if JOULES.is_dir()
         else "Joules are not given: the machine does not tell them (no /sys/class/powercap)."
     )
-    lines += [
-        "",
+    notes = [
         f"{asked.frames} consecutive frames of redkitchen, 640x480, reduced to 320x240 for the network in all rows, "
         f"10 of them to warm up, {asked.rounds} rounds over all rows; one thread of one core, that core's time. "
         "The head is the only source but in one row. The network is "
         "the features' part of EfficientNet-Lite0 in ONNX Runtime; heads are worked out with NumPy; the "
         "answer of a bare network is the mean of its softmaxes, that of MC dropout and ensembles mean and standard "
         "deviation of these means. Neither gives a region with a promise, nor a path.",
-        "",
         f"Uncertainty and reasoning together add {median['search'] / base - 1:.2f} times the bare network's time "
         f"({median['regions'] / base - 1:.2f} without the search), and {median['whole'] / base - 1:.2f} times where "
         "the camera's motion is measured for the search as well: corners and relative pose cost more than the network "
@@ -185,10 +154,10 @@ def main() -> None:
         f"{n_blocks} blocks of these (residual branches that are left out at random, as EfficientNet is trained): "
         f"{median['network dropout, shared'] / base:.1f} times if passes start at the first of them, "
         f"{median['network dropout'] / base:.1f} times if they start at the pixels.",
-        "",
         joules,
     ]
-    write_page("lightness", "What uncertainty and reasoning cost", "python benchmarks/lightness.py", lines)
+    title, command = "What uncertainty and reasoning cost", "python benchmarks/lightness.py"
+    write_page("lightness", title, command, table_lines(header, rows), *notes)
 
 
 if __name__ == "__main__":

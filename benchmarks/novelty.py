@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from common import write_page
+from common import write_table
 from unseen import ALPHA, corridor_flights
 
 from conformodal.core.caching import default_cache_dir
@@ -42,18 +42,19 @@ def main() -> None:
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as scratch:
             found.append(p_values(seed, cache, Path(scratch)))
-    lines = [f"| frames | {' | '.join(map(str, LEVELS))} |", f"| --- |{' --- |' * len(LEVELS)}"]
+    rows = []
     for name in found[0]:
         shares = [[np.mean(each[name] <= level) for each in found] for level in LEVELS]
         cells = [f"{np.mean(share):.3f} ({min(share):.2f} to {max(share):.2f})" for share in shares]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
+        rows.append([name, *cells])
     note = (
         "Share of frames with a p-value of at most the level (columns), mean and range over corridors with seeds "
         f"{SEEDS}; split interleaved, every frame a piece of its own. Held-out frames of the known place are "
         "exchangeable with the reference frames: at most the level is taken for unknown in the mean. The default, "
         "0.015, was chosen on this table; what follows on other seeds: [unseen.md](unseen.md)."
     )
-    write_page("novelty", "The level of the novelty test", "python benchmarks/novelty.py", [*lines, "", note])
+    header = ["frames", *map(str, LEVELS)]
+    write_table("novelty", "The level of the novelty test", "python benchmarks/novelty.py", header, rows, note)
 
 
 if __name__ == "__main__":

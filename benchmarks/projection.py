@@ -11,15 +11,13 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 
 import numpy as np
 import torch
-from common import DATA, half_width, spread, write_table
+from common import DATA, REDKITCHEN, half_width, seconds_of, spread, write_table
 
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Sequence, SplitKind, read_sequence, read_sevenscenes
@@ -33,12 +31,6 @@ from experiments.regressors import train_tuned
 COMPONENTS = {"with": 256, "without": None}
 SIZES = (640, 5000)  # the frames that train on redkitchen, and a large recording
 N_FEATURES, BINS = 4608, [50] * 7
-
-
-def seconds_of(work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
 
 
 def head_seconds(n: int, components: int | None, seed: int) -> float:
@@ -81,7 +73,7 @@ def main() -> None:
         for n in SIZES:
             of = {k: [head_seconds(n, c, seed) for seed in asked.seeds] for k, c in COMPONENTS.items()}
             row(f"one head, {n} frames", "s", of, 1)
-        redkitchen = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+        redkitchen = read_sevenscenes(REDKITCHEN)
         cabinet = read_sequence(DATA / "tum" / "fr3_cabinet")
         prepare_training_data(redkitchen, ModelConfig(), cache)  # features are cached from here on
         ours: dict[str, list[float]] = {k: [] for k in COMPONENTS}

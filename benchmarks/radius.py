@@ -8,15 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
-from common import DATA, write_page
+from common import DATA, table_lines, write_page
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_quantile
+from conformodal.core.arrays import FloatArray
 from conformodal.model.radius import METRES_PER_RAD, Guarantee, fit_pose_radius, joint_error, pose_errors
 from conformodal.poses import Trajectory
 
-FloatArray = npt.NDArray[np.float64]
 Poses = dict[str, dict[int, FloatArray]]  # by recording and frame: quaternion and translation, world to camera
 
 ALPHA = 0.1
@@ -29,17 +28,7 @@ DEPTHS_M = (1.0, 2.0, 4.0)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """How far the answers to one recording are off.
-
-    Attributes
-    ----------
-    scene, name
-        Where it was taken, and which it is.
-    metres, radians
-        (n,) errors; infinite where there is no answer.
-    depth_m
-        Metres that weigh as much as one radian.
-    """
+    """Errors (n,) of the answers to one recording, infinite without one; `depth_m` weighs as much as a radian."""
 
     scene: str
     name: str
@@ -124,10 +113,6 @@ def row(*names: str, outcome: Outcome) -> list[str]:
     return [*names, f"{outcome.kept.mean():.3f}", f"{outcome.kept.min():.2f}", *radii]
 
 
-def table(header: list[str], rows: list[list[str]]) -> list[str]:
-    return ["", *(f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *rows)), ""]
-
-
 def main() -> None:
     every = {(truth, system): read_recordings(truth, system) for truth in TRUTHS for system in SYSTEMS}
     detail, scenes, depths = [], [], []
@@ -146,20 +131,17 @@ def main() -> None:
         "frame at random, recordings weighted equally. A frame without an answer is infinitely far off. Poses of four "
         "published systems, compared with the truth under which each was trained or mapped. One radian weighs as much "
         f"as {METRES_PER_RAD:g} m, everywhere. Radii: mean over recordings.",
-        *table(header, detail),
+        table_lines(header, detail),
         "Two halves of alpha need 19 recordings, and 17 calibrate: the radius is infinite. One score for both errors "
         "needs 9.",
-        "",
         "## How many metres weigh as much as one radian",
-        "",
         "Looked at on both truths; a round depth of a room was kept. All systems together.",
-        *table(["metres", "truth", "mean kept", "worst recording"], depths),
+        table_lines(["metres", "truth", "mean kept", "worst recording"], depths),
         "## A scene left out",
-        "",
         "Harder than what is promised: no recording of the same scene calibrates, so recordings are not exchangeable.",
-        *table(header, scenes),
+        table_lines(header, scenes),
     ]
-    write_page("radius", "The radius in recordings left out", "python benchmarks/radius.py", content)
+    write_page("radius", "The radius in recordings left out", "python benchmarks/radius.py", *content)
 
 
 if __name__ == "__main__":

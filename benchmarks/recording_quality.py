@@ -1,26 +1,23 @@
 """Are errors where a recording is called thin? Judged from poses and known frames, before any error is looked at.
 
-python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER] [--quick]
+python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER]
 
-redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). With ``--quick`` models have no
-landmarks, and each frame is answered by itself, without a path. The frames of a seed are kept in the folder of runs and
-not measured again.
+redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). The frames of a seed are kept in the
+folder of runs and not measured again.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, ROOT, write_page
+from common import REDKITCHEN, ROOT, cached_json, table_lines, write_page
 
 from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.source_data import SourceData
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.radius import depth_or_default
@@ -41,26 +38,22 @@ SHARED: list[SourceData] = []
 LIMITS = (0.05, 0.075, 0.1, 0.125, 0.15, 0.2)
 
 
-def measured(seed: int, cache: Path, *, quick: bool) -> dict[str, Any]:
+def measured(seed: int, cache: Path) -> dict[str, Any]:
     """Of each frame of the test part: what poses say of it, and then the errors of its answers."""
-    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
-    how: dict[str, Any] = {"sources": ("head", "neighbours")} if quick else {}
-    config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed, **how)
+    sequence = read_sevenscenes(REDKITCHEN)
+    config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed)
     data = prepare_training_data(sequence, config, FeatureCache(cache))
     share(data)
     model = train_model(data, config, checkpoint_dir=cache / "training")
     truth, test = sequence.require_truth(), model.split.test
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
     coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)
-    errors: dict[str, list[float]] = {}
-    if quick:
-        found = model.localize(FrameEvidence(data.features[test]))
-    else:
-        run = VisualOdometry(model).process(sequence, test, cache=FeatureCache(cache))
-        found = run.localization
-        errors[PATH] = position_errors_m(run.trajectory, truth[test]).tolist()
-    off = most_probable(found) - truth.positions_xyz[test]
-    errors[ALONE] = np.linalg.norm(off, axis=1).tolist()
+    run = VisualOdometry(model).process(sequence, test, cache=FeatureCache(cache))
+    off = most_probable(run.localization) - truth.positions_xyz[test]
+    errors = {
+        PATH: position_errors_m(run.trajectory, truth[test]).tolist(),
+        ALONE: np.linalg.norm(off, axis=1).tolist(),
+    }
     return {
         "source": provenance()["source_revision"],
         "depth_m": scale.depth_m,
@@ -80,11 +73,8 @@ def share(data: TrainingData) -> None:
 
 def kept(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     """The numbers of a seed, measured once."""
-    path = options.runs / f"redkitchen-{seed}{'-quick' if options.quick else ''}.json"
-    if not path.exists():
-        options.runs.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(measured(seed, options.cache, quick=options.quick)), encoding="utf-8")
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    file = options.runs / f"redkitchen-{seed}.json"
+    found: dict[str, Any] = cached_json(file, lambda: measured(seed, options.cache))
     return found
 
 
@@ -111,10 +101,11 @@ def chosen_by(row: list[str], results: list[dict[str, Any]], limit: float) -> li
     return [*row, f"{np.mean(change[large] > limit) - np.mean(change[~large] > limit):.2f}"]
 
 
-def lines(first: str, content: list[list[str]], *more: str) -> list[str]:
+def table(first: str, content: list[list[str]], *more: str) -> list[str]:
     what = ("frames", "median, m", f"% over {LARGE_M:g} m")
-    header = [first, "errors of", *(f"{part}: {name}" for part in ("sparse", "others") for name in what), *more]
-    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *content)]
+    return table_lines(
+        [first, "errors of", *(f"{part}: {name}" for part in ("sparse", "others") for name in what), *more], content
+    )
 
 
 def main() -> None:
@@ -123,7 +114,6 @@ def main() -> None:
     parser.add_argument("--chosen-on", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--runs", type=Path, default=ROOT / "quality-out")
     parser.add_argument("--cache", type=Path, default=default_cache_dir())
-    parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
     chosen = [kept(seed, options) for seed in options.chosen_on]
     reported = [kept(seed, options) for seed in options.seeds]
@@ -132,24 +122,19 @@ def main() -> None:
     ]
     by_limit = [chosen_by(row, chosen, limit) for limit in LIMITS for row in rows(f"{limit:g}", chosen, limit)]
     depths = [one["depth_m"] for one in chosen + reported]
-    models = "models have no landmarks, and each frame is answered by itself" if options.quick else "models are whole"
     write_page(
-        "recording_quality_quick" if options.quick else "recording_quality",
+        "recording_quality",
         "Errors where a recording is called thin",
-        f"python benchmarks/recording_quality.py{' --quick' if options.quick else ''}",
-        [
-            f"redkitchen sequence 01, `blocks`, regions calibrated on frames; {models}. Frames of the test part. One "
-            f"is called thin if the nearest view that the model knows differs by more than {QUALITY.sparse:g} of the "
-            f"field of view, in a scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
-            "and known frames alone tell.",
-            "",
-            *lines("seed", [*each, *rows("all", reported, QUALITY.sparse)]),
-            "",
-            f"Limits on the seeds on which one was chosen ({', '.join(map(str, options.chosen_on))}): that with the "
-            f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls thin.",
-            "",
-            *lines("limit", by_limit, "difference"),
-        ],
+        "python benchmarks/recording_quality.py",
+        f"redkitchen sequence 01, `blocks`, regions calibrated on frames; models are whole. Frames of the "
+        f"test part. One is called thin if the nearest view that the model knows differs by more than "
+        f"{QUALITY.sparse:g} of the field of view, in a "
+        f"scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
+        "and known frames alone tell.",
+        table("seed", [*each, *rows("all", reported, QUALITY.sparse)]),
+        f"Limits on the seeds on which one was chosen ({', '.join(map(str, options.chosen_on))}): that with the "
+        f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls thin.",
+        table("limit", by_limit, "difference"),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from common import DATA, write_table
+from common import DATA, REDKITCHEN, write_table
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import Sequence, read_sevenscenes
@@ -135,7 +135,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_laps=1)
         corridor = read_sevenscenes(scratch)
-        video = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+        video = read_sevenscenes(REDKITCHEN)
         jitter = jitter_m(video.require_truth())
         rows = [row("redkitchen 640x480", video, s, jitter=jitter) for s in (1, 5, 10)]
         rows += [row("the same, OpenCV's five points", video, s, solve_opencv, jitter) for s in (1, 5)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from common import DATA, mean_interval, write_table
+from common import REDKITCHEN, SEEDS, mean_interval, write_table
 
 from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import read_sevenscenes
@@ -20,7 +20,6 @@ from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig
 
-SEEDS = (10, 11, 12, 13, 14)  # no value of a setting was chosen on them
 PARTS = ("all held-out frames", "with a picture of their own", "with the picture of a known frame")
 
 
@@ -28,7 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     seeds, cache = parser.parse_args().seeds, FeatureCache(default_cache_dir())
-    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    sequence = read_sevenscenes(REDKITCHEN)
     found: dict[str, list[tuple[int, float, float]]] = {part: [] for part in PARTS}
     for seed in seeds:
         config = ModelConfig(seed=seed, training=TrainingConfig(seed=seed))

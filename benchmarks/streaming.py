@@ -8,18 +8,13 @@ Each row is a process of its own, kept to its cores, that knows a saved model an
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import tempfile
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from common import DATA, write_page
+from common import REDKITCHEN, in_process, train_briefly, write_table
 
 from conformodal.cli.run import MATCH_EVERY_LIVE
 from conformodal.datasets import Sequence, read_image, read_sevenscenes
@@ -47,66 +42,36 @@ def enlarged(sequence: Sequence, size: tuple[int, int], folder: Path) -> Sequenc
     return read_sevenscenes(folder)
 
 
-def trained(sequence: Sequence, folder: Path) -> None:
-    """A model of all sources; how well it was trained does not change how fast it is."""
-    from conformodal.model.config import ModelConfig  # noqa: PLC0415
-    from conformodal.model.store import save_model  # noqa: PLC0415
-    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
-    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
-    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
-
-    config = ModelConfig(training=TrainingConfig(epochs=5))
-    save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
-
-
-def measured(model: Path, images: list[Path], cores: int, match_every: int) -> dict[str, Any]:
-    """The numbers of one row."""
-    here = sorted(os.sched_getaffinity(0))[:cores]
-    asked = json.dumps([str(model), [str(path) for path in images], match_every])
-    done = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name("stream_row.py"))],
-        input=asked,
-        capture_output=True,
-        text=True,
-        check=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, here),
-        env={**os.environ, "OMP_NUM_THREADS": str(cores)},
-    )
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=300)
     asked = parser.parse_args()
-    sequence = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
-    lines = [
-        "| image | local features | cores | median, ms | 99th percentile, ms | frames a second | first answer, s | "
-        "resident, MB | ms a frame, by part |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    sequence = read_sevenscenes(REDKITCHEN)
+    header = ["image", "local features", "cores", "median, ms", "99th percentile, ms", "frames a second"]
+    header += ["first answer, s", "resident, MB", "ms a frame, by part"]
+    rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for name, size in SIZES.items():
             its = enlarged(sequence, size, Path(scratch) / name)
-            trained(its, Path(scratch) / f"{name}-model")
+            model = train_briefly(its, Path(scratch) / f"{name}-model")
             for match_every, cores in product((1, MATCH_EVERY_LIVE), (1, 2)):
                 images = its.image_paths[: asked.frames]
-                row = measured(Path(scratch) / f"{name}-model", images, cores, match_every)
+                asked_of = [str(model), [str(path) for path in images], match_every]
+                row = in_process("stream_row.py", asked_of, cores)
                 every = "every frame" if match_every == 1 else f"every {match_every} frames"
                 parts = ", ".join(f"{part} {ms:.1f}" for part, ms in row["parts"].items())
-                lines.append(
-                    f"| {name} | {every} | {cores} | {row['median']:.1f} | {row['p99']:.1f} | "
-                    f"{1e3 / row['mean']:.1f} | {row['first_s']:.2f} | {row['resident_mb']:.0f} | {parts} |"
-                )
-                print(lines[-1], flush=True)
-    lines += [
-        "",
+                times = [f"{row['median']:.1f}", f"{row['p99']:.1f}", f"{1e3 / row['mean']:.1f}"]
+                costs = [f"{row['first_s']:.2f}", f"{row['resident_mb']:.0f}", parts]
+                rows.append([name, every, str(cores), *times, *costs])
+                print(rows[-1], flush=True)
+    note = (
         f"{asked.frames} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
         "a second; 1280x720: enlarged and cropped. Three pose sources. Time of a frame: from decoded image to pose and "
         "region; parts are within it, the rest is fusion, candidates and the novelty test. First answer: from the "
-        "start of the imports. Local features are matched in every frame, or as `run` does at a camera's pace.",
-    ]
-    write_page("streaming", "A stream on a small computer", "python benchmarks/streaming.py", lines)
+        "start of the imports. Local features are matched in every frame, or as `run` does at a camera's pace."
+    )
+    title, command = "A stream on a small computer", "python benchmarks/streaming.py"
+    write_table("streaming", title, command, header, rows, note)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import DATA, write_table
+from common import REDKITCHEN, write_table
 from relative_motion import FOUND_FOCAL_PX, read_kitti, with_focal_length
 from scipy.spatial.transform import Rotation
 
@@ -67,7 +67,7 @@ def row(name: str, sequence: Sequence, stride: int) -> list[str]:
 
 
 def main() -> None:
-    redkitchen = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    redkitchen = read_sevenscenes(REDKITCHEN)
     noisy = Sequence(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
     refocused = with_focal_length(redkitchen, FOUND_FOCAL_PX)
     rows = [row("redkitchen", redkitchen, 1), row("redkitchen", redkitchen, 5), row("redkitchen, noise 0.1", noisy, 5)]

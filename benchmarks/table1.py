@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from common import DATA, ROOT, write_page
+from common import REDKITCHEN, ROOT, write_page
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("all", "paper"), default="all")
     parser.add_argument("--baselines", choices=("default", "all"), default="default")
     options = parser.parse_args()
-    video = (DATA / "7scenes" / "redkitchen" / "seq-01").resolve()
+    video = (REDKITCHEN).resolve()
     command = [sys.executable, "-m", "experiments.table1", video]
     command += ["--out", options.out.resolve(), "--seeds", options.seeds, "--first-seed", options.first_seed]
     command += ["--workers", options.workers]
@@ -40,7 +40,8 @@ def main() -> None:
         "table1" if options.method == "all" else f"table1_{options.method}",
         lines[0].lstrip("# "),
         f"python benchmarks/table1.py{seeds}{method}{others}",
-        [*lines[2:], "", f"The last call took {seconds / 60:.1f} minutes."],
+        lines[2:],
+        f"The last call took {seconds / 60:.1f} minutes.",
     )
 
 

@@ -1,37 +1,28 @@
-"""Time and memory of sets and membership for many samples, beside reading the probabilities once, and beside peers.
+"""Time and memory of sets and membership for many samples, relative to reading the probabilities once.
 
 python benchmarks/throughput.py
 
-One run holds about 2.5 GB. crepes and TorchCP are measured where benchmarks/peers/requirements.txt is installed.
+One run holds about 2.5 GB.
 """
 
 from __future__ import annotations
 
-import sys
-import time
 import tracemalloc
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import spread, write_table
+from common import seconds_of, spread, write_table
 
 from conformodal.conformal import QuantileBins, SplitConformal
 
 N, D, K, REPEATS = 1_000_000, 7, 50, 7
-PEER_ROWS = 100_000
 
 
 def seconds(work: Callable[[], Any]) -> list[float]:
     """Times of several runs, after one that warms up."""
     work()
-    found = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - start)
-    return found
+    return [seconds_of(work) for _ in range(REPEATS)]
 
 
 def problem(n: int, d: int, k: int) -> tuple[Any, ...]:
@@ -45,43 +36,6 @@ def problem(n: int, d: int, k: int) -> tuple[Any, ...]:
 
 def ours(proba: Any, y: Any, bins: QuantileBins, score: str) -> SplitConformal:
     return SplitConformal(bins, 0.1, score).calibrate(proba[:2000], y[:2000])
-
-
-def peers(proba: Any, y: Any) -> dict[str, list[float]]:
-    """Seconds per run of peers on ``PEER_ROWS`` samples of one target."""
-    found = {}
-    rows, truth = proba[:PEER_ROWS, 0], y[:PEER_ROWS, 0]
-    try:
-        import crepes  # noqa: PLC0415
-
-        regressor = crepes.ConformalRegressor().fit(np.abs(truth[:2000]))
-        center = rows @ np.linspace(-3, 3, K)
-
-        def intervals() -> Any:
-            ends = regressor.predict_int(center, confidence=0.9)
-            return (ends[:, 0] <= truth) & (truth <= ends[:, 1])
-
-        found["crepes, one interval"] = seconds(intervals)
-    except ImportError:
-        pass
-    try:
-        sys.path.insert(0, str(Path(__file__).with_name("peers")))
-        import torch  # noqa: PLC0415
-        from methods import _import_torchcp_regression  # noqa: PLC0415
-
-        regression = _import_torchcp_regression()
-        score = regression.R2CCP(torch.linspace(-3, 3, K))
-        table = torch.from_numpy(np.ascontiguousarray(rows))
-        values = torch.from_numpy(truth.astype(np.float32))
-
-        def sets() -> Any:
-            ends = score.generate_intervals(table, torch.tensor([-0.02]))
-            return ((ends[:, ::2] <= values[:, None]) & (values[:, None] <= ends[:, 1::2])).any(dim=1)
-
-        found["TorchCP R2CCP, intervals"] = seconds(sets)
-    except ImportError:
-        pass
-    return found
 
 
 def main() -> None:
@@ -121,16 +75,10 @@ def main() -> None:
         shape = f"{n:,} x {d} x {k}"
         rows.append(["sets and membership, density", shape, spread(found, 3), f"{ratio:.2f} of the whole", ""])
         del part
-    share = PEER_ROWS / (N * D)
-    for name, found in peers(proba, y).items():
-        relative = np.median(found) / share / base
-        shape = f"{PEER_ROWS:,} x 1 x {K}"
-        rows.append([name, shape, spread(found, 4), f"{relative:.1f}, scaled to {N:,} x {D}", ""])
     notes = (
         "float32 probabilities, alpha 0.1; they are checked (NaN, sign, row sums) on the way. Seconds: median (range) "
         f"of {REPEATS} runs after a warm-up. Memory: input and peak of what is allocated, relative to the input (bool "
-        "masks are a quarter of float32). crepes makes one interval a sample and reads no bins; its row says what the "
-        "simplest answer costs."
+        "masks are a quarter of float32)."
     )
     header = ["what", "samples x targets x bins", "seconds", "relative to reading once", "memory"]
     write_table(

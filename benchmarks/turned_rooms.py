@@ -8,14 +8,13 @@ Results of a seed are kept in results/turned_rooms and not computed again.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, mean_interval, without_limits, without_rotation, write_page
+from common import RESULTS, SEEDS, cached_json, mean_interval, table_lines, without_limits, without_rotation, write_page
 from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
@@ -35,7 +34,6 @@ from conformodal.running.estimator import VisualOdometry
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
 
-SEEDS = (10, 11, 12, 13, 14)  # 20 and 21 served to choose by
 N_VISITS = 12
 EVERY = {"0.2 s": 2, "1 s": 10, "3 s": 30}
 NEAR_M, NEAR_RAD = 0.5, np.radians(30)
@@ -130,13 +128,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     seeds = parser.parse_args().seeds
     folder = RESULTS / "turned_rooms"
-    folder.mkdir(exist_ok=True)
     results: list[Numbers] = []
     for seed in seeds:
         file = folder / f"{seed}.json"
-        if not file.is_file():
-            file.write_text(json.dumps(measure(*observe(seed)), indent=0) + "\n", encoding="utf-8")
-        results.append(json.loads(file.read_text(encoding="utf-8")))
+        results.append(cached_json(file, lambda seed=seed: measure(*observe(seed))))
     rows = []
     for setting in results[0]:
         if setting.startswith("evidence"):
@@ -155,28 +150,30 @@ def main() -> None:
     )
     title = "What relative motion is worth between rooms that are one another's half-turn"
     command = f"python benchmarks/turned_rooms.py --seeds {' '.join(map(str, seeds))}"
-    table = [f"| {' | '.join(header)} |", f"| {' | '.join('---' for _ in header)} |"]
-    table += [f"| {' | '.join(row)} |" for row in rows]
-    write_page("turned_rooms", title, command, [*table, "", notes, "", *evidence_lines(seeds, results)])
+    write_page("turned_rooms", title, command, table_lines(header, rows), notes, *evidence_blocks(seeds, results))
 
 
-def evidence_lines(seeds: list[int], results: list[Numbers]) -> list[str]:
+def evidence_blocks(seeds: list[int], results: list[Numbers]) -> list[str | list[str]]:
     """A table of what images say of the side, seed by seed, and how to read it."""
-    lines = [
-        "## What images say of the side",
-        "",
-        "| a frame every | seed | lobby, nats | rooms, nats | rooms, if all agreed | correlation | wrong room |",
-        "| --- " * 7 + "|",
+    header = [
+        "a frame every",
+        "seed",
+        "lobby, nats",
+        "rooms, nats",
+        "rooms, if all agreed",
+        "correlation",
+        "wrong room",
     ]
+    rows = []
     for name in EVERY:
         for seed, numbers in zip(seeds, results, strict=True):
-            lobby, rooms, agreed, alike = numbers[f"evidence, {name}"]
+            lobby, inside, agreed, alike = numbers[f"evidence, {name}"]
             wrong = numbers[f"{name}, 1, 1, viterbi"][0]
-            cells = (name, seed, f"{lobby:+.1f}", f"{rooms:+.1f}", f"{agreed:.1f}", f"{alike:.2f}", f"{wrong:.3f}")
-            lines.append(f"| {' | '.join(map(str, cells))} |")
+            nats = [f"{lobby:+.1f}", f"{inside:+.1f}", f"{agreed:.1f}"]
+            rows.append([name, str(seed), *nats, f"{alike:.2f}", f"{wrong:.3f}"])
     return [
-        *lines,
-        "",
+        "## What images say of the side",
+        table_lines(header, rows),
         f"Nats: log of the mass of candidates within {NEAR_M} m and {np.degrees(NEAR_RAD):.0f} degrees of the true "
         "pose, less that of candidates near its half-turn, summed over frames. In rooms both views are equal to the "
         "pixel, so that honest evidence is zero there; in the lobby the poster tells the sides apart. Correlation: of "

@@ -27,13 +27,7 @@ DOOR_Y = 0.6  # half the width of the passage
 
 @dataclass
 class TurnedRooms(Building):
-    """A lobby with a poster, and a room on either side, each the other's half-turn.
-
-    Parameters
-    ----------
-    seed
-        Of the textures.
-    """
+    """A lobby with a poster, and a room on either side, each the other's half-turn; the seed is of the textures."""
 
     seed: int = 0
     panels: list[Panel] = field(init=False, repr=False)
@@ -63,13 +57,7 @@ def visiting_path(n_visits: int = 12, seed: int = 0) -> Trajectory:
     Each visit starts in the middle of the lobby, looks at the poster's wall or at the one opposite, turns to one of the
     rooms, flies in, looks around, backs out and turns away. Wall and room are random in the first half of the flight;
     the second half is the half-turn of the first, so that whatever is seen on one side is seen on the other as often.
-
-    Parameters
-    ----------
-    n_visits
-        Into either room; an odd one more is flown.
-    seed
-        Of the choices and the gusts.
+    An odd number of visits is rounded up.
     """
     rng = np.random.default_rng(seed)
     half = [(rng.choice((90.0, -90.0)), rng.choice((0.0, 180.0))) for _ in range((n_visits + 1) // 2)]

@@ -2,11 +2,7 @@
 
 python benchmarks/unseen.py [--seeds 10 11 12 13 14] [--runs FOLDER] [--only redkitchen corridor]
 
-The numbers of a seed and a world are kept in the folder of runs and not measured again. The same script measures an
-older source, with its own defaults, on redkitchen:
-
-git worktree add old 3346ed2 && PYTHONPATH=old/src python benchmarks/unseen.py --seeds 10 --only redkitchen \
-    --runs old-out --table unseen_before
+The numbers of a seed and a world are kept in the folder of runs and not measured again.
 """
 
 from __future__ import annotations
@@ -17,13 +13,14 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from common import DATA, ROOT, write_page
+from common import DATA, REDKITCHEN, ROOT, SEEDS, cached_json, table_lines, write_page
 from PIL import Image
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
@@ -35,14 +32,13 @@ from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.datasets.corridor.writer import write_corridor, write_flight
 from conformodal.localization.belief import recognised_only
 from conformodal.localization.targets import pose_targets
-from conformodal.model.config import ModelConfig
+from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.model import PoseModel
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.provenance import provenance
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
 
-SEEDS = (10, 11, 12, 13, 14)
 KNOWN_SHARE = 0.6
 NEAR_M, FAR_SIGMAS = 0.3, 5.0
 N_FLIGHT = 240  # frames of a flight, or of a disturbance
@@ -85,12 +81,8 @@ def changed(sequence: Sequence, frames: np.ndarray, change: Images, folder: Path
 
 
 def trained(sequence: Sequence, split: str, calibration: str, seed: int, cache: FeatureCache, **how: Any) -> PoseModel:
-    settings: dict[str, Any] = {"split": SplitKind(split), "seed": seed, "alpha": ALPHA, **how}
-    if "calibrate_on" in {f.name for f in fields(ModelConfig)}:  # older sources have none
-        from conformodal.model.config import Calibration  # noqa: PLC0415
-
-        settings["calibrate_on"] = Calibration(calibration)
-    config = ModelConfig(**settings)
+    chosen = {"split": SplitKind(split), "calibrate_on": Calibration(calibration)}
+    config = ModelConfig(seed=seed, alpha=ALPHA, **chosen, **how)
     return train_model(prepare_training_data(sequence, config, cache), config)
 
 
@@ -105,7 +97,7 @@ def measured(model: PoseModel, sequence: Sequence, frames: np.ndarray | None = N
         "ms": 1e3 * seconds / len(run.frames),
         "abstained": whole.tolist(),
         "flagged": (~run.reliable).tolist(),
-        "known_p": np.round(getattr(run, "known_p", np.full(len(whole), np.nan)), 4).tolist(),
+        "known_p": np.round(run.known_p, 4).tolist(),
         "length_m": np.where(whole, np.nan, run.regions.length[:, :3].mean(axis=1)).tolist(),
     }
     if sequence.truth is None:
@@ -132,13 +124,13 @@ def foreign(cache: Path) -> Iterator[tuple[str, Sequence]]:
             own.append(cache / name / f"{path.stem}.png")
             own[-1].parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(cv2.resize(read_image(path), (640, 480), interpolation=cv2.INTER_AREA)).save(own[-1])
-        kitchen = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+        kitchen = read_sevenscenes(REDKITCHEN)
         times, one = np.arange(len(own)) / 30.0, np.zeros(len(own), dtype=np.int64)
         yield name, Sequence(name, tuple(own), times, one, kitchen.camera)
 
 
 def redkitchen(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
-    video = read_sevenscenes(DATA / "7scenes" / "redkitchen" / "seq-01")
+    video = read_sevenscenes(REDKITCHEN)
     cut = int(KNOWN_SHARE * len(video))
     every = np.arange(len(video))
     parts = {"first": (every[:cut], every[cut:]), "last": (every[-cut:], every[:-cut])}
@@ -217,7 +209,7 @@ def table(results: list[dict[str, Any]]) -> list[str]:
         "RMSE of all, m",
         "ms a frame",
     ]
-    lines = [f"| {' | '.join(header)} |", f"| {' | '.join('---' for _ in header)} |"]
+    lines = []
     for (world, how, name), rows in pooled.items():
         joined = {k: np.concatenate([row[k] for row in rows]) for k in ("abstained", "flagged", "length_m")}
         cells = [world, how, f"{name} ({len(joined['flagged'])})"]
@@ -238,8 +230,15 @@ def table(results: list[dict[str, Any]]) -> list[str]:
         cells += ["-" if far is None else f"{far:.3f}", f"{joined['flagged'].mean():.3f}", near or "-"]
         cells.append("-" if off is None else f"{np.sqrt(np.mean(np.square(off))):.4f}")
         cells.append(f"{np.median([row['ms'] for row in rows]):.0f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        lines.append(cells)
+    return table_lines(header, lines)
+
+
+def all_rows(world: str, seed: int, cache: FeatureCache) -> dict[str, Any]:
+    """The numbers of a world and a seed."""
+    with tempfile.TemporaryDirectory() as scratch:
+        found = {"redkitchen": redkitchen, "corridor": corridor}[world](seed, cache, Path(scratch))
+    return {"world": world, "seed": seed, "source": provenance()["source_revision"], "found": found}
 
 
 def main() -> None:
@@ -249,20 +248,11 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=["redkitchen", "corridor"])
     parser.add_argument("--table", default="unseen")
     asked = parser.parse_args()
-    asked.runs.mkdir(parents=True, exist_ok=True)
     cache = FeatureCache(default_cache_dir())
     for seed in asked.seeds:
         for world in asked.only:
             file = asked.runs / f"{world}-{seed}.json"
-            if file.exists():
-                continue
-            with tempfile.TemporaryDirectory() as scratch:
-                found = {"redkitchen": redkitchen, "corridor": corridor}[world](seed, cache, Path(scratch))
-            part = file.with_suffix(".part")
-            part.write_text(
-                json.dumps({"world": world, "seed": seed, "source": provenance()["source_revision"], "found": found})
-            )
-            part.replace(file)
+            cached_json(file, partial(all_rows, world, seed, cache))
     results = [json.loads(file.read_text()) for file in sorted(asked.runs.glob("*-*.json"))]
     seeds = {world: sorted(r["seed"] for r in results if r["world"] == world) for world in ("corridor", "redkitchen")}
     sources = sorted({str(r["source"]) for r in results})
@@ -281,7 +271,7 @@ def main() -> None:
     command = "python benchmarks/unseen.py"
     if asked.table != "unseen":
         command += f" --seeds {' '.join(map(str, asked.seeds))} --only {' '.join(asked.only)} --table {asked.table}"
-    write_page(asked.table, "Where the camera has never been", command, [*table(results), "", note])
+    write_page(asked.table, "Where the camera has never been", command, table(results), note)
 
 
 if __name__ == "__main__":

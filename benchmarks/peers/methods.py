@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from measure import Sets, merged, one_interval
 from problems import Split
@@ -37,8 +36,8 @@ from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
 from conformodal.conformal.learning.location import StackedLocation
+from conformodal.core.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 JOBS = 2
 torch.set_num_threads(1)  # networks this small are no faster with more
 # gradient steps of r2ccp at its own batch of 32; its default of 1000 epochs is kept where that is fewer

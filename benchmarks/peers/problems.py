@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from common import DATA
 
-FloatArray = npt.NDArray[np.float64]
+from conformodal.core.arrays import FloatArray
 
 TABLES = ("concrete", "energy", "temperature", "bio", "births", "air")
 # a target with fewer distinct values than this share of its rows lies on a grid
