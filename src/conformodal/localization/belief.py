@@ -1,20 +1,19 @@
-"""What an image says about its pose: one belief, from which its region is calibrated and its path is chosen.
+"""Beliefs: the probability distribution of an image's pose, a mixture of the softmax and absolute pose estimates.
 
-A belief is a mixture: the softmax, and absolute pose estimates, each with the probability of being right. Its marginal
-densities over fine cells are what a region is calibrated from; its hypotheses are the candidates of the path.
+Regions are calibrated from its marginals over fine cells; its hypotheses are the candidates of the path.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 
 from .fusion import Mixture
 from .measurement import PoseMeasurement
@@ -34,12 +33,12 @@ class Beliefs:
     proba
         Seven arrays (n, K_j): the softmax over the bins.
     mixtures
-        Pose hypotheses of each.
+        Pose hypotheses, image by image.
     estimates
-        Absolute pose estimates from local features, of each.
+        Absolute pose estimates from local features, image by image.
     """
 
-    proba: list[npt.NDArray[np.floating[Any]]]
+    proba: list[RealArray]
     mixtures: Sequence[Mixture]
     estimates: Sequence[Sequence[PoseMeasurement]]
 
@@ -47,24 +46,16 @@ class Beliefs:
         return len(self.mixtures)
 
     @property
-    def recognised(self) -> npt.NDArray[np.bool_]:
+    def recognised(self) -> BoolArray:
         """(n,) whether a place was recognised by local features."""
         return np.array([bool(recognised_only(its)) for its in self.estimates], dtype=np.bool_)
 
     def part(self, rows: slice) -> Beliefs:
-        """Some of the images."""
+        """The beliefs about some of the images."""
         return Beliefs([p[rows] for p in self.proba], self.mixtures[rows], self.estimates[rows])
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
-        """Seven arrays (n, cells) of probabilities, rows of which sum to one.
-
-        Parameters
-        ----------
-        bins, cells
-            Bins of the softmax, and their :func:`belief_cells`.
-        sign_reference
-            (4,) quaternion that fixes the signs of quaternions.
-        """
+        """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
         found = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins, j) for j, p in enumerate(self.proba)]
         for i, mixture in enumerate(self.mixtures):
             mass = np.exp(mixture.candidates.log_mass)
@@ -82,12 +73,12 @@ class Beliefs:
 
 
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
-    """Those of an image's estimates that are probably inliers."""
+    """The estimates of an image that are probably inliers."""
     return [one for one in estimates if one.inlier_probability >= BELIEF.recognised]
 
 
 def belief_cells(bins: QuantileBins) -> QuantileBins:
-    """Cells within the bins and, as wide as their mean, beyond them; edges of bins are edges of cells."""
+    """Cells that divide the bins, and cells of their mean width beyond them; edges of bins are edges of cells."""
     edges = []
     for fine, n in zip(bins.refine(cells_per_bin(bins)).edges_, _cells_beyond(bins), strict=True):
         steps = (fine[-1] - fine[0]) / (fine.size - 1) * np.arange(1, n + 1)
@@ -102,7 +93,7 @@ def on_cells(values: npt.NDArray[Kind], bins: QuantileBins, target: int) -> npt.
 
 
 def cells_per_bin(bins: QuantileBins) -> int:
-    """Cells that each bin is cut into."""
+    """Number of cells per bin."""
     return max(1, -(-BELIEF.cells // max(bins.sizes)))
 
 
@@ -111,14 +102,12 @@ def _cells_beyond(bins: QuantileBins) -> list[int]:
 
 
 def _student_cdf(x: FloatArray) -> FloatArray:
-    """Student's t with three degrees of freedom: errors of many standard deviations are more common than normal."""
+    """Student's t with three degrees of freedom: large errors are more common than under a normal distribution."""
     scaled = x / np.sqrt(3)
     return np.asarray(0.5 + (scaled / (1 + scaled**2) + np.arctan(scaled)) / np.pi)
 
 
-def _as_targets(
-    mixture: Mixture, rows: npt.NDArray[np.bool_], sign_reference: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _as_targets(mixture: Mixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Hypotheses as targets and their standard deviations, (m, 7) each."""
     its = mixture.candidates
     quats = its.orientations_quat_wxyz[rows]

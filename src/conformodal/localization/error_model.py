@@ -1,7 +1,4 @@
-"""How large the errors of absolute pose estimates are, and how often one is an outlier.
-
-Both are learnt from frames with known poses that were hidden from the source.
-"""
+"""Sizes of errors and outlier rates of absolute pose estimates, learnt from frames that were held out."""
 
 from __future__ import annotations
 
@@ -9,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
 from .measurement import PoseMeasurement
@@ -20,7 +16,7 @@ from .settings import ERROR_MODEL
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Standard deviations and inlier probabilities of a source's estimates.
+    """Standard deviations and inlier probabilities of a source's estimates, as power laws of what predicts them.
 
     Attributes
     ----------
@@ -43,7 +39,7 @@ class ErrorModel:
     slopes: tuple[float, ...]
 
     def apply(self, estimate: PoseMeasurement, *support: float) -> PoseMeasurement:
-        """The estimate with standard deviations of the size of its errors; its own are the predicted ones."""
+        """The estimate with calibrated standard deviations and inlier probability, in place of the predicted ones."""
         odds = self.log_odds + float(np.dot(self.slopes, np.log(support)))
         away = max(estimate.distance_to_known, ERROR_MODEL.least_distance)
         return replace(
@@ -61,38 +57,21 @@ class ErrorModel:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutErrors:
-    """Errors of m estimates, with what was predicted of them.
-
-    Attributes
-    ----------
-    error_m, sigma_m, error_rad, sigma_rad
-        (m,) errors and predicted standard deviations.
-    distance
-        (m,) distances from the nearest known frame, scene depths plus radians; 0 where they are not measured.
-    support
-        (m, e) positive numbers that grow with the probability of an inlier.
-    weights
-        (m,) of each in learning that probability.
-    """
+    """Errors (m,) of estimates of held-out frames, with what was predicted of them."""
 
     error_m: FloatArray
     sigma_m: FloatArray
     error_rad: FloatArray
     sigma_rad: FloatArray
-    distance: FloatArray
-    support: FloatArray
-    weights: FloatArray
+    distance: FloatArray  # (m,) from the nearest known frame, scene depths plus radians; 0 where not measured
+    support: FloatArray  # (m, e) positive numbers that grow with the probability of an inlier
+    weights: FloatArray  # (m,) in learning that probability
 
 
 def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | None:
-    """Learn the model; None from fewer than twenty estimates near the truth.
+    """Fit the model; None from fewer than twenty estimates near the truth.
 
-    Parameters
-    ----------
-    errors
-        Of estimates to which the true pose was hidden.
-    same_place_m
-        An estimate further off is of another place: its error does not count among errors of measurement.
+    An estimate more than `same_place_m` off is of another place: an outlier, not an error of measurement.
     """
     near = (errors.error_m < same_place_m) & (errors.error_rad < ERROR_MODEL.same_orientation_rad)
     if near.sum() < ERROR_MODEL.least_estimates:
@@ -106,7 +85,7 @@ def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | 
 
 
 def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> tuple[float, float, float]:
-    """Factor, power of the predicted sigma, power of the distance; the distance first, which explains more."""
+    """Factor, exponent of the predicted sigma, exponent of the distance, which is fitted first: it explains more."""
     by_distance = _growth(errors, distance)
     left = errors / distance**by_distance
     growth = _growth(left, sigmas)
@@ -116,7 +95,7 @@ def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> 
 
 
 def _growth(errors: FloatArray, cause: FloatArray) -> float:
-    """The power of a cause (n,) with which errors (n,) grow, 0 to 2: the median slope of the logarithms."""
+    """Exponent, 0 to 2, with which errors (n,) grow with a cause (n,): the median slope of the logarithms."""
     there = (errors > 0) & (cause > 0)
     x, y = np.log(cause[there]), np.log(errors[there])
     if len(x) < 2 or np.ptp(x) == 0:
@@ -126,22 +105,20 @@ def _growth(errors: FloatArray, cause: FloatArray) -> float:
     return float(np.clip(theilslopes(y, x)[0], 0, ERROR_MODEL.max_growth))
 
 
-def _inlier_odds(
-    log_support: FloatArray, inlier: npt.NDArray[np.bool_], weights: FloatArray
-) -> tuple[float, tuple[float, ...]]:
-    """Offset and slopes of the log odds; one inlier and one outlier are added, so that neither is ever certain."""
+def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray) -> tuple[float, tuple[float, ...]]:
+    """Offset and slopes of the log odds; one inlier and one outlier are added, so that no probability is 0 or 1."""
     middle = np.median(log_support, axis=0)
     x = np.concatenate((log_support, [middle, middle]))
     from sklearn.linear_model import LogisticRegression  # noqa: PLC0415 - a second to import; only learning needs it
 
     inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
-    kept = list(range(x.shape[1]))
-    while kept:
-        found = LogisticRegression().fit(x[:, kept], inlier, sample_weight=weights)
+    used = list(range(x.shape[1]))
+    while used:
+        found = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
         if (found.coef_[0] >= 0).all():
             slopes = np.zeros(x.shape[1])
-            slopes[kept] = found.coef_[0]
+            slopes[used] = found.coef_[0]
             return float(found.intercept_[0]), tuple(slopes.tolist())
         # support never lowers the probability of an inlier: a negative slope comes from too few outliers
-        kept.pop(int(np.argmin(found.coef_[0])))
+        used.pop(int(np.argmin(found.coef_[0])))
     return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]

@@ -1,4 +1,4 @@
-"""What is looked at in an image: features of the network, and local features where they were extracted."""
+"""What pose sources see of an image: features of the network and, where they were extracted, local features."""
 
 from __future__ import annotations
 
@@ -8,25 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray
+
 from .errors import LocalizationError
 from .local_features import LocalFeatures
 
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """All that pose sources may look at in n images.
+    """What pose sources see of n images.
 
     Attributes
     ----------
     features
         (n, F) of the network, see :class:`~conformodal.vision.backbone.Backbone`.
     local_features
-        Of each image; None where they were not extracted.
-
-    Raises
-    ------
-    LocalizationError
-        If there are not as many local features as images.
+        Image by image; None where they were not extracted.
     """
 
     features: npt.NDArray[np.float32]
@@ -42,7 +39,7 @@ class FrameEvidence:
         return len(self.features)
 
     @property
-    def has_local_features(self) -> npt.NDArray[np.bool_]:
+    def has_local_features(self) -> BoolArray:
         """(n,) whether local features of each image were extracted."""
         if not self.local_features:
             return np.zeros(len(self), dtype=np.bool_)

@@ -1,8 +1,8 @@
 """Fusion of the estimates of one image into a mixture of pose hypotheses: a linear opinion pool (Stone 1961).
 
-Sources of one image are not independent, so probabilities are added and never multiplied: an estimate counts as much
-as it is probably an inlier, the softmax as much as all estimates are probably outliers. Where estimates of two sources
-agree, the product of their normal densities refines the later one, without a gain of probability.
+The sources are not independent, so probabilities are added, never multiplied: an estimate is weighted by its inlier
+probability, the softmax by the probability that all estimates are outliers. Where estimates of two sources agree, the
+product of their normal densities replaces the later one, which makes it more precise, not more probable.
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.settings import CANDIDATES
 
@@ -38,20 +37,13 @@ class Mixture:
     """
 
     candidates: Candidates
-    measured: npt.NDArray[np.bool_]
+    measured: BoolArray
 
 
 def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]], volume_m3: float) -> Mixture:
-    """The mixture of one image.
+    """The mixture of one image from the modes of the softmax and the estimates, source by source.
 
-    Parameters
-    ----------
-    modes
-        Of the softmax.
-    answers
-        Estimates source by source; of one source's, at most one is right.
-    volume_m3
-        Of all positions that are possible.
+    Of one source's estimates, at most one is right. `volume_m3` is that of all possible positions.
     """
     mixture = Mixture(modes, np.zeros(len(modes.log_mass), dtype=np.bool_))
     anywhere = float(-np.log(volume_m3 * _ROTATIONS))
@@ -118,7 +110,7 @@ def _single(estimate: PoseMeasurement, log_mass: float) -> Candidates:
     )
 
 
-def _most_probable(parts: Sequence[Candidates], measured: npt.NDArray[np.bool_]) -> Mixture:
+def _most_probable(parts: Sequence[Candidates], measured: BoolArray) -> Mixture:
     """All hypotheses, most probable first, without the improbable ones."""
     joined = Candidates.concatenate(parts).normalised()
     log_mass = joined.log_mass

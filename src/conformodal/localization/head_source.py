@@ -1,4 +1,4 @@
-"""A pose source that is one trained network: a softmax over bins for each target (the paper, section 2)."""
+"""The pose source that is a trained network head: a softmax over bins per target (the paper, section 2)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,7 @@ from .source_data import SourceData
 @register_source
 @dataclass(frozen=True, eq=False)
 class HeadSource:
-    """A head with a softmax for each target.
-
-    Attributes
-    ----------
-    head
-        Trained.
-    frames
-        (m,) frames that it was trained on.
-    """
+    """A trained head with a softmax per target, and the frames (m,) that it was trained on."""
 
     name: ClassVar[str] = "head"
     local: ClassVar[bool] = False
@@ -60,7 +52,7 @@ class HeadSource:
         return SourceAnswer(proba=self.head.predict_proba(evidence.features))
 
     def state(self) -> SourceState:
-        """The network's weights and shape."""
+        """The head's weights and shape."""
         settings = {"hidden": self.head.hidden, "outputs": list(self.head.outputs)}
         return SourceState({"frames": self.frames, **self.head.weights}, settings)
 

@@ -77,21 +77,21 @@ def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
 
 
 class Matcher:
-    """Matches between pairs of images, kept: the maps of several folds share images."""
+    """Matches between pairs of images, cached: the maps of several folds share images."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
+        self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
 
     def __call__(self, one: LocalFeatures, other: LocalFeatures) -> IntArray:
         """Matches (m, 2) of the descriptors of two images, see :func:`match`."""
-        key = id(one), id(other)  # which stay theirs, since the images are kept too
-        if key not in self._known:
-            self._known[key] = one, other, match(one.descriptors, other.descriptors)
-        return self._known[key][2]
+        key = id(one), id(other)  # unique, since the cache holds both images
+        if key not in self._cached:
+            self._cached[key] = one, other, match(one.descriptors, other.descriptors)
+        return self._cached[key][2]
 
 
 def product(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """``a @ b`` in one thread: idle threads of linear algebra spin, which slows a network beside them several times."""
+    """``a @ b`` in one thread: idle BLAS threads spin, which slows a network that runs at the same time."""
     with _threads().limit(limits=1, user_api="blas"):
         return a @ b
 

@@ -1,17 +1,16 @@
-"""Pose sources that learnt from the same frames, and the one belief that they give about an image."""
+"""Pose sources that learnt from the same frames, and their joint belief about an image."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray, RealArray
 from conformodal.reasoning.candidates import Candidates, mode_candidates
 
 from .belief import Beliefs, belief_cells
@@ -39,11 +38,6 @@ class Localizer:
         Of the seven targets.
     sign_reference
         (4,) quaternion that fixes the signs of quaternions.
-
-    Raises
-    ------
-    LocalizationError
-        If there is no source, or two have one name.
     """
 
     sources: tuple[PoseSource, ...]
@@ -57,15 +51,10 @@ class Localizer:
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray, names: Sequence[str], fitted: Sequence[PoseSource] = ()) -> Self:
-        """Fit sources on `frames` (m,), which alone they look at; a source that these do not allow is left out.
+        """Fit the named sources on `frames` (m,) alone; a source that cannot be fitted on them is left out.
 
-        A source among `fitted` that learnt from exactly these frames is taken as it is. The caller knows that it would
-        become the same again.
-
-        Raises
-        ------
-        LocalizationError
-            If a name is unknown, or no source can be fitted.
+        A source among `fitted` that learnt from exactly these frames is reused: the caller knows that fitting it again
+        would give the same.
         """
         there = {source.name: source for source in fitted if np.array_equal(source.frames, frames)}
         found = [there[name] if name in there else find_source(name).fit(data, frames) for name in names]
@@ -74,12 +63,12 @@ class Localizer:
 
     @property
     def frames(self) -> IntArray:
-        """Frames of the training data that any source has seen, increasing."""
+        """Frames of the training data that at least one source has seen, increasing."""
         return np.unique(np.concatenate([source.frames for source in self.sources]))
 
     @property
     def local(self) -> bool:
-        """Whether a source looks at local features."""
+        """Whether a source uses local features."""
         return any(source.local for source in self.sources)
 
     @cached_property
@@ -88,7 +77,7 @@ class Localizer:
         return belief_cells(self.bins)
 
     def find(self, kind: type[Source]) -> Source | None:
-        """The source of a kind, or None."""
+        """The source of a class, or None."""
         return next((source for source in self.sources if isinstance(source, kind)), None)
 
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
@@ -102,7 +91,7 @@ class Localizer:
         return Beliefs(proba, mixtures, [[one for its in local for one in its[i]] for i in range(len(evidence))])
 
     def update(self, modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mixture:
-        """The mixture of one image, from candidates of any origin and absolute pose estimates, source by source."""
+        """The mixture of one image, from candidates and absolute pose estimates, source by source."""
         volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
         return fuse(modes, answers, volume)
 
@@ -111,13 +100,13 @@ class Localizer:
         return beliefs.marginals(self.bins, self.cells, self.sign_reference)
 
     def marginals_by_part(self, beliefs: Beliefs) -> Iterator[tuple[slice, list[FloatArray]]]:
-        """The marginals part by part, with the rows of each part: those of all images at once would be large."""
+        """The marginals in chunks of images, with the rows of each chunk: all at once would take much memory."""
         for start in range(0, max(len(beliefs), 1), _IMAGES_AT_A_TIME):
             rows = slice(start, start + _IMAGES_AT_A_TIME)
             yield rows, self.marginals(beliefs.part(rows))
 
-    def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[npt.NDArray[np.floating[Any]]]:
-        """The mean of the sources' softmaxes; where none has one, the training frames' own distribution."""
+    def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[RealArray]:
+        """The mean of the sources' softmaxes; the distribution of the training frames where no source has one."""
         given = [answer.proba for answer in answers if answer.proba is not None]
         if not given:
             return [np.full((n, k), 1 / k) for k in self.bins.sizes]

@@ -1,8 +1,8 @@
-"""The one interface of all pose sources: of everything that estimates where an image was taken.
+"""The interface of pose sources: what estimates where an image was taken.
 
-A pose source learns from named frames, answers about images, and is stored as arrays and JSON. It names the frames it
-has seen: a region's guarantee rests on calibration frames that no source has seen. A new source is a class with the
-four methods of :class:`PoseSource`, made known with :func:`register_source`.
+A pose source is fitted on given frames, estimates the poses of images, and is stored as arrays and JSON. It names the
+frames it has seen, since the coverage guarantee needs calibration frames that no source has seen. A new source is a
+class with the four methods of :class:`PoseSource`, registered with :func:`register_source`.
 """
 
 from __future__ import annotations
@@ -12,17 +12,14 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar, Protocol, Self
 
-import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import IntArray, RealArray
 
 from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .measurement import PoseMeasurement
 from .source_data import SourceData
-
-FloatArray = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +29,12 @@ class SourceAnswer:
     Attributes
     ----------
     proba
-        Seven arrays (n, K_j) over the source's bins, see :attr:`SourceData.bins_of`; None for a source that has none.
+        Seven arrays (n, K_j) over the source's bins, see :attr:`SourceData.bins_of`; None from a source without them.
     measurements
-        Of each image. Of several of one image, at most one is right.
+        Image by image; of several of one image, at most one is right.
     """
 
-    proba: list[FloatArray] | None = None
+    proba: list[RealArray] | None = None
     measurements: Sequence[Sequence[PoseMeasurement]] = ()
 
 
@@ -50,16 +47,16 @@ class SourceState:
 
 
 class PoseSource(Protocol):
-    """Something that learnt from frames with known poses, and says where other images were taken.
+    """Estimates the poses of images, after learning from frames with known poses.
 
     Attributes
     ----------
     name
-        By which models and the command line know it.
+        In saved models and on the command line.
     local
-        Whether it looks at local features; its answers are left out where these were not extracted.
+        Whether it uses local features; its answers are left out where these were not extracted.
     frames
-        (m,) the training data's frames that it has seen, increasing.
+        (m,) frames of the training data that it has seen, increasing.
     """
 
     name: ClassVar[str]
@@ -72,11 +69,11 @@ class PoseSource(Protocol):
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
-        """Learn from `frames` (m,) of the data and look at no other; None where they do not allow it."""
+        """Learn from `frames` (m,) of the data and from no other; None where it cannot be fitted on them."""
         ...
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
-        """Its estimates of n images."""
+        """Estimate the poses of n images."""
         ...
 
     def state(self) -> SourceState:
@@ -94,12 +91,12 @@ _KINDS: dict[str, type[PoseSource]] = {}
 
 
 def register_source(kind: type[PoseSource]) -> type[PoseSource]:
-    """Make a kind of source known by its name; also usable as a decorator.
+    """Register a class of sources by its name; also usable as a decorator.
 
     Raises
     ------
     LocalizationError
-        If another kind has that name, or the name is not one of letters, digits, ``_`` and ``-``.
+        If another class has that name, or the name is not one of letters, digits, ``_`` and ``-``.
     """
     if not kind.name.replace("-", "_").isidentifier():  # names arrays of a saved model
         raise LocalizationError(f"a pose source's name must be of letters, digits, _ and -, got {kind.name!r}")
@@ -110,13 +107,7 @@ def register_source(kind: type[PoseSource]) -> type[PoseSource]:
 
 
 def find_source(name: str) -> type[PoseSource]:
-    """The kind of source with a name.
-
-    Raises
-    ------
-    LocalizationError
-        If there is none.
-    """
+    """The class of sources with a name."""
     _import_built_in(name)
     if name not in _KINDS:
         raise LocalizationError(
@@ -126,6 +117,6 @@ def find_source(name: str) -> type[PoseSource]:
 
 
 def _import_built_in(name: str) -> None:
-    """Kinds of this package register themselves when they are first asked for."""
+    """The classes of this package register themselves when they are first asked for."""
     if name in _BUILT_IN:
         import_module(_BUILT_IN[name], __package__)

@@ -1,4 +1,4 @@
-"""What pose sources learn from: frames with known poses, and computations that all sources share."""
+"""What pose sources learn from: frames with known poses, and features that several sources share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.choices import as_member
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence, SplitKind, held_out_together
@@ -25,7 +25,7 @@ from .local_features import LocalFeatures, Matcher, extract_local_features
 
 @dataclass(eq=False)
 class SourceData:
-    """Frames of a sequence, as pose sources see them. A source looks at the frames that it is fitted on alone.
+    """The training frames, as pose sources see them. A source uses only the frames that it is fitted on.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class SourceData:
     sign_reference
         (4,) quaternion that fixes the signs of quaternions.
     split
-        How frames are held out: what is left out together to learn how large errors are.
+        How frames are held out, which decides what is left out together to learn the sizes of errors.
     depth_m
         Median depth of what the camera sees; NaN where it is not known.
     n_bins, margin, sigma_bins
@@ -46,15 +46,15 @@ class SourceData:
     training
         Of networks.
     checkpoint_dir
-        Where networks keep their state while they are trained; None keeps nothing.
+        Where networks store their state while they are trained; None stores nothing.
     progress
-        Called with the stage, what is done and what is to be done.
+        Called with the stage, steps done and steps in all.
     """
 
     sequence: Sequence
     features: npt.NDArray[np.float32]
-    targets: npt.NDArray[np.float64]
-    sign_reference: npt.NDArray[np.float64]
+    targets: FloatArray
+    sign_reference: FloatArray
     split: SplitKind = SplitKind.INTERLEAVED
     depth_m: float = math.nan
     n_bins: int = 50
@@ -76,7 +76,7 @@ class SourceData:
 
     @cached_property
     def pieces(self) -> IntArray:
-        """(n,) labels: frames of one piece are left out together, as the split holds them out."""
+        """(n,) labels: frames with the same label are left out together, as the split holds them out."""
         return held_out_together(self.sequence.recording, self.split, given_test=self.sequence.given_test)
 
     @cached_property
@@ -85,17 +85,7 @@ class SourceData:
         return held_out_together(self.sequence.recording, SplitKind.BLOCKS)
 
     def projection(self, frames: IntArray, components: int | None, *, whole: bool = False) -> Projection:
-        """Principal components of some frames' features, fitted once.
-
-        Parameters
-        ----------
-        frames
-            Frames that it may know.
-        components
-            See :func:`~conformodal.vision.projection.fit_projection`.
-        whole
-            Whether the global descriptor that features end in counts too, beside the network's map.
-        """
+        """Principal components of some frames' features, cached; `whole` adds the global descriptor to the map."""
         key = (frames.tobytes(), components, whole)
         if key not in self._projections:
             views = feature_views(self.features.shape[1])
@@ -104,13 +94,7 @@ class SourceData:
         return self._projections[key]
 
     def local_features(self, frames: IntArray) -> list[LocalFeatures]:
-        """Local features of some frames, extracted once.
-
-        Raises
-        ------
-        ImageError
-            If an image cannot be read; names the file.
-        """
+        """Local features of some frames, cached."""
         report = stage_of(self.progress, "local features")
         missing = [i for i in frames.tolist() if i not in self._local_features]
         for done, i in enumerate(missing, start=1):

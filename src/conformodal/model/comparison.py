@@ -1,4 +1,4 @@
-"""Whether the sources of a model score new frames as those did that calibrated it."""
+"""Comparison of a model's sources with the sources of the folds, whose scores calibrated it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ _SIGMAS = 2
 
 @dataclass(frozen=True)
 class SourceComparison:
-    """Held-out frames answered twice: by the sources of the model, and by sources that lacked a fold of the stretches.
+    """Held-out frames answered twice: by the sources of the model, and by sources of the folds, each without one fold.
 
-    Calibration by stretches takes the scores of the latter for those of the former. Smaller errors of the former are
-    not enough: if they claim an even smaller spread, their scores are larger, and their regions hold too few poses.
+    Calibration by stretches assumes that the scores of both are alike. Smaller errors of the model's sources are not
+    enough: if their predicted spread is too small, their scores are larger, and their regions contain too few poses.
 
     Attributes
     ----------
     n_frames
         Frames that neither had seen and that show a known place.
     n_both, n_model_only, n_folds_only
-        Frames whose pose is held by both regions at the model's thresholds, by that of the model's sources only, and by
-        that of the others only.
+        Frames whose pose is contained in both regions, in that of the model's sources only, in the other only.
     larger
         Share of frames in which the model's sources have the larger score.
     """
@@ -36,13 +35,13 @@ class SourceComparison:
 
     @property
     def covered(self) -> tuple[float, float]:
-        """Share of poses held by the regions of the model's sources, and of the others."""
+        """Share of poses in the regions of the model's sources, and in those of the folds' sources."""
         held = self.n_both + self.n_model_only, self.n_both + self.n_folds_only
         return held[0] / self.n_frames, held[1] / self.n_frames
 
     @property
     def too_sure(self) -> bool:
-        """Whether the model's sources hold fewer poses, by more than two standard errors of independent frames."""
+        """Whether the model's regions contain fewer poses, by more than two standard errors of independent frames."""
         return self.n_folds_only - self.n_model_only > _SIGMAS * sqrt(self.n_folds_only + self.n_model_only)
 
     def describe(self) -> str:

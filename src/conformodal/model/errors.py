@@ -1,4 +1,4 @@
-"""Errors of the odometry floor."""
+"""Errors of models, their files, and results."""
 
 from __future__ import annotations
 

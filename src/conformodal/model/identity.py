@@ -1,4 +1,4 @@
-"""Recognising the frames that a model was trained on: by pixels and poses, whatever their files are called."""
+"""Recognising the frames that a model was trained on, by pixels and poses whatever the names of their files."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.datasets import ImageError, Sequence, read_image
 from conformodal.poses import angle_between_quats
 
@@ -25,19 +26,18 @@ _MOST_DECODED = 200_000
 
 @dataclass(frozen=True, eq=False)
 class FrameMatches:
-    """Where known frames are in a sequence.
+    """Indices (n,) in a sequence of frames that match known frames; -1 without a match.
 
     Attributes
     ----------
     at
-        (n,) index in the sequence of the frame with a known frame's pixels and, where it has one, its pose; -1 where
-        there is none. No two known frames share one.
+        With the same pixels and, if both have one, the same pose. No two known frames share a match.
     moved
-        (n,) where `at` is -1, index of a frame with the known frame's pixels and another pose; else -1.
+        Where `at` is -1: with the same pixels and another pose.
     """
 
-    at: npt.NDArray[np.int64]
-    moved: npt.NDArray[np.int64]
+    at: IntArray
+    moved: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +54,17 @@ class FrameIdentities:
 
     files: npt.NDArray[np.uint8]
     pixels: npt.NDArray[np.uint8]
-    poses: npt.NDArray[np.float64]
+    poses: FloatArray
 
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def take(self, frames: npt.NDArray[np.int64]) -> FrameIdentities:
+    def take(self, frames: IntArray) -> FrameIdentities:
         """Return the identities of some of the frames, in the order of their indices (m,)."""
         return FrameIdentities(self.files[frames], self.pixels[frames], self.poses[frames])
 
-    def known(self, others: FrameIdentities) -> npt.NDArray[np.bool_]:
-        """Which of the `others` (m,) have the pixels of one of these frames."""
+    def known(self, others: FrameIdentities) -> BoolArray:
+        """(m,) which of the `others` have the pixels of one of these frames."""
         mine = {row.tobytes() for row in self.pixels} - {_NOTHING}
         return np.array([row.tobytes() in mine for row in others.pixels], dtype=bool)
 
@@ -96,15 +96,9 @@ class FrameIdentities:
 
 
 def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameIdentities:
-    """Identities of a sequence's frames, in their order; of the files as they are, without the sequence's noise.
+    """Identities of a sequence's frames, from the files as they are, without the sequence's noise.
 
-    Parameters
-    ----------
-    sequence
-        What to look at.
-    known
-        Frames whose files need no decoding where they have not changed; another decoder's last digits do not matter
-        then either.
+    Files that are byte for byte those of `known` frames are not decoded, so another decoder's rounding does not matter.
     """
     decoded = (
         {} if known is None else {f.tobytes(): p.tobytes() for f, p in zip(known.files, known.pixels, strict=True)}
@@ -123,7 +117,7 @@ def identify(sequence: Sequence, known: FrameIdentities | None = None) -> FrameI
 
 
 def data_digest(sequence: Sequence) -> str:
-    """Digest of all that decides results on a data set: equal digests mean equal results."""
+    """Digest of everything in a data set that results depend on."""
     own = identify(sequence)
     digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
     for array in (own.pixels, own.poses, sequence.timestamps_s, sequence.recording):
@@ -134,7 +128,7 @@ def data_digest(sequence: Sequence) -> str:
 
 
 def _digests(path: Path, decoded: dict[bytes, bytes]) -> tuple[bytes, bytes]:
-    """Of an image's file and of its pixels."""
+    """Digests of an image's file and of its pixels."""
     try:
         of_file = hashlib.blake2b(path.read_bytes(), digest_size=_BYTES).digest()
         of_pixels = decoded.get(of_file) or _DECODED.get(of_file)
@@ -151,7 +145,7 @@ def _digests(path: Path, decoded: dict[bytes, bytes]) -> tuple[bytes, bytes]:
     return of_file, of_pixels
 
 
-def _same_pose(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> bool:
+def _same_pose(a: FloatArray, b: FloatArray) -> bool:
     if np.isnan(a).any() or np.isnan(b).any():
         return True
     near = np.linalg.norm(a[:3] - b[:3]) <= _TOLERANCE_M * max(1.0, float(np.linalg.norm(a[:3])))

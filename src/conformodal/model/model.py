@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.conformal.checks import Alpha
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Split
@@ -50,8 +50,8 @@ class Localization:
 
     beliefs: Beliefs
     regions: Regions
-    known_p: npt.NDArray[np.float64]
-    kinds: npt.NDArray[np.int64]
+    known_p: FloatArray
+    kinds: IntArray
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -59,7 +59,7 @@ class Localization:
         return [mixture.candidates for mixture in self.beliefs.mixtures]
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """(n,) whether each image shows a place that is known."""
         return np.asarray(self.kinds != EvidenceType.UNKNOWN)
 
@@ -128,7 +128,7 @@ class PoseModel:
         return self.localizer.bins
 
     @property
-    def sign_reference(self) -> npt.NDArray[np.float64]:
+    def sign_reference(self) -> FloatArray:
         """(4,) quaternion that fixes the signs of quaternions."""
         return self.localizer.sign_reference
 
@@ -162,7 +162,7 @@ class PoseModel:
         kinds = self.rules.kinds(p, evidence.has_local_features, beliefs.recognised)
         return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
 
-    def regions(self, beliefs: Beliefs, thresholds: npt.NDArray[np.floating[Any]]) -> Regions:
+    def regions(self, beliefs: Beliefs, thresholds: RealArray) -> Regions:
         """Level sets of n beliefs at thresholds (n, 7) of the score. All of one model's have the same bins."""
         parts = self.localizer.marginals_by_part(beliefs)
         return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])

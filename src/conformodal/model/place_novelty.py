@@ -1,4 +1,4 @@
-"""Does an image show a known place? A conformal novelty test on the network's features."""
+"""Whether an image shows a known place: a conformal novelty test on the network's features."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import NoveltyTest
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.localization.settings import NOVELTY
 from conformodal.vision.backbone import coarse_features
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceNovelty:
-    """Global descriptors of the frames that the sources learnt from, and their novelty scores when left out.
+    """The novelty test against the frames that the sources learnt from.
 
     Attributes
     ----------
     test
-        Its null hypothesis: the image is like frames (or stretches, or recordings) of the training data that were left
-        out. Its law is exact where these and the new image's are exchangeable, and the network was not trained on
-        them.
+        Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training
+        data. Its p-values are exact if the network was not trained on them.
     grid
         Rows and columns of the network's map, see :class:`~conformodal.vision.backbone.BackboneConfig`.
     """
@@ -32,23 +31,20 @@ class PlaceNovelty:
     grid: tuple[int, int]
 
     @classmethod
-    def fit(
-        cls, features: npt.NDArray[np.float32], pieces: npt.NDArray[np.int64], grid: tuple[int, int]
-    ) -> Self | None:
-        """From features (n, F) of frames, and labels (n,) of what is left out together; None for fewer than two."""
+    def fit(cls, features: npt.NDArray[np.float32], pieces: IntArray, grid: tuple[int, int]) -> Self | None:
+        """From features (n, F), and labels (n,) of what is left out together; None for fewer than two labels."""
         if len(np.unique(pieces)) < 2:
             return None
         return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
 
     def p_values(self, features: npt.NDArray[np.float32]) -> FloatArray:
-        """(n,) p-values of features (n, F); small ones speak for a place that is not known."""
+        """(n,) p-values of features (n, F); a small one indicates an unknown place."""
         return self.test.p_values(self.test.scores(_descriptors(features, self.grid)))
 
     def level(self, asked: float | None) -> float:
-        """The level that is asked for. A level below the least possible p-value flags no image as unknown.
+        """The significance level: the given one, or the default of :class:`~conformodal.model.config.ModelConfig`.
 
-        None asks for 0.015 where single frames were left out, and for 0.1 where stretches or recordings were, but at
-        least for the least p-value that so few pieces can give.
+        The default is at least the smallest possible p-value, since no image is flagged below it.
         """
         if asked is not None:
             return asked
@@ -57,5 +53,5 @@ class PlaceNovelty:
 
 
 def _descriptors(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float16]:
-    """Global descriptors of references and new images: rounded alike, or a picture would differ from itself."""
+    """Global descriptors of references and new images, rounded alike so that an image equals itself."""
     return coarse_features(features, grid).astype(np.float16)

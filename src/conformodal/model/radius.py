@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.conformal.checks import Alpha, as_alpha
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.choices import as_member
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
@@ -24,7 +24,7 @@ METRES_PER_RAD = 2.0
 
 
 class Guarantee(StrEnum):
-    """What holds with probability 1 - alpha in a new recording."""
+    """What is guaranteed in a new recording, with probability 1 - alpha."""
 
     FRAME = "frame"  # a frame of it, drawn at random, lies within the radius
     RECORDING = "recording"  # all its frames do
@@ -34,9 +34,9 @@ class Guarantee(StrEnum):
 class PoseRadius:
     """How far the true pose may be from the chosen one.
 
-    One threshold holds both errors: a pose is within where the larger of its angle and its distance over
-    `metres_per_rad` is at most the threshold, so no alpha is shared out between the two. The guarantee is exact because
-    `metres_per_rad` knows nothing of the true poses of the recordings that calibrate.
+    One threshold bounds both errors: a pose is within the radius if the larger of its angle and its distance over
+    `metres_per_rad` is at most the threshold, so alpha is not divided between the two. The guarantee is exact because
+    `metres_per_rad` does not depend on the true poses of the recordings that calibrate.
 
     Attributes
     ----------
@@ -44,19 +44,14 @@ class PoseRadius:
         Of the orientation; infinite where there were too few recordings. That of the position is `radius_m`.
     alpha
         Miscoverage rate of the two together.
-    promise
-        What holds with probability 1 - alpha.
+    guarantee
+        See :class:`Guarantee`.
     method
-        Whose answer it is about, one of :data:`~conformodal.running.paths.METHODS`.
+        The path that it is about, one of :data:`~conformodal.running.paths.METHODS`.
     n_recordings
-        Recordings behind it.
+        Recordings that calibrated it.
     metres_per_rad
-        How many metres of position weigh as much as one radian: the depth of the scene.
-
-    Raises
-    ------
-    OdometryError
-        If there is no such `guarantee`.
+        Metres of position that weigh as much as one radian: the depth of the scene.
     """
 
     radius_rad: float
@@ -82,14 +77,14 @@ class PoseRadius:
 
     @property
     def assumption(self) -> str:
-        """What the guarantee rests on, for people."""
+        """The guarantee and its assumption in a sentence."""
         what = "every frame" if self.guarantee is Guarantee.RECORDING else "a frame drawn at random"
         return (
             f"If a recording is exchangeable with the {self.n_recordings} that the radius was calibrated on, the true "
             f"pose of {what} of it is within the radius with probability at least {1 - self.alpha:g}."
         )
 
-    def holds(self, estimate: Trajectory, truth: Trajectory) -> npt.NDArray[np.bool_]:
+    def holds(self, estimate: Trajectory, truth: Trajectory) -> BoolArray:
         """Whether each true pose (n,) is within the radius of its estimate."""
         # the score that was calibrated, so that rounding puts nothing beyond a radius that it made
         return np.asarray(joint_error(*pose_errors(estimate, truth), self.metres_per_rad) <= self.radius_rad)
@@ -101,13 +96,7 @@ def depth_or_default(depth_m: float) -> float:
 
 
 def check_metres_per_rad(metres_per_rad: float) -> float:
-    """The same number, checked.
-
-    Raises
-    ------
-    OdometryError
-        If it is not positive and finite.
-    """
+    """The same number, refused unless it is positive and finite."""
     if not (metres_per_rad > 0 and np.isfinite(metres_per_rad)):
         raise OdometryError(f"metres_per_rad must be positive and finite, got {metres_per_rad}")
     return metres_per_rad
@@ -123,7 +112,7 @@ def recordings_needed(alpha: Alpha) -> int:
     return ceil(1 / as_alpha(alpha)) - 1
 
 
-def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Distances (n,) in metres and angles (n,) in radians between two trajectories of the same frames."""
     return position_errors_m(estimate, truth), np.radians(orientation_errors_deg(estimate, truth))
 
@@ -141,11 +130,11 @@ def fit_pose_radius(
     Parameters
     ----------
     errors
-        One pair of vectors a recording, metres and radians, see :func:`pose_errors`.
-    alpha, promise, method
+        One pair of vectors per recording, metres and radians, see :func:`pose_errors`.
+    alpha, guarantee, method
         See :class:`PoseRadius`.
     metres_per_rad
-        Must not be chosen by the true poses of these recordings.
+        Must not depend on the true poses of these recordings.
 
     Raises
     ------

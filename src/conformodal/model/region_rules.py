@@ -6,16 +6,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal
 from conformodal.conformal.checks import Alpha, as_alpha
-from conformodal.core.arrays import BoolArray
-
-FloatArray = npt.NDArray[np.floating[Any]]
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 
 class EvidenceType(IntEnum):
@@ -79,7 +75,7 @@ class RegionRules:
     overall: SplitConformal
     matched: SplitConformal | None
     recognised: BoolArray
-    known_p: npt.NDArray[np.float64]
+    known_p: FloatArray
     level: float
 
     @cached_property
@@ -123,9 +119,7 @@ class RegionRules:
             for kind, rule in self.own.items()
         }
 
-    def kinds(
-        self, known_p: npt.NDArray[np.float64], looked: BoolArray, recognised: BoolArray
-    ) -> npt.NDArray[np.int64]:
+    def kinds(self, known_p: FloatArray, looked: BoolArray, recognised: BoolArray) -> IntArray:
         """(m,) kinds of evidence of new images.
 
         Parameters
@@ -139,7 +133,7 @@ class RegionRules:
         kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
         return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
-    def thresholds(self, kinds: npt.NDArray[np.int64]) -> FloatArray:
+    def thresholds(self, kinds: IntArray) -> RealArray:
         """(m, 7) thresholds of images with these kinds of evidence."""
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
         for kind, rule in self.of.items():

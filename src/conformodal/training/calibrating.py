@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.calibration import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
-from conformodal.core.arrays import BoolArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.localization.belief import Beliefs, belief_cells
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.localizer import Localizer
@@ -25,14 +23,10 @@ from conformodal.model.region_rules import RegionRules
 
 from .folds import Folds
 
-FloatArray = npt.NDArray[np.floating[Any]]
-
 _MOST_COMPARED = 120  # each is answered twice
 
 
-def score_beliefs(
-    rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: npt.NDArray[np.float64]
-) -> FloatArray:
+def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: FloatArray) -> RealArray:
     """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images."""
     parts = localizer.marginals_by_part(beliefs)
     return np.concatenate([rule.score_samples(proba, targets[rows]) for rows, proba in parts])
@@ -72,9 +66,9 @@ def calibrate_regions(
         return made
 
     asked = as_joint(config.joint)
-    overall: list[FloatArray] = []
-    matched: list[FloatArray] = []
-    recognised: list[npt.NDArray[np.bool_]] = []
+    overall: list[RealArray] = []
+    matched: list[RealArray] = []
+    recognised: list[BoolArray] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
         targets, own = data.targets[frames], rule(localizer.cells, asked)
@@ -133,7 +127,7 @@ def compare_sources(
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_COMPARED)).round().astype(int))]
     known_p = np.ones(len(frames)) if novelty is None else novelty.p_values(data.features[frames])
 
-    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, FloatArray]:
+    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray]:
         local = () if rules.matched is None else data.local_features(frames[rows])
         images = FrameEvidence(data.features[frames[rows]], local)
         beliefs = own.beliefs(images)
@@ -194,7 +188,7 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
     return any(for_max <= rule.weight < for_each for rule in rules.own.values())
 
 
-def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> npt.NDArray[np.float64]:
+def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> FloatArray:
     """p-values of the calibration frames, each tested against the frames of other pieces."""
     if len(folds.folds) == 1:
         return novelty.p_values(data.features[folds.held_out])

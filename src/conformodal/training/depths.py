@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.robust import MAD_OF_NORMAL
@@ -44,7 +43,7 @@ def measure_depths(sequence: Sequence, frames: IntArray) -> tuple[float, float]:
     return float(np.exp(middle)), max(spread, DEPTHS.least_spread)
 
 
-def _stretches(frames: IntArray, recording: npt.NDArray[np.int64]) -> list[IntArray]:
+def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
     """Stretches of neighbouring training frames, each of one recording and without a gap far above the usual."""
     gaps = np.diff(frames)
     if gaps.size == 0:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence, Split
 from conformodal.localization.source_data import SourceData
@@ -35,8 +36,8 @@ class TrainingData:
     split: Split
     backbone: Backbone
     features: npt.NDArray[np.float32]
-    targets: npt.NDArray[np.float64]
-    sign_reference: npt.NDArray[np.float64]
+    targets: FloatArray
+    sign_reference: FloatArray
     _shared: SourceData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -63,6 +64,6 @@ class TrainingData:
             progress=progress,
         )
 
-    def projection(self, rows: npt.NDArray[np.int64], components: int | None, *, whole: bool = False) -> Projection:
+    def projection(self, rows: IntArray, components: int | None, *, whole: bool = False) -> Projection:
         """Principal components of some frames, see :meth:`SourceData.projection`."""
         return self._shared.projection(rows, components, whole=whole)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.localization.landmarks.mapping import build_map
-from conformodal.localization.landmarks.overlap import view_overlap
+from conformodal.localization.landmarks.mapping import build_map, view_overlap
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.settings import MAPPING
 from conformodal.poses import Trajectory

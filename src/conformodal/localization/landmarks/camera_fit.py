@@ -1,8 +1,7 @@
-"""Camera calibration from the given poses: its focal length, and its mounting on the rig whose poses are given.
+"""Camera calibration from known poses: the focal length, and the camera's pose on the rig whose poses are given.
 
-Poses of a data set often are those of another sensor (7-Scenes gives the depth camera's), and focal lengths nominal.
-Both bend a map. Matches between frames with known poses must lie on each other's epipolar lines: seven unknowns are
-found from thousands of them.
+The poses of a data set are often those of another sensor (7-Scenes gives the depth camera's), and its focal length is
+nominal; both distort a map. Matches between frames must lie on epipolar lines, which determines seven unknowns.
 """
 
 from __future__ import annotations
@@ -20,18 +19,10 @@ from conformodal.poses import PinholeCamera
 
 
 class Matches(NamedTuple):
-    """Corners seen by two frames.
+    """Corners seen by two frames."""
 
-    Attributes
-    ----------
-    frames
-        (m, 2) which frames.
-    pixels
-        (m, 2, 2) undistorted, in the one and in the other.
-    """
-
-    frames: IntArray
-    pixels: FloatArray
+    frames: IntArray  # (m, 2)
+    pixels: FloatArray  # (m, 2, 2) undistorted, in the one and in the other
 
 
 class Mounted(NamedTuple):
@@ -42,21 +33,10 @@ class Mounted(NamedTuple):
 
 
 def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
-    """The camera that brings matches nearest to their epipolar lines.
+    """The camera with the smallest epipolar errors of matches, by robust least squares.
 
-    Half of the matches are fitted, the other half must agree, and the camera must be near the given one: otherwise it
-    stays as it was given.
-
-    Parameters
-    ----------
-    matches
-        Some of them may be wrong.
-    poses_se3
-        (n, 4, 4) of the frames.
-    camera
-        As the data set has it.
-    depth_m
-        Of the scene.
+    It is fitted to half of the matches. Where it does not reduce the errors of the other half, or is far from the given
+    one, the given one is returned.
     """
     given = Mounted(replace(camera, distortion=()), np.eye(4))
     if len(matches.frames) < CAMERA_FIT.least:

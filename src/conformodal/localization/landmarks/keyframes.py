@@ -1,4 +1,4 @@
-"""Keyframes with their landmarks: place recognition by global descriptors, then PnP on matched local features."""
+"""A map of keyframes and landmarks: retrieval by global descriptors, then PnP on matched local features."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from conformodal.poses import PinholeCamera
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """Keyframes: frames with known poses, whose corners have places in the world.
+    """Keyframes, which are frames with known poses, and landmarks, which are their triangulated corners.
 
     Attributes
     ----------
@@ -40,10 +40,9 @@ class LandmarkMap:
     depth_m
         Median depth of the scene.
     corrections
-        (n, 6) the error of each keyframe's own pose estimate when its landmarks are left out: metres and a rotation
-        vector, world; NaN where there is no estimate. Rolling shutters, clocks and reference poses make neighbouring
-        errors alike, so that the weighted mean of neighbours is subtracted from an estimate; their scatter is part of
-        its standard deviation.
+        (n, 6) error of each keyframe's own estimate without its landmarks: metres and a rotation vector, world; NaN
+        without an estimate. Rolling shutters, clocks and reference poses correlate the errors of neighbours, so their
+        weighted mean is subtracted from an estimate; their scatter is part of its standard deviation.
     """
 
     camera: PinholeCamera
@@ -63,27 +62,17 @@ class LandmarkMap:
     def localize(
         self, image: LocalFeatures, hidden: BoolArray | None = None, most: int = RETRIEVAL.clusters
     ) -> list[PoseMeasurement]:
-        """Absolute pose estimates of an image: one PnP hypothesis per retrieval cluster.
+        """Absolute pose estimates of an image: one PnP hypothesis for each of the `most` similar retrieval clusters.
 
-        Standard deviations come from the reprojection residuals and from the scatter of the corrections. They are
-        proportional to the errors; the factor is learnt by
-        :class:`~conformodal.localization.error_model.ErrorModel`.
-
-        Parameters
-        ----------
-        image
-            From :func:`~conformodal.localization.local_features.extract_local_features`.
-        hidden
-            (n,) keyframes to leave out.
-        most
-            Clusters to match, in order of similarity.
+        Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
+        :class:`~conformodal.localization.error_model.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         found = (self._solve(image, near, shown) for near in self._retrieve(image.global_descriptor, shown)[:most])
         return [estimate for estimate in found if estimate is not None]
 
     def _retrieve(self, descriptor: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
-        """Keyframes similar to an image, clustered by position; the most similar cluster first."""
+        """Keyframes similar to an image, clustered by position, in order of similarity."""
         alike = product(self._descriptors, descriptor).astype(np.float64)
         alike[~shown | (np.diff(self.starts) < PNP.min_inliers)] = -np.inf
         order = np.argsort(-alike, kind="stable")[: RETRIEVAL.retrieved]
@@ -135,14 +124,14 @@ class LandmarkMap:
         )
 
     def _share_of_image(self, pixels: FloatArray) -> float:
-        """How much of the image pixels (m, 2) are spread over: an even spread covers it all."""
+        """Share of the image over which pixels (m, 2) are spread: 1 if evenly over all of it."""
         if len(pixels) < 3:
             return 0.0
         area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
         return float(area / (self.camera.width * self.camera.height))
 
     def _matched(self, image: LocalFeatures, near: IntArray) -> tuple[IntArray, FloatArray]:
-        """Rows of the image's corners, (m,), and the landmarks that they look like, (m, 3)."""
+        """Indices (m,) of the image's corners, and the landmarks (m, 3) that they match."""
         corners, points = [np.empty(0, np.int64)], [np.empty((0, 3))]
         for frame in near.tolist():
             mine = slice(self.starts[frame], self.starts[frame + 1])
@@ -152,11 +141,7 @@ class LandmarkMap:
         return np.concatenate(corners), np.concatenate(points)
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
-        """Errors of the keyframes nearby.
-
-        Returns the mean (6,), its spread between keyframes an axis, (2,) in m and rad, and how far the nearest keyframe
-        is, in units of the depth and radians.
-        """
+        """Errors of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the nearest one's distance."""
         apart = np.linalg.norm(self.poses_se3[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         apart += np.arccos(np.clip(self.poses_se3[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
         away = float(apart[shown].min())
@@ -172,7 +157,7 @@ class LandmarkMap:
     def _spreads(
         self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray
     ) -> tuple[float, float] | None:
-        """Spreads of position (metres) and rotation (radians) that the residuals make, per axis."""
+        """Standard deviations per axis of position (metres) and rotation (radians), propagated from the residuals."""
         local = (points - centre) @ R_world_cam
         depth = local[:, 2]
         if not (depth > 1e-6).all():

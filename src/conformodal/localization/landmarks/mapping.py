@@ -25,23 +25,7 @@ def build_map(
     progress: Progress | None = None,
     matcher: Matcher | None = None,
 ) -> LandmarkMap:
-    """Place the corners of frames with known poses in the world.
-
-    Parameters
-    ----------
-    features
-        n frames.
-    poses_se3
-        (n, 4, 4) their poses, ``T_world_cam``.
-    camera
-        As the data set has it.
-    depth_m
-        Median depth of the corners in view.
-    progress
-        Called with frames done and frames in all.
-    matcher
-        Of another map with some of these frames, whose pairs need not be looked for again.
-    """
+    """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
@@ -66,8 +50,27 @@ def build_map(
     )
 
 
+def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: float) -> FloatArray:
+    """Shares (n,) of what frame `i` sees that other frames see too, from their poses (n, 4, 4) ``T_world_cam``.
+
+    What it sees is a grid of pixels at half, once and twice the depth; occlusion is ignored.
+    """
+    # middles of cells: at the image's edges rounding would decide, and a frame would not see all that it sees
+    across, down = ((np.arange(count) + 0.5) * side / count for side, count in ((camera.width, 5), (camera.height, 4)))
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    rays = np.column_stack((camera.on_plane(pixels), np.ones(len(pixels))))
+    points = np.concatenate([rays * (depth_m * times) for times in (0.5, 1.0, 2.0)])
+    world = points @ poses_se3[i, :3, :3].T + poses_se3[i, :3, 3]
+    local = (world - poses_se3[:, None, :3, 3]) @ poses_se3[:, :3, :3]
+    ahead = local[..., 2] > 1e-6
+    plane = local[..., :2] / np.where(ahead, local[..., 2], 1.0)[..., None]
+    seen = plane * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    inside = ahead & (seen >= 0).all(axis=2) & (seen < (camera.width, camera.height)).all(axis=2)
+    return np.asarray(inside.mean(axis=1))
+
+
 def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
-    """For each frame, others that see the same things from elsewhere; the best first."""
+    """For each frame, others that see the same scene from other positions; the best first."""
     centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
     found = []
     for centre, ahead in zip(centres, forward, strict=True):

@@ -1,4 +1,4 @@
-"""The pose source that does PnP on landmarks, and what it learns of its own errors."""
+"""The pose source by PnP on landmarks, and the error model that it learns."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
 
 from .keyframes import LandmarkMap
-from .mapping import build_map
-from .overlap import view_overlap
+from .mapping import build_map, view_overlap
 
 _ARRAYS = ("T_pose_cam", "poses_se3", "global_descriptors", "starts", "points_xyz", "descriptors", "corrections")
 
@@ -30,17 +29,7 @@ _ARRAYS = ("T_pose_cam", "poses_se3", "global_descriptors", "starts", "points_xy
 @register_source
 @dataclass(frozen=True, eq=False)
 class LandmarkSource:
-    """A map of landmarks, and the errors of its estimates.
-
-    Attributes
-    ----------
-    map
-        Of the frames that it was fitted on, or 1000 of them.
-    frames
-        (m,) those frames.
-    errors
-        Learnt from frames that were hidden.
-    """
+    """A map of landmarks from `frames` (m,), or 1000 of them, and the error model of its estimates."""
 
     name: ClassVar[str] = "landmarks"
     local: ClassVar[bool] = True
@@ -51,7 +40,7 @@ class LandmarkSource:
 
     @property
     def summary(self) -> dict[str, float]:
-        """Numbers for the record."""
+        """Counts and focal length, for records and messages."""
         return {
             "n_keyframes": len(self.map.poses_se3),
             "n_landmarks": len(self.map.points_xyz),
@@ -60,7 +49,7 @@ class LandmarkSource:
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
-        """Map the frames; None where depths are not known, or too few frames can be localised."""
+        """Map the frames; None where the scene's depth is not known, or too few frames can be localised."""
         if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
@@ -90,22 +79,9 @@ class LandmarkSource:
         progress: Progress | None = None,
         matcher: Matcher | None = None,
     ) -> Self | None:
-        """Map n images with known poses, and learn the sizes of errors by hiding images from the map.
+        """Map n images with known poses, and learn the error model by hiding images from the map.
 
-        Parameters
-        ----------
-        features, truth
-            Of n images.
-        groups
-            Vectors (n,): images of one group are hidden together when one of them is left out; pieces and stretches.
-        camera, depth_m
-            See :func:`build_map`.
-        frames
-            That the images are of.
-        progress
-            Called with what is done and what is to be done.
-        matcher
-            See :func:`build_map`.
+        Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
         """
         n = len(features)
         left_out = np.unique(np.linspace(0, n - 1, min(n, MAPPING.left_out)).round().astype(np.int64))
@@ -120,7 +96,7 @@ class LandmarkSource:
         return None if errors is None else cls(corrected, frames, errors)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
-        """One estimate per retrieval cluster; none of images whose local features were not extracted."""
+        """One estimate per retrieval cluster; none for images without local features."""
         if not evidence.local_features:
             return SourceAnswer(measurements=[[] for _ in evidence.features])
         return SourceAnswer(measurements=[[] if f is None else self.localize(f) for f in evidence.local_features])
@@ -149,7 +125,7 @@ class LandmarkSource:
 def _corrections(
     plain: LandmarkMap, features: Sequence[LocalFeatures], truth: Trajectory, progress: Progress | None
 ) -> FloatArray:
-    """Errors (n, 6) of the keyframes' own estimates, each with itself left out; NaN for outliers."""
+    """Errors (n, 6) of the keyframes' own estimates, each with the keyframe left out; NaN for outliers."""
     found = np.full((len(features), 6), np.nan)
     for i, image in enumerate(features):
         hidden = np.zeros(len(features), dtype=bool)
@@ -175,7 +151,7 @@ def _fit_errors(
     left_out: IntArray,
     progress: Progress | None,
 ) -> ErrorModel | None:
-    """Learn errors from frames that are localised with their piece, stretch or surroundings hidden from the map."""
+    """Fit the error model to frames localised with their piece, stretch or surroundings hidden from the map."""
     rows = []
     for k, i in enumerate(left_out.tolist()):
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)

@@ -11,28 +11,18 @@ from conformodal.localization.settings import MAPPING
 
 
 class Rays(NamedTuple):
-    """Corners of one frame, the first camera, and where k - 1 others see them.
+    """n corners as k cameras see them; they are corners of the first camera's frame."""
 
-    Attributes
-    ----------
-    plane
-        (n, k, 2) on the plane at depth 1 of each camera; of no meaning where `seen` is False.
-    seen
-        (n, k).
-    R_world_cam, centres
-        (k, 3, 3) and (k, 3) of the cameras.
-    """
-
-    plane: FloatArray
-    seen: BoolArray
-    R_world_cam: FloatArray
-    centres: FloatArray
+    plane: FloatArray  # (n, k, 2) on the plane at depth 1 of each camera, where seen
+    seen: BoolArray  # (n, k)
+    R_world_cam: FloatArray  # (k, 3, 3)
+    centres: FloatArray  # (k, 3)
 
 
 def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
-    """Points (n, 3) nearest to their rays, and which of them (n,) can be relied on.
+    """Points (n, 3) nearest to their rays, and which of them (n,) are reliable.
 
-    Robust least squares over the distances from the rays, as angles. A point counts if the first camera and another
+    Robust least squares over the angles between points and rays. A point is reliable if the first camera and another
     one agree on it within the tolerance (radians), it lies in front of both, and their rays differ by 2.5 degrees.
     """
     n, k = rays.seen.shape
@@ -40,7 +30,7 @@ def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
     seen = rays.seen & (_off_epipolar(rays, local) < tolerance)
     world = _each(local, rays.R_world_cam.transpose(0, 2, 1))
     world /= np.linalg.norm(world, axis=2, keepdims=True)
-    # what lies across a ray is what is left without the part along it: I - w w'
+    # I - w w' projects onto the plane across a ray
     across = rays.centres - world * (world * rays.centres).sum(axis=2, keepdims=True)
     weights = seen.astype(np.float64)
     for _ in range(MAPPING.iterations):

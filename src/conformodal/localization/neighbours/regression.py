@@ -1,9 +1,8 @@
-"""Locally linear regression: an estimate from the nearest reference samples, one for each place they are at.
+"""Locally linear regression (Cleveland 1979) among the nearest reference samples, with one answer per place.
 
-Among a handful of samples that look alike, targets are nearly linear in features; a ridge regression there is finer
-than any network of the whole (Cleveland 1979). Samples that look alike may come from several places: neighbours are
-told apart by their targets first, and every place gets a regression and an answer of its own, here or there and
-never in between.
+Among a few samples that look alike, targets are nearly linear in features. Samples that look alike may come from
+several places: neighbours are clustered by their targets first, and each cluster gets a regression of its own, so that
+no answer is the mean of two places.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import Projection
@@ -24,39 +23,26 @@ _CHUNK = 256  # queries at once: their neighbours' features are copied
 
 @dataclass(frozen=True)
 class LocalSettings:
-    """How to regress.
+    """Settings of the regression."""
 
-    Attributes
-    ----------
-    components
-        Leading principal components that distances and slopes are taken in.
-    neighbours
-        Samples of one regression.
-    ridge
-        On the slope, in units of the neighbours' own spread.
-    radius
-        Samples this near to each other are one place, in units of the targets' spread; None takes all neighbours for
-        one place.
-    """
-
-    components: int
-    neighbours: int
-    ridge: float
-    radius: float | None
+    components: int  # leading principal components of the features
+    neighbours: int  # samples of one regression
+    ridge: float  # penalty on the slope, in units of the neighbours' own spread
+    radius: float | None  # of a place, in units of the targets' spread; None takes all neighbours for one place
 
 
 @dataclass(frozen=True, eq=False)
 class LocalAnswers:
-    """Estimates for each query, one for each place that its neighbours are at.
+    """Estimates for m queries, one for each of up to P places.
 
     Attributes
     ----------
     values
-        (m, P, d) targets, one row a place.
+        (m, P, d) targets.
     weights
-        (m, P) that sum to one; places that are not there weigh nothing.
+        (m, P) that sum to one; 0 for places that a query does not have.
     novelty
-        (m,) distance from a query to the span of its nearest place, in features: how little its neighbours explain it.
+        (m,) distance in features from a query to the span of its neighbours at the nearest place.
     """
 
     values: FloatArray
@@ -71,31 +57,12 @@ class LocalAnswers:
 
 @dataclass(frozen=True, eq=False)
 class LocalRegression:
-    """Reference samples, and how to regress among them.
-
-    Attributes
-    ----------
-    projection
-        Of features.
-    references
-        (n, k) projected features.
-    targets
-        (n, d).
-    target_scale
-        (d,) in which distances between targets are measured.
-    settings
-        See :class:`LocalSettings`; its components are at most k.
-
-    Raises
-    ------
-    LocalizationError
-        If shapes do not fit.
-    """
+    """Local regression among n reference samples."""
 
     projection: Projection
-    references: npt.NDArray[np.float32]
-    targets: FloatArray
-    target_scale: FloatArray
+    references: npt.NDArray[np.float32]  # (n, k) projected features
+    targets: FloatArray  # (n, d)
+    target_scale: FloatArray  # (d,) units of distances between targets
     settings: LocalSettings
 
     def __post_init__(self) -> None:
@@ -106,7 +73,7 @@ class LocalRegression:
 
     @property
     def size(self) -> int:
-        """How many numbers are stored."""
+        """Number of stored values."""
         return self.references.size + self.targets.size
 
     def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
@@ -126,9 +93,7 @@ class LocalRegression:
             return LocalAnswers(empty, empty[:, :, 0], empty[:, 0, 0])
         return LocalAnswers(*(np.concatenate(found) for found in zip(*parts, strict=True)))
 
-    def _answer(
-        self, queries: FloatArray, excluded: npt.NDArray[np.bool_] | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _answer(self, queries: FloatArray, excluded: BoolArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
         how = self.settings
         queries, known = queries[:, : how.components], self.references[:, : how.components].astype(np.float64)
         square = (known**2).sum(axis=1) - 2 * queries @ known.T + (queries**2).sum(axis=1)[:, None]
@@ -161,8 +126,8 @@ class LocalRegression:
         total = weights.sum(axis=1, keepdims=True)
         return values, weights / np.where(total > 0, total, 1), novelty
 
-    def _places(self, near: npt.NDArray[np.int64], there: npt.NDArray[np.bool_], radius: float) -> npt.NDArray[Any]:
-        """(m, crowd) each neighbour's place, below 0 for none: the nearest free neighbour gathers those by it."""
+    def _places(self, near: IntArray, there: BoolArray, radius: float) -> npt.NDArray[Any]:
+        """(m, crowd) place of each neighbour, below 0 for none: the nearest one without a place starts the next."""
         where = self.targets[near] / self.target_scale
         place = np.where(there, -1, -2)
         for p in range(NEIGHBOURS.places):

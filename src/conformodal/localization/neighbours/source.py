@@ -1,4 +1,4 @@
-"""A pose source without a network of its own: local regression among the most similar training frames."""
+"""The pose source by local regression among the most similar training frames."""
 
 from __future__ import annotations
 
@@ -28,32 +28,20 @@ from .tuning import LeftOut, fit_local
 @register_source
 @dataclass(frozen=True, eq=False)
 class NeighbourSource:
-    """A local regression, and the errors that it made of frames that were left out.
-
-    Attributes
-    ----------
-    regression
-        Among the frames that it was fitted on.
-    frames
-        (m,) those frames.
-    typical, limit
-        Median and upper end of the novelty of left-out frames.
-    errors
-        How errors grow with novelty.
-    """
+    """A local regression among `frames` (m,), and its errors on frames that were left out."""
 
     name: ClassVar[str] = "neighbours"
     local: ClassVar[bool] = False
 
     regression: LocalRegression
     frames: IntArray
-    typical: float
-    limit: float
-    errors: ErrorModel
+    typical: float  # median novelty of left-out frames
+    limit: float  # its upper end
+    errors: ErrorModel  # as a function of novelty
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
-        """Choose the regression's settings by leaving pieces out; None where there is nothing to leave out."""
+        """Choose the settings of the regression by leaving pieces out; None where there is only one piece."""
         features, targets, pieces = data.features[frames], data.targets[frames], data.pieces[frames]
         if len(np.unique(pieces)) < 2 or not np.ptp(features, axis=0).any():
             return None
@@ -69,15 +57,7 @@ class NeighbourSource:
 
     @classmethod
     def of(cls, regression: LocalRegression, left_out: LeftOut, frames: IntArray) -> Self | None:
-        """A source from a regression and its answers about frames left out; None where these are too few.
-
-        Parameters
-        ----------
-        regression, left_out
-            From :func:`~conformodal.localization.neighbours.tuning.fit_local`.
-        frames
-            That it was fitted on.
-        """
+        """A source from what :func:`.fit_local` found among `frames`; None where too few frames were left out."""
         answers, truth = left_out.answers, regression.targets[left_out.rows]
         typical = max(float(np.median(answers.novelty)), 1e-9)
         novelty = _relative(answers, typical)
@@ -97,7 +77,7 @@ class NeighbourSource:
         return None if errors is None else cls(regression, frames, typical, limit, errors)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
-        """One estimate for each place that the nearest frames come from."""
+        """One estimate per place that the nearest frames come from."""
         found = self.regression.predict(evidence.features)
         novelty = _relative(found, self.typical)
         rows = zip(found.values, found.weights, novelty.tolist(), strict=True)
@@ -110,7 +90,7 @@ class NeighbourSource:
                 values[k, :3], normalise_quat(values[k, 3:]), novelty, novelty, self.regression.settings.neighbours
             )
             one = self.errors.apply(raw, 1 / novelty)
-            # weights are shares of one answer: more places do not make it likelier that all are wrong
+            # weights are shares of one answer: with more places it is not more probable that all are wrong
             odds = (
                 one.inlier_probability / (1 - one.inlier_probability) * beyond**-NEIGHBOURS.distrust * float(weights[k])
             )

@@ -1,4 +1,4 @@
-"""Choosing how to regress locally, by leaving groups of reference samples out."""
+"""Settings of the local regression, chosen by leaving groups of reference samples out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import fit_projection
@@ -25,17 +25,9 @@ LOCAL_CHOICES = tuple(
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Estimates of samples by a local regression that could not see their group.
+    """Estimates of samples by a local regression that could not see their group."""
 
-    Attributes
-    ----------
-    rows
-        (m,) the samples that were asked.
-    answers
-        To them.
-    """
-
-    rows: npt.NDArray[np.int64]
+    rows: IntArray  # (m,) of the samples
     answers: LocalAnswers
 
 
@@ -43,36 +35,16 @@ def fit_local(
     features: npt.NDArray[np.float32],
     targets: FloatArray,
     target_scale: FloatArray,
-    groups: npt.NDArray[np.int64],
+    groups: IntArray,
     *,
     choices: Sequence[LocalSettings] = LOCAL_CHOICES,
     views: Sequence[slice] = (slice(None),),
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LocalRegression, LeftOut]:
-    """The settings under which samples are most probable when their group is left out.
+    """The regression under which samples are most probable when their group (n,) is left out.
 
-    An answer is taken for a multivariate t distribution with one degree of freedom around every place, its scale
-    fitted to the settings: a few samples far off decide nothing.
-
-    Parameters
-    ----------
-    features, targets
-        (n, F) and (n, d) of the reference samples.
-    target_scale
-        (d,), see :class:`~conformodal.localization.neighbours.regression.LocalRegression`.
-    groups
-        (n,) samples of one group are new together.
-    choices
-        Settings to choose from.
-    views
-        Features that may be looked at, each choice with each view; by default all.
-    progress
-        Called with choices tried and choices in all, of all views.
-
-    Raises
-    ------
-    LocalizationError
-        If there are fewer than two groups, no choices, or features are all the same in every view.
+    The likelihood is that of a multivariate t distribution with one degree of freedom around each place, its scale
+    fitted to the settings, so that outliers do not decide. Each choice is tried with each view of the features.
     """
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2 or not choices:
@@ -101,7 +73,7 @@ def fit_local(
 
 
 def _slim(regression: LocalRegression) -> LocalRegression:
-    """The same regression without the components that its settings leave out."""
+    """The same regression without the components that its settings do not use."""
     projection, projected = regression.projection, regression.references
     k = min(regression.settings.components, projected.shape[1])
     slim = replace(projection, components=np.ascontiguousarray(projection.components[:, :k]))
