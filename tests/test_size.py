@@ -11,8 +11,8 @@ BUDGET = {
     "conformal": 6090,
     "core": 510,
     "datasets": 5050,
-    "localization": 2560,
-    "model": 1410,
+    "localization": 2110,
+    "model": 1270,
     "motion": 1220,
     "networks": 910,
     "poses": 1130,
@@ -21,7 +21,7 @@ BUDGET = {
     "report": 1210,
     "ros": 1100,
     "running": 2240,
-    "training": 670,
+    "training": 590,
     "vision": 580,
 }
 

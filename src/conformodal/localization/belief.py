@@ -26,21 +26,11 @@ _LEAST_ANGLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """Beliefs about the poses of n images.
+    """Beliefs about the poses of n images."""
 
-    Attributes
-    ----------
-    proba
-        Seven arrays (n, K_j): the softmax over the bins.
-    mixtures
-        Pose hypotheses, image by image.
-    estimates
-        Absolute pose estimates from local features, image by image.
-    """
-
-    proba: list[RealArray]
-    mixtures: Sequence[Mixture]
-    estimates: Sequence[Sequence[PoseMeasurement]]
+    proba: list[RealArray]  # seven arrays (n, K_j): the softmax over the bins
+    mixtures: Sequence[Mixture]  # pose hypotheses, image by image
+    estimates: Sequence[Sequence[PoseMeasurement]]  # from local features, image by image
 
     def __len__(self) -> int:
         return len(self.mixtures)

@@ -16,17 +16,11 @@ from .settings import ERROR_MODEL
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Standard deviations and inlier probabilities of a source's estimates, as power laws of what predicts them.
+    """Standard deviations and inlier probabilities of a source's estimates.
 
-    Attributes
-    ----------
-    position, position_growth, position_distance
-        Standard deviation in metres: the first, times the predicted sigma to the power of the second, times the
-        distance from the nearest known frame to the power of the third.
-    rotation, rotation_growth, rotation_distance
-        The same in radians.
-    log_odds, slopes
-        Log odds of an inlier: the first, plus the others times the logarithms of the support of an estimate.
+    The standard deviation in metres is ``position * sigma_m**position_growth * distance**position_distance``, with the
+    predicted sigma and the distance from the nearest known frame; that in radians likewise. The log odds of an inlier
+    are ``log_odds + slopes @ log(support)``.
     """
 
     position: float

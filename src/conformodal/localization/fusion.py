@@ -26,18 +26,10 @@ _ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Pose hypotheses of one image.
-
-    Attributes
-    ----------
-    candidates
-        Most probable first.
-    measured
-        (m,) whether a hypothesis is an absolute pose estimate; the others are modes of the softmax.
-    """
+    """Pose hypotheses of one image, most probable first."""
 
     candidates: Candidates
-    measured: BoolArray
+    measured: BoolArray  # (m,) whether a hypothesis is an absolute pose estimate; the others are modes of the softmax
 
 
 def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]], volume_m3: float) -> Mixture:

@@ -58,6 +58,6 @@ class HeadSource:
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
-        """The source that was stored."""
+        """The stored source."""
         weights = {k: v for k, v in state.arrays.items() if k != "frames"}
         return cls(SoftmaxHead(weights, state.settings["outputs"]), state.arrays["frames"])

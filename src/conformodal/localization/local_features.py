@@ -24,21 +24,11 @@ _SIGNS_OF_BYTE = 2 * np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis
 
 
 class LocalFeatures(NamedTuple):
-    """Corners of an image with their descriptors, and its global descriptor.
+    """Corners of an image with their descriptors, and its global descriptor."""
 
-    Attributes
-    ----------
-    pixels
-        (n, 2) corners, without the lens's distortion.
-    descriptors
-        (n, 32) bytes.
-    global_descriptor
-        (768,) see :func:`~conformodal.datasets.thumbnail`.
-    """
-
-    pixels: FloatArray
-    descriptors: npt.NDArray[np.uint8]
-    global_descriptor: npt.NDArray[np.float32]
+    pixels: FloatArray  # (n, 2) undistorted corners
+    descriptors: npt.NDArray[np.uint8]  # (n, 32)
+    global_descriptor: npt.NDArray[np.float32]  # (768,), see conformodal.datasets.thumbnail
 
 
 def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> LocalFeatures:

@@ -28,21 +28,11 @@ _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 
 @dataclass(frozen=True, eq=False)
 class Localizer:
-    """From evidence to beliefs.
-
-    Attributes
-    ----------
-    sources
-        In the order in which they are fused: where two disagree, a later one's inlier takes precedence.
-    bins
-        Of the seven targets.
-    sign_reference
-        (4,) quaternion that fixes the signs of quaternions.
-    """
+    """From evidence to beliefs, by sources in the order of fusion: a later one's inlier takes precedence."""
 
     sources: tuple[PoseSource, ...]
-    bins: QuantileBins
-    sign_reference: FloatArray
+    bins: QuantileBins  # of the seven targets
+    sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions
 
     def __post_init__(self) -> None:
         names = [source.name for source in self.sources]

@@ -120,7 +120,7 @@ class _MappingSettings:
     best: float = 0.15
     farthest: float = 0.8
     tolerance_px: float = 4.0  # of a ray
-    matches_a_pair: int = 40  # that the camera is fitted with
+    matches_per_pair: int = 40  # that the camera is fitted with
     min_parallax_rad: float = float(np.radians(2.5))
     iterations: int = 4  # of robust triangulation
     doubt: float = 0.4  # share of the tolerance above which residuals are downweighted

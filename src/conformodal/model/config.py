@@ -22,12 +22,12 @@ from .errors import OdometryError
 
 
 class Calibration(StrEnum):
-    """What the thresholds of a region are calibrated on.
+    """What the thresholds of regions are calibrated on.
 
     ``frames``: the calibration part; the guarantee is about a frame exchangeable with its frames. ``stretches``:
     training and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is
-    answered by sources that did not see it, and the guarantee is about a frame drawn at random from a new stretch.
-    ``auto``: frames where the split holds out single frames, else stretches.
+    answered by sources that have not seen it, and the guarantee is about a random frame of a new stretch. ``auto``:
+    frames where the split holds out single frames, else stretches.
     """
 
     AUTO = "auto"
@@ -36,28 +36,18 @@ class Calibration(StrEnum):
 
 
 class Runtime(StrEnum):
-    """What runs the network.
+    """What runs the network."""
 
-    Attributes
-    ----------
-    ONNX
-        ONNX Runtime, on the CPU; the model holds the network and needs no torch.
-    INT8
-        The same with weights and activations in eight bits.
-    TORCH
-        On the CPU, or on a graphics card in training.
-    """
-
-    ONNX = "onnx"
-    INT8 = "int8"
-    TORCH = "torch"
+    ONNX = "onnx"  # ONNX Runtime on the CPU; the model contains the network and needs no torch
+    INT8 = "int8"  # the same with weights and activations in eight bits
+    TORCH = "torch"  # on the CPU, or on a graphics card in training
 
 
 class Method(StrEnum):
-    """Which system a model belongs to."""
+    """Whose system a model is: this project's or the paper's."""
 
     CONFORMODAL = "conformodal"
-    PAPER = "paper"  # the paper's, as it stands
+    PAPER = "paper"
 
 
 @dataclass(frozen=True)
@@ -83,8 +73,8 @@ class ModelConfig:
     calibrate_on
         See :class:`~conformodal.model.config.Calibration`.
     novelty_level
-        Images whose p-value of showing a known place is at most this get the whole space; None for 0.015 where frames
-        are held out one by one, and 0.1 where stretches are.
+        Images whose p-value of showing a known place is at most this get an unbounded region; None for 0.015 where
+        single frames are held out, and 0.1 where stretches are.
     sources
         Names of pose sources, in the order in which they are fused, see
         :class:`~conformodal.localization.source.PoseSource`.
@@ -93,8 +83,8 @@ class ModelConfig:
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     runtime
-        See :class:`~conformodal.model.config.Runtime`. Features come from it in training too, so that the guarantee is
-        about what runs.
+        See :class:`~conformodal.model.config.Runtime`. It computes the features in training too, so that the guarantee
+        is about what runs.
     seed
         Of the split and of training.
     training
@@ -148,13 +138,13 @@ class ModelConfig:
 
     @classmethod
     def paper(cls, **settings: Any) -> Self:
-        """The paper's system (Parente et al. 2024, sections 2 and 3) and nothing else.
+        """The paper's system (Parente et al. 2024, sections 2 and 3).
 
-        Features of the whole network, averaged over the image; one softmax a dimension, with one-hot labels; quantile
-        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself, on frames drawn at random
-        from the training data, whatever the split; no other source of poses, no search and no smoother. What the paper
-        leaves open is as elsewhere here: image size, a frozen network, optimiser, epochs, and a hidden layer before the
-        softmaxes. `settings` are the other attributes.
+        Features of the whole network, averaged over the image; one softmax per dimension, with one-hot labels; quantile
+        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself, on random frames of the
+        training data, whatever the split; no other pose source, search or smoother. What the paper does not specify is
+        as in this project: image size, a frozen network, optimiser, epochs, and a hidden layer before the softmaxes.
+        `settings` are the other attributes.
 
         Raises
         ------
@@ -171,7 +161,7 @@ _CHOICES: dict[str, type[StrEnum]] = {
     "calibrate_on": Calibration,
     "runtime": Runtime,
 }
-# What the paper's system is: other values of these are not the paper's.
+# Settings that define the paper's system.
 _PAPER: dict[str, Any] = {
     "margin": 0.0,
     "sigma_bins": 0.0,
@@ -184,26 +174,14 @@ _PAPER: dict[str, Any] = {
 
 
 def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-    """The settings of a model as its record stores them, with the name and size of its data set.
-
-    Without those that a model can change later, alpha and the novelty level: the model alone holds them.
-    """
+    """The settings of a model as stored in its record, without alpha and the novelty level, which can change later."""
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
-    kept = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
-    return {**kept, **names, "data": data, "n_frames": n_frames}
+    fixed = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
+    return {**fixed, **names, "data": data, "n_frames": n_frames}
 
 
 def config_of(record: Mapping[str, Any]) -> ModelConfig:
-    """The settings of a model, from :attr:`~conformodal.model.model.PoseModel.settings`.
-
-    Raises
-    ------
-    ConformodalError
-        If a setting cannot be used.
-    """
-    kept = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
-    kinds: dict[str, Callable[[Any], Any]] = {
-        "sources": tuple,
-        "training": lambda its: TrainingConfig(**its),
-    }
-    return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in kept.items()})
+    """The settings of a model, from :attr:`~conformodal.model.model.PoseModel.settings`."""
+    settings = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
+    kinds: dict[str, Callable[[Any], Any]] = {"sources": tuple, "training": lambda its: TrainingConfig(**its)}
+    return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in settings.items()})

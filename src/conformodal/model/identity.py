@@ -26,35 +26,19 @@ _MOST_DECODED = 200_000
 
 @dataclass(frozen=True, eq=False)
 class FrameMatches:
-    """Indices (n,) in a sequence of frames that match known frames; -1 without a match.
+    """Indices (n,) in a sequence of frames that match known frames; -1 without a match."""
 
-    Attributes
-    ----------
-    at
-        With the same pixels and, if both have one, the same pose. No two known frames share a match.
-    moved
-        Where `at` is -1: with the same pixels and another pose.
-    """
-
-    at: IntArray
-    moved: IntArray
+    at: IntArray  # same pixels and, if both have one, same pose; no two known frames share a match
+    moved: IntArray  # where `at` is -1: same pixels, another pose
 
 
 @dataclass(frozen=True, eq=False)
 class FrameIdentities:
-    """Digests and poses by which frames are recognised.
+    """Digests and poses by which frames are recognised; digests of files that cannot be read are zeros, no match."""
 
-    Attributes
-    ----------
-    files, pixels
-        (n, 16) digests of the image's file, and of its pixels; zeros, which match nothing, where it cannot be read.
-    poses
-        (n, 7) position and orientation ``wxyz``; NaN where there is none.
-    """
-
-    files: npt.NDArray[np.uint8]
-    pixels: npt.NDArray[np.uint8]
-    poses: FloatArray
+    files: npt.NDArray[np.uint8]  # (n, 16) digests of the image's file
+    pixels: npt.NDArray[np.uint8]  # (n, 16) digests of its pixels
+    poses: FloatArray  # (n, 7) position and orientation wxyz; NaN without a pose
 
     def __len__(self) -> int:
         return len(self.pixels)

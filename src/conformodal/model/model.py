@@ -1,4 +1,4 @@
-"""A trained and calibrated pose model: from the evidence of an image to its belief and its region."""
+"""A trained and calibrated pose model: from an image's features to its belief and its region."""
 
 from __future__ import annotations
 
@@ -34,18 +34,14 @@ from .region_rules import EvidenceType, RegionRules
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """Beliefs and regions of n images, each by itself.
+    """Beliefs and calibrated regions of n images, each by itself.
 
     Attributes
     ----------
-    beliefs
-        From which regions are calibrated, and paths chosen.
-    regions
-        Calibrated.
     known_p
-        (n,) p-values of "this image shows a place that is known"; NaN where images are not tested.
+        (n,) p-values of "this image shows a known place"; NaN where images are not tested.
     kinds
-        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`.
+        (n,) evidence types, see :class:`~conformodal.model.region_rules.EvidenceType`.
     """
 
     beliefs: Beliefs
@@ -60,39 +56,39 @@ class Localization:
 
     @property
     def known(self) -> BoolArray:
-        """(n,) whether each image shows a place that is known."""
+        """(n,) whether each image shows a known place."""
         return np.asarray(self.kinds != EvidenceType.UNKNOWN)
 
 
 @dataclass(eq=False)
 class PoseModel:
-    """What training and calibration leave behind.
+    """A trained and calibrated model.
 
     Attributes
     ----------
     backbone
         Image to features.
     localizer
-        Evidence to belief, by pose sources that have not seen the calibration frames (or, where stretches calibrate,
-        by sources like those that had not).
+        Evidence to belief. Its pose sources have not seen the calibration frames; where stretches calibrate, the
+        sources of the folds have not.
     novelty
-        Test of images against the frames that the sources know; None where nothing tells them.
+        Test of images against the frames that the sources know; None without such a test.
     rules
-        Belief to region: calibrated thresholds, by kind of evidence.
+        Belief to region: calibrated thresholds by evidence type.
     prior
-        What reasoning needs to know of motion.
+        Motion prior.
     camera
-        Camera of the training images.
+        Of the training images.
     split
-        Which frames were used for what.
+        Training, calibration and test frames.
     known_frames
-        All frames of the training data, in the order that `split` numbers them in, to know them again.
+        Identities of all frames of the training data, in the order of `split`.
     configuration
-        Settings behind the model but alpha and the novelty level, which can change, see :attr:`settings`.
+        Settings except alpha and the novelty level, which can change; see :attr:`settings`.
     radius
-        Guarantee for the chosen pose, see :class:`~conformodal.model.radius.PoseRadius`; None before it was calibrated.
+        Of the chosen pose, see :class:`~conformodal.model.radius.PoseRadius`; None before it is calibrated.
     comparison
-        Where stretches calibrate, whether held-out scores are those of the sources that calibrated.
+        Of the model's sources with those of the folds, where stretches calibrate.
     """
 
     backbone: Backbone
@@ -109,7 +105,7 @@ class PoseModel:
 
     @property
     def method(self) -> Method:
-        """The system that the model belongs to."""
+        """Whether the model is this project's system or the paper's."""
         return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
 
     @property
@@ -119,7 +115,7 @@ class PoseModel:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All settings in force, as records of results state them."""
+        """All current settings, as stored with results."""
         return {**self.configuration, "alpha": self.alpha, "novelty_level": float(self.rules.level)}
 
     @property
@@ -134,27 +130,27 @@ class PoseModel:
 
     @property
     def calibration(self) -> SplitConformal:
-        """Calibrated sets from beliefs without local features, whatever the image."""
+        """Calibration on beliefs without local features, of all evidence types together."""
         return self.rules.overall
 
     @property
     def n_calibration(self) -> int:
-        """Calibration frames behind the thresholds."""
+        """Number of calibration frames."""
         return int(self.calibration.scores_.shape[0])
 
     @property
     def looks_at_local_features(self) -> bool:
-        """Whether local features of an image change its estimate."""
+        """Whether local features of an image are used."""
         return self.localizer.local and self.rules.matched is not None
 
     @property
     def landmarks(self) -> LandmarkSource | None:
-        """The source that does PnP on landmarks, if there is one."""
+        """The source by PnP on landmarks, or None."""
         return self.localizer.find(LandmarkSource)
 
     def localize(self, evidence: FrameEvidence) -> Localization:
-        """Beliefs and calibrated regions of n images: the one way from an image to its region."""
-        if not self.looks_at_local_features:  # then nothing calibrates what they add
+        """Beliefs and calibrated regions of n images."""
+        if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
             evidence = evidence.without_local_features()
         beliefs = self.localizer.beliefs(evidence)
         novelty = self.novelty
@@ -163,20 +159,20 @@ class PoseModel:
         return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
 
     def regions(self, beliefs: Beliefs, thresholds: RealArray) -> Regions:
-        """Level sets of n beliefs at thresholds (n, 7) of the score. All of one model's have the same bins."""
+        """Level sets of n beliefs at thresholds (n, 7) of the score."""
         parts = self.localizer.marginals_by_part(beliefs)
         return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])
 
     def with_recognised(self, candidates: Candidates, estimates: list[PoseMeasurement]) -> Candidates:
-        """Candidates of an image, of any origin, updated with the recognised places among its estimates."""
+        """Candidates of an image, updated with the recognised places among its estimates."""
         return self.localizer.update(candidates, [recognised_only(estimates)]).candidates
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
-        """The rule that is calibrated on all frames: on beliefs with local features, or without."""
+        """The calibration on all frames: on beliefs with local features, or without."""
         return self.rules.matched if local and self.rules.matched is not None else self.rules.overall
 
     def recalibrate(self, alpha: Alpha) -> None:
-        """Guarantee another miscoverage rate, from the stored calibration scores.
+        """Change the miscoverage rate, from the stored calibration scores.
 
         Raises
         ------
@@ -186,7 +182,7 @@ class PoseModel:
         self.rules = self.rules.at(alpha)
 
     def set_novelty_level(self, level: float) -> None:
-        """Take images for unknown whose p-value is at most `level`; at 0 no image is.
+        """Flag images whose p-value is at most `level` as unknown; at 0, none.
 
         Raises
         ------
@@ -197,14 +193,7 @@ class PoseModel:
         self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
-        """Refuse images of another camera: poses were learnt through this one.
-
-        Parameters
-        ----------
-        camera
-            Of the images.
-        tolerance
-            How far intrinsics may differ, as a share of the image's width.
+        """Refuse images of another camera; intrinsics may differ by `tolerance` times the image's width.
 
         Raises
         ------
@@ -220,5 +209,5 @@ class PoseModel:
 
 
 def _lens(camera: PinholeCamera) -> tuple[float, ...]:
-    """All five distortion coefficients; a file may leave out those that are zero."""
+    """All five distortion coefficients, with the zeros that a file may leave out."""
     return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))

@@ -18,17 +18,12 @@ from conformodal.vision.backbone import coarse_features
 class PlaceNovelty:
     """The novelty test against the frames that the sources learnt from.
 
-    Attributes
-    ----------
-    test
-        Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training
-        data. Its p-values are exact if the network was not trained on them.
-    grid
-        Rows and columns of the network's map, see :class:`~conformodal.vision.backbone.BackboneConfig`.
+    Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training data.
+    The p-values are exact if the network was not trained on them.
     """
 
     test: NoveltyTest
-    grid: tuple[int, int]
+    grid: tuple[int, int]  # rows and columns of the network's map
 
     @classmethod
     def fit(cls, features: npt.NDArray[np.float32], pieces: IntArray, grid: tuple[int, int]) -> Self | None:

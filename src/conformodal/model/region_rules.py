@@ -1,4 +1,4 @@
-"""Thresholds of a region by its evidence type (Mondrian calibration, Vovk et al. 2003)."""
+"""Thresholds of regions by evidence type (Mondrian calibration, Vovk et al. 2003)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 
 class EvidenceType(IntEnum):
-    """What a region rests on; each kind has thresholds of its own."""
+    """What a region is based on; each type has its own thresholds."""
 
     GLOBAL = 0  # the image as a whole: local features were not matched
     UNMATCHED = 1  # local features were matched, and no place was recognised
@@ -27,60 +27,38 @@ _MATCHED = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)
 
 
 class Sharing(StrEnum):
-    """Whether the two evidence types of matched local features have thresholds of their own.
+    """Thresholds of the two evidence types of matched local features."""
 
-    Attributes
-    ----------
-    OWN
-        Each has its own.
-    WIDER
-        Each has the larger of its own and those of both together.
-    SHARED
-        Both have those of both together.
-    """
-
-    OWN = "own"
-    WIDER = "wider"
-    SHARED = "shared"
+    OWN = "own"  # each type's own
+    WIDER = "wider"  # the larger of each type's own and those of both types together
+    SHARED = "shared"  # those of both types together
 
 
 @dataclass(frozen=True, eq=False)
 class RegionRules:
     """Calibration scores of n frames, and thresholds from them.
 
-    Each evidence type is calibrated on the calibration frames of that type, and a missed frame of the type has
-    probability at most alpha times that of the type: the guarantee holds in each type. Where frames calibrate, this is
-    exact. Where stretches do, it holds as far as the sources of the folds tell types apart as those of all frames do.
+    Each evidence type is calibrated on the calibration frames of that type, so the guarantee holds within each type:
+    exactly where frames calibrate; where stretches do, provided that the sources of the folds assign types as those of
+    all frames do.
 
-    If ``UNMATCHED`` or ``LANDMARKS`` weighs too little for a finite threshold, the two share thresholds, and the
-    guarantee is about both together. Sharing is decided from what the types weigh in the calibration units and the new
-    one together, never from scores: a decision that is the same whichever of these units is the new one leaves them
-    exchangeable. What the types weigh in the new unit is not known, at most 1 in all. Where that could change the
-    decision, both types take the larger thresholds, which cover whatever the decision. See :attr:`sharing`.
+    If ``UNMATCHED`` or ``LANDMARKS`` has too little weight for a finite threshold, the two share thresholds, and the
+    guarantee is about both together. To keep the units exchangeable, sharing depends only on the weights of the types
+    in the calibration units and the new one together, never on scores. The weights in the new unit are not known, at
+    most 1 in all; where they could change the decision, both types use the larger thresholds. See :attr:`sharing`.
 
-    Attributes
-    ----------
-    overall
-        Calibrated on beliefs without local features, on all frames.
-    matched
-        Calibrated on beliefs with local features, on all frames; None where no source looks at them.
-    recognised
-        (n,) whether a place was recognised in each of them.
-    known_p
-        (n,) p-values of each, see :class:`~conformodal.model.place_novelty.PlaceNovelty`.
-    level
-        Images with a p-value of at most this are :attr:`EvidenceType.UNKNOWN`; so are calibration frames.
+    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`.
     """
 
-    overall: SplitConformal
-    matched: SplitConformal | None
-    recognised: BoolArray
-    known_p: FloatArray
-    level: float
+    overall: SplitConformal  # calibrated on beliefs without local features, on all frames
+    matched: SplitConformal | None  # on beliefs with local features, on all frames; None if no source uses them
+    recognised: BoolArray  # (n,) whether a place was recognised in each frame
+    known_p: FloatArray  # (n,) p-values of each frame, see PlaceNovelty
+    level: float  # significance level of the novelty test
 
     @cached_property
     def own(self) -> dict[EvidenceType, SplitConformal]:
-        """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however little they weigh."""
+        """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
         known = self.known_p > self.level
         rules = {EvidenceType.GLOBAL: _part(self.overall, known)}
         if self.matched is not None:
@@ -95,9 +73,9 @@ class RegionRules:
 
     @cached_property
     def sharing(self) -> Sharing:
-        """Whether ``UNMATCHED`` and ``LANDMARKS`` share thresholds: by the lighter one, with the new unit or without.
+        """How ``UNMATCHED`` and ``LANDMARKS`` share thresholds, by the smaller of their weights.
 
-        Of their own if each weighs at least ``1 / alpha`` units with the new one, which makes its threshold finite.
+        A threshold is finite if the weight, with the new unit, is at least ``1 / alpha`` units.
         """
         if self.matched is None:
             return Sharing.OWN
@@ -120,21 +98,16 @@ class RegionRules:
         }
 
     def kinds(self, known_p: FloatArray, looked: BoolArray, recognised: BoolArray) -> IntArray:
-        """(m,) kinds of evidence of new images.
+        """(m,) evidence types of new images, from their p-values, NaN if not tested.
 
-        Parameters
-        ----------
-        known_p
-            (m,) their p-values; NaN where images are not tested.
-        looked, recognised
-            (m,) whether local features were extracted, and whether a place was recognised by them.
+        `looked` says whether local features were extracted, `recognised` whether a place was recognised by them.
         """
         matched = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
         kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
         return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
     def thresholds(self, kinds: IntArray) -> RealArray:
-        """(m, 7) thresholds of images with these kinds of evidence."""
+        """(m, 7) thresholds of images with these evidence types."""
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
         for kind, rule in self.of.items():
             limits[kinds == kind] = rule.thresholds_
@@ -143,7 +116,7 @@ class RegionRules:
     def at(self, alpha: Alpha) -> RegionRules:
         """The same calibration at another miscoverage rate.
 
-        Regions of a lower rate hold those of a higher one, unless the types share thresholds at one of the two only.
+        Regions at a lower rate contain those at a higher one, unless the types share thresholds at only one of them.
         """
         rate = float(as_alpha(alpha))
         matched = None if self.matched is None else self.matched.at(rate)

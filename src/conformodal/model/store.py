@@ -1,7 +1,7 @@
-"""Saved models: arrays in safetensors, the network in ONNX, everything else in JSON. No pickle, and no code, in any.
+"""Saved models: arrays in safetensors, the network in ONNX, everything else in JSON; no pickle and no code.
 
-``model.json`` holds digests of the other files and one of itself. They tell a file that was damaged or altered
-from the one that was saved; they are no signature, so they do not tell who saved it.
+``model.json`` contains digests of the other files and of itself. They detect damaged or altered files; they are not a
+signature, so they do not prove who saved a model.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _PRIOR_DEPTHS = ("depth_m", "depth_spread")
 
 
 def save_model(model: PoseModel, folder: Path) -> None:
-    """Write a model into a folder, created if missing; a model that was there is whole until the new one is."""
+    """Write a model into a folder, created if missing; an earlier model stays complete until the new one is."""
     rules, localizer = model.rules, model.localizer
     states = {source.name: source.state() for source in localizer.sources}
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -108,7 +108,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     if network is not None:
         record["network"] = {"sha256": hashlib.sha256(network).hexdigest()}
     record["sha256"] = _digest(record)
-    # whole at any time: the new files are beside the old ones until the record of the new ones is there
+    # complete at any time: the old files stay until the new record is written
     if network is not None:
         write_whole(folder / _network_file(record), network)
     write_whole(folder / _NEXT, weights)
@@ -138,7 +138,7 @@ def load_model(folder: Path | str) -> PoseModel:
 
 
 def model_digest(folder: Path) -> str | None:
-    """Digest of the trained model in a folder, which a radius given later does not change; None without a model."""
+    """Digest of the trained model in a folder, without its radius; None without a model."""
     try:
         digest = _read_record(folder / _JSON)["weights_sha256"]
     except (ModelFileError, KeyError):
@@ -151,7 +151,7 @@ def _network_file(record: dict[str, Any]) -> str:
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
-    """The record, and the files that it names; read again where another process has just replaced them."""
+    """The record and the files that it names; read again if another process is just replacing them."""
     for attempt in range(_ATTEMPTS):
         record = _read_record(folder / _JSON)
         try:
@@ -259,7 +259,7 @@ def _camera(record: dict[str, Any]) -> PinholeCamera:
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity and no NaN: null stands for them."""
+    """The record with null for infinity and NaN, which JSON does not have."""
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
 
 

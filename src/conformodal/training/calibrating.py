@@ -1,4 +1,4 @@
-"""Calibrating regions: nonconformity scores of frames that a localizer has not seen, and thresholds from them."""
+"""Calibration of regions: nonconformity scores of frames that no source has seen, and thresholds from them."""
 
 from __future__ import annotations
 
@@ -35,27 +35,12 @@ def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, 
 def calibrate_regions(
     data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
 ) -> RegionRules:
-    """Thresholds for each kind of evidence.
-
-    Parameters
-    ----------
-    data, folds, config
-        As in training.
-    localizers
-        One a fold, which learnt from its training frames alone.
-    novelty
-        Of images beside the frames that the region's sources know; None where it cannot be told.
-
-    Raises
-    ------
-    OdometryError
-        If a source has seen a frame that it is to be calibrated on.
-    """
+    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         _check_unseen(localizer, fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    # scores per unit of the target are compared in units of its spread, which no calibration frame chose
+    # scores per unit of the target are scaled by its spread, which does not depend on calibration frames
     spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
 
     def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
@@ -78,7 +63,7 @@ def calibrate_regions(
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
             matched.append(score_beliefs(own, localizer, beliefs, targets))
             recognised.append(beliefs.recognised)
-    # a fold without landmarks leaves nothing to calibrate them on
+    # with a fold without landmarks, beliefs with them cannot be calibrated
     local = len(matched) == len(localizers)
     cells = belief_cells(data.bins_of(folds.region_frames))
     places = np.concatenate(recognised) if local else np.zeros(len(held_out), dtype=bool)
@@ -105,24 +90,9 @@ def compare_sources(
     rules: RegionRules,
     frames: IntArray,
 ) -> SourceComparison | None:
-    """Scores of frames that no source has seen: by the model's own sources, and by those of the folds.
+    """Compare scores of held-out frames by the model's localizer and by those of the folds, a share of frames each.
 
-    Parameters
-    ----------
-    data, novelty
-        As in calibration.
-    localizers
-        One a fold; each answers a share of the frames.
-    localizer
-        The model's.
-    rules
-        Its thresholds.
-    frames
-        Held out from all of them, such as the test part; at most `_MOST_COMPARED` are looked at.
-
-    Returns
-    -------
-    The comparison, or None if no frame shows a known place.
+    None if no frame shows a known place.
     """
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_COMPARED)).round().astype(int))]
     known_p = np.ones(len(frames)) if novelty is None else novelty.p_values(data.features[frames])
@@ -157,7 +127,7 @@ def compare_sources(
 
 
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
-    """Refuse sources that have seen calibration frames: scores of such frames are too low, and void the promise."""
+    """Refuse sources that have seen calibration frames: their scores are too low, which voids the guarantee."""
     for source in localizer.sources:
         seen = np.intersect1d(source.frames, held_out)
         if seen.size:
@@ -169,7 +139,7 @@ def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
 
 
 def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, config: ModelConfig) -> RegionRules:
-    """The paper's calibration (section 2): bins of the softmax, each target at alpha, whatever the image."""
+    """The paper's calibration (section 2): bins of the softmax, each target at alpha, one evidence type."""
     _check_unseen(localizer, held_out)
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
     rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
@@ -178,10 +148,10 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
 
 
 def _has_type_for_max_only(rules: RegionRules) -> bool:
-    """Whether an evidence type weighs enough for a finite threshold at alpha, and not for one per target at its share.
+    """Whether an evidence type has the weight for a finite threshold at alpha, but not at each target's share of it.
 
-    The choice looks at what the types weigh, never at scores. Where one unit more would change it, coverage can fall
-    short of ``1 - alpha``, by at most alpha; otherwise it costs nothing.
+    The choice depends on the weights of the types, never on scores. Where one more unit would change it, coverage can
+    be below ``1 - alpha``, by at most alpha.
     """
     for_max = 1 / as_alpha(rules.overall.alpha) - 1
     for_each = 1 / rules.overall.alpha_per_target - 1

@@ -1,4 +1,4 @@
-"""The depth of the scene, learnt from training frames: it gives submaps, which have no scale, their length."""
+"""The depth of the scene, learnt from training frames; it gives submaps their scale."""
 
 from __future__ import annotations
 
@@ -7,29 +7,15 @@ import numpy as np
 from conformodal.core.arrays import IntArray
 from conformodal.core.robust import MAD_OF_NORMAL
 from conformodal.datasets import Sequence
-from conformodal.model.settings import DEPTHS
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners, CornerTracker, grey_image
 from conformodal.poses import Submap, Trajectory, matrix_from_quat_wxyz
 
+from .settings import DEPTHS
+
 
 def measure_depths(sequence: Sequence, frames: IntArray) -> tuple[float, float]:
-    """Median depth of corners in metres and the spread of its logarithm; NaN where submaps are too few.
-
-    Parameters
-    ----------
-    sequence
-        With poses.
-    frames
-        Training frames, increasing; no other frame is looked at.
-
-    Raises
-    ------
-    PoseError
-        If the sequence has no poses.
-    ImageError
-        If an image cannot be read; names the file.
-    """
+    """Median depth of corners in metres, and spread of its logarithm, from `frames`; NaN from too few submaps."""
     truth = sequence.require_truth()
     depths = []
     for stretch in _stretches(frames, sequence.recording):
@@ -44,7 +30,7 @@ def measure_depths(sequence: Sequence, frames: IntArray) -> tuple[float, float]:
 
 
 def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
-    """Stretches of neighbouring training frames, each of one recording and without a gap far above the usual."""
+    """Stretches of neighbouring training frames, each of one recording and without large gaps."""
     gaps = np.diff(frames)
     if gaps.size == 0:
         return []
@@ -69,7 +55,7 @@ def _followed(sequence: Sequence, frames: IntArray) -> list[Corners]:
 
 
 def _depth(submap: Submap, truth: Trajectory) -> float:
-    """Median depth in metres, once the submap is scaled to the true positions; not positive if the two disagree."""
+    """Median depth in metres of a submap scaled to the true positions; not positive if the two disagree."""
     places = truth.positions_xyz[submap.frames]
     path = submap.positions @ matrix_from_quat_wxyz(truth.orientations_quat_wxyz[submap.frames[:1]])[0].T
     return submap.depth * float(np.sum(path * (places - places[0])) / np.sum(path**2))

@@ -1,4 +1,4 @@
-"""Folds of the calibration: frames or stretches that are held out from the sources which estimate them."""
+"""Folds of the calibration: frames or stretches that are held out from the sources that estimate them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from conformodal.core.choices import as_member
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 from conformodal.model.config import Calibration
 from conformodal.model.errors import OdometryError
-from conformodal.model.settings import FOLDS
+
+from .settings import FOLDS
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Frames that sources learn from, and held-out frames that these sources then estimate."""
+    """Frames that sources learn from, and held-out frames that these sources estimate."""
 
     train: IntArray
     held_out: IntArray
@@ -26,24 +27,12 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """All folds, with what is exchangeable.
+    """All folds, and the labels (n,) of all frames."""
 
-    Attributes
-    ----------
-    folds
-        One for ``frames``.
-    region_frames
-        Frames that the sources of the region itself learn from.
-    units
-        (n,) labels of all frames: what is exchangeable; None where every held-out frame is.
-    pieces
-        (n,) labels of all frames: frames of one piece are held out together in the novelty test.
-    """
-
-    folds: list[Fold]
-    region_frames: IntArray
-    units: IntArray | None
-    pieces: IntArray
+    folds: list[Fold]  # one where frames calibrate
+    region_frames: IntArray  # that the model's own sources learn from
+    units: IntArray | None  # exchangeable units; None where every held-out frame is one
+    pieces: IntArray  # frames of one piece are held out together in the novelty test
 
     @property
     def held_out(self) -> IntArray:
@@ -54,21 +43,9 @@ class Folds:
 def make_folds(
     sequence: Sequence, split: Split, calibration: Calibration | str = Calibration.AUTO, alpha: Alpha = 0.1
 ) -> Folds:
-    """The folds of a sequence; those of stretches are drawn with the split's seed.
+    """The folds of a sequence's training and calibration parts; those of stretches are drawn with the split's seed.
 
-    Parameters
-    ----------
-    sequence, split
-        Of whose training and calibration parts they are made.
-    calibration
-        See :class:`Calibration`.
-    alpha
-        Miscoverage rate: recordings calibrate where there are enough of them for a finite threshold at it.
-
-    Raises
-    ------
-    OdometryError
-        If `calibration` is not one of :class:`Calibration`.
+    Whole recordings take the place of stretches where there are enough of them for a finite threshold at `alpha`.
     """
     calibration = as_member(calibration, Calibration, "calibration", OdometryError)
     if calibration is Calibration.AUTO:

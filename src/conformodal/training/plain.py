@@ -1,6 +1,6 @@
-"""The plain regressor: seven numbers and mean squared error in the place of seven softmaxes, and nothing searched.
+"""The untuned regressor: seven outputs with mean squared error in place of seven softmaxes.
 
-It shares features, epochs, optimiser and all other settings with the network that it is compared with. It needs no
+Features, epochs, optimiser and all other settings are those of the network that it is compared with. It needs no
 calibration, so it is trained on the calibration frames too.
 """
 
@@ -23,19 +23,11 @@ _LEAST_SCALE = 1e-6  # of a target that does not vary
 
 @dataclass(eq=False)
 class PlainRegressor:
-    """A regressor of the seven targets of an image.
+    """A regressor of the seven targets of an image."""
 
-    Attributes
-    ----------
-    head
-        Trained regressor, one output a target.
-    mean, scale
-        (7,) of the standardised targets.
-    """
-
-    head: Head
-    mean: FloatArray
-    scale: FloatArray
+    head: Head  # one output per target, standardised
+    mean: FloatArray  # (7,) of the targets
+    scale: FloatArray  # (7,)
 
     def predict(self, features: npt.NDArray[np.float32]) -> FloatArray:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
@@ -52,15 +44,7 @@ def trajectory_of(values: FloatArray, timestamps_s: FloatArray) -> Trajectory:
 
 
 def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
-    """Train on training and calibration parts together, with settings as they are.
-
-    Parameters
-    ----------
-    data
-        What the conformal model was trained on.
-    config
-        What it was trained with.
-    """
+    """Train on training and calibration part together, with given settings."""
     known, (mean, scale) = known_frames(data), scaling(data)
     return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known, config), mean, scale)
 
@@ -77,19 +61,7 @@ def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_values(data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig) -> Head:
-    """Fit one output a target to squared errors.
-
-    Parameters
-    ----------
-    data
-        Features of all frames.
-    standard
-        (n, 7) standardised targets of all frames.
-    rows
-        Frames to train on.
-    config
-        Settings.
-    """
+    """Fit one output per target on the frames `rows`; `standard` are the standardised targets (n, 7) of all frames."""
     through = data.projection(rows, config.components)
     outputs = [1] * standard.shape[1]
     return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, config, projection=through)

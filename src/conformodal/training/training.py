@@ -31,18 +31,18 @@ from .training_data import TrainingData
 def prepare_training_data(
     sequence: Sequence, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
 ) -> TrainingData:
-    """Cut a sequence into parts and compute the features of all its frames.
+    """Split a sequence and compute the features of all its frames.
 
     Raises
     ------
     PoseError
         If the sequence has no poses.
     SplitError
-        If a part would be empty, or the sequence has not the recordings or lists that the split needs.
+        If a part would be empty, or the sequence lacks the recordings or lists that the split needs.
     ImageError
         If an image cannot be read; names the file.
     VisionError
-        If the device is not there.
+        If the device is not available.
     MissingPackageError
         If what training needs is not installed.
     """
@@ -89,10 +89,10 @@ def train_model(
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
     calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
-    both then answer some frames of the test part, to compare their scores.
+    the scores of both are compared on some frames of the test part.
 
-    `fitted` are sources of another model of the same data that do not look at the network's features: they are taken
-    as they are where they learnt from the frames that they would learn from here.
+    `fitted` are sources of another model of the same data that do not use the network's features: those that learnt
+    from the same frames are reused.
     """
     fitted = tuple(fitted)
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
@@ -100,7 +100,7 @@ def train_model(
     localizers = [Localizer.fit(sources, fold.train, config.sources, fitted) for fold in folds.folds]
     single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
     localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources, fitted)
-    if config.method is Method.PAPER:  # which has no test for novelty
+    if config.method is Method.PAPER:  # without a novelty test
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
     else:
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]

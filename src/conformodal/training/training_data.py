@@ -1,4 +1,4 @@
-"""What the pose model and every baseline learn from."""
+"""The training data of the pose model and of every baseline."""
 
 from __future__ import annotations
 
@@ -22,15 +22,7 @@ from .depths import measure_depths
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """A sequence's features, targets and parts: what the pose model and every baseline share.
-
-    Attributes
-    ----------
-    features
-        (n, F) of all frames.
-    targets
-        (n, 7), see :func:`~conformodal.localization.targets.pose_targets`.
-    """
+    """A sequence with its split, the features (n, F) and the targets (n, 7) of all frames."""
 
     sequence: Sequence
     split: Split
@@ -46,13 +38,13 @@ class TrainingData:
 
     @cached_property
     def depths(self) -> tuple[float, float]:
-        """Median depth in metres and the standard deviation of its logarithm, from the training part; or NaN."""
+        """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN."""
         return measure_depths(self.sequence, self.split.train)
 
     def for_sources(
         self, config: ModelConfig, checkpoint_dir: Path | None = None, progress: StageProgress | None = None
     ) -> SourceData:
-        """The data as pose sources see them; local features and projections are kept for the next call."""
+        """The data as pose sources see them; local features and projections are cached for the next call."""
         return replace(
             self._shared,
             depth_m=self.depths[0],

@@ -23,36 +23,20 @@ from conformodal.poses import PinholeCamera
 class LandmarkMap:
     """Keyframes, which are frames with known poses, and landmarks, which are their triangulated corners.
 
-    Attributes
-    ----------
-    camera
-        Without distortion; fitted, see :func:`~conformodal.localization.landmarks.camera_fit.fit_camera`.
-    T_pose_cam
-        (4, 4) from the camera's frame to the one whose poses are given.
-    poses_se3
-        (n, 4, 4) of the keyframes, as given.
-    global_descriptors
-        (n, 768), see :class:`~conformodal.localization.local_features.LocalFeatures`.
-    starts
-        (n + 1,) landmarks of keyframe i are ``starts[i]`` to ``starts[i + 1]``.
-    points_xyz, descriptors
-        (N, 3) metres, world; (N, 32).
-    depth_m
-        Median depth of the scene.
-    corrections
-        (n, 6) error of each keyframe's own estimate without its landmarks: metres and a rotation vector, world; NaN
-        without an estimate. Rolling shutters, clocks and reference poses correlate the errors of neighbours, so their
-        weighted mean is subtracted from an estimate; their scatter is part of its standard deviation.
+    Rolling shutters, clocks and reference poses correlate the errors of neighbouring frames. The weighted mean of the
+    neighbours' `corrections` is therefore subtracted from an estimate; their scatter is part of its standard deviation.
     """
 
-    camera: PinholeCamera
-    T_pose_cam: FloatArray
-    poses_se3: FloatArray
-    global_descriptors: npt.NDArray[np.float16]
-    starts: IntArray
-    points_xyz: npt.NDArray[np.float32]
-    descriptors: npt.NDArray[np.uint8]
-    depth_m: float
+    camera: PinholeCamera  # without distortion; see camera_fit
+    T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
+    poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
+    global_descriptors: npt.NDArray[np.float16]  # (n, 768)
+    starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
+    points_xyz: npt.NDArray[np.float32]  # (N, 3) metres, world
+    descriptors: npt.NDArray[np.uint8]  # (N, 32)
+    depth_m: float  # median depth of the scene
+    # (n, 6) error of each keyframe's own estimate without its landmarks: metres and a rotation vector, world; NaN
+    # without an estimate
     corrections: FloatArray
 
     @cached_property

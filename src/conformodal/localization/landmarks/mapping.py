@@ -30,12 +30,12 @@ def build_map(
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
     tolerance = 2 * MAPPING.tolerance_px / (mounted.camera.fx + mounted.camera.fy)
-    points, kept = [np.empty((0, 3))], [np.empty((0, DESCRIPTOR_BYTES), np.uint8)]
+    points, descriptors = [np.empty((0, 3))], [np.empty((0, DESCRIPTOR_BYTES), np.uint8)]
     starts = [0]
     for i, found in enumerate(pairs):
         here, sound = triangulate(_rays(i, found, features, poses, mounted.camera), tolerance)
         points.append(here[sound])
-        kept.append(features[i].descriptors[sound])
+        descriptors.append(features[i].descriptors[sound])
         starts.append(starts[-1] + int(sound.sum()))
     return LandmarkMap(
         camera=mounted.camera,
@@ -44,7 +44,7 @@ def build_map(
         global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
         starts=np.array(starts),
         points_xyz=np.concatenate(points).astype(np.float32),
-        descriptors=np.concatenate(kept),
+        descriptors=np.concatenate(descriptors),
         depth_m=depth_m,
         corrections=np.full((len(features), 6), np.nan),
     )
@@ -110,7 +110,7 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tu
     frames, pixels = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))]
     for i, others in enumerate(pairs):
         for j, found in others:
-            some = found[rng.permutation(len(found))[: MAPPING.matches_a_pair]]
+            some = found[rng.permutation(len(found))[: MAPPING.matches_per_pair]]
             frames.append(np.tile([i, j], (len(some), 1)))
             pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
     return Matches(np.concatenate(frames), np.concatenate(pixels))

@@ -33,25 +33,15 @@ class LocalSettings:
 
 @dataclass(frozen=True, eq=False)
 class LocalAnswers:
-    """Estimates for m queries, one for each of up to P places.
+    """Estimates for m queries, one for each of up to P places."""
 
-    Attributes
-    ----------
-    values
-        (m, P, d) targets.
-    weights
-        (m, P) that sum to one; 0 for places that a query does not have.
-    novelty
-        (m,) distance in features from a query to the span of its neighbours at the nearest place.
-    """
-
-    values: FloatArray
-    weights: FloatArray
-    novelty: FloatArray
+    values: FloatArray  # (m, P, d) targets
+    weights: FloatArray  # (m, P) that sum to one; 0 for places that a query does not have
+    novelty: FloatArray  # (m,) distance in features from a query to the span of its neighbours at the nearest place
 
     @property
     def best(self) -> FloatArray:
-        """(m, d) targets of the heaviest place."""
+        """(m, d) targets of the place with the largest weight."""
         return np.asarray(self.values[np.arange(len(self.values)), self.weights.argmax(axis=1)])
 
 

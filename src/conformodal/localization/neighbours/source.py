@@ -57,7 +57,7 @@ class NeighbourSource:
 
     @classmethod
     def of(cls, regression: LocalRegression, left_out: LeftOut, frames: IntArray) -> Self | None:
-        """A source from what :func:`.fit_local` found among `frames`; None where too few frames were left out."""
+        """A source from a regression fitted on `frames` and its left-out answers; None where these are too few."""
         answers, truth = left_out.answers, regression.targets[left_out.rows]
         typical = max(float(np.median(answers.novelty)), 1e-9)
         novelty = _relative(answers, typical)
