@@ -596,9 +596,9 @@ def write_tables(numbers: Numbers) -> None:
         table_lines(["system", *header], [frames_row, *means("steps")]),
         "## Ours with one part left out",
         "Position error without the part over the error with it: geometric mean over seeds and 95 % interval. Lines: "
-        "of files that are there for the part alone. Seconds of training and milliseconds a frame: on redkitchen, "
+        "of files that are there for the part alone. Seconds of training and milliseconds per frame: on redkitchen, "
         "`interleaved`, one core, medians over seeds.",
-        table_lines(["left out", *header, "lines", "s of training", "ms a frame"], costly),
+        table_lines(["left out", *header, "lines", "s of training", "ms per frame"], costly),
         "The same of orientation errors:",
         table_lines(["left out", *header], [ratios(part, 1) for part in parts]),
         f"Parts whose removal raises no error of position or orientation by more than {100 * SMALL:.0f} %, and the "
@@ -611,7 +611,7 @@ def write_tables(numbers: Numbers) -> None:
         "Position RMSE of the smoothed path, metres. Limits are those on speed and turning.",
         table_lines(["evidence, limits, relative rotations", *header], means("switches")),
         "## Regions",
-        "Whole pose covered (promised: 0.9 on `interleaved`, nothing on `blocks`), and mean length of the position's "
+        "Whole pose covered (guaranteed: 0.9 on `interleaved`, nothing on `blocks`), and mean length of the position's "
         "sets in standard deviations; frames that show a known place; means over seeds.",
         table_lines(["model", "region from", *dict.fromkeys(place for place, _ in numbers)], region_rows(numbers)),
         f"Seeds {', '.join(map(str, seeds))} of split, training and corridor; no value of a "

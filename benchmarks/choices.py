@@ -2,7 +2,7 @@
 
 python benchmarks/choices.py [--seeds 20 21] [--runs FOLDER]
 
-Seeds 20 and 21 served to choose by; models are those of benchmarks/ablation.py, kept in the folder of runs.
+Seeds 20 and 21 served to choose by; models are those of benchmarks/ablation.py, cached in the folder of runs.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def setting(name: str, attribute: str, value: float) -> Iterator[None]:
 
 
 def ratios(place: str, seed: int, runs: Path) -> dict[str, list[list[float]]]:
-    """By setting and value: ratios of position and orientation error, an interval a row."""
+    """By setting and value: ratios of position and orientation error, one row per interval."""
     models = Models(place, seed, runs)
     ours = models.ours
     found: dict[str, list[list[float]]] = {}

@@ -50,8 +50,8 @@ class DropPath(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Of one image."""
         branch = self.block(x) - x
-        kept = (torch.rand((1, 1, 1, 1)) >= self.rate).to(x.dtype)
-        return x + branch * kept / (1 - self.rate)
+        mask = (torch.rand((1, 1, 1, 1)) >= self.rate).to(x.dtype)
+        return x + branch * mask / (1 - self.rate)
 
 
 class Front(nn.Module):
@@ -145,7 +145,7 @@ def main() -> None:
         "The head is the only source but in one row. The network is "
         "the features' part of EfficientNet-Lite0 in ONNX Runtime; heads are worked out with NumPy; the "
         "answer of a bare network is the mean of its softmaxes, that of MC dropout and ensembles mean and standard "
-        "deviation of these means. Neither gives a region with a promise, nor a path.",
+        "deviation of these means. Neither gives a region with guaranteed coverage, nor a path.",
         f"Uncertainty and reasoning together add {median['search'] / base - 1:.2f} times the bare network's time "
         f"({median['regions'] / base - 1:.2f} without the search), and {median['whole'] / base - 1:.2f} times where "
         "the camera's motion is measured for the search as well: corners and relative pose cost more than the network "

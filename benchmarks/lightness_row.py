@@ -71,15 +71,15 @@ def whole(model: PoseModel) -> Answer:
 
 
 def dropped(model: PoseModel, features: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Mean and spread of the head's answers under dropout: a row of `features` a pass, or one for all passes."""
+    """Mean and spread of the head's answers under dropout: one row of `features` per pass, or one for all passes."""
     head = head_of(model)
     training, ours = model.configuration["training"], head.weights
     hidden_share = training["dropout"]
     input_share = hidden_share if training["input_dropout"] is None else training["input_dropout"]
 
     def drop(x: np.ndarray, share: float) -> np.ndarray:
-        kept = rng.random((PASSES, x.shape[1]), dtype=np.float32) >= share
-        return x * kept * np.float32(1 / (1 - share))
+        mask = rng.random((PASSES, x.shape[1]), dtype=np.float32) >= share
+        return x * mask * np.float32(1 / (1 - share))
 
     x = drop(head.projection.apply(features), input_share) @ ours["trunk.1.weight"].T + ours["trunk.1.bias"]
     x = x - x.mean(axis=1, keepdims=True)

@@ -59,12 +59,12 @@ def read_recordings(truth: str, system: str) -> list[Recording]:
     found = []
     for scene in SCENES:
         true = read_poses(f"truth/{truth}/{scene}.txt")
-        said = read_poses(f"estimates/{truth}/{scene}_{system}.txt")
+        estimates = read_poses(f"estimates/{truth}/{scene}_{system}.txt")
         for name in sorted(true):
             frames = sorted(true[name])
-            answered = np.array([frame in said.get(name, {}) for frame in frames])
+            answered = np.array([frame in estimates.get(name, {}) for frame in frames])
             there = [frame for frame, has in zip(frames, answered, strict=True) if has]
-            answers = trajectory(there, said[name])
+            answers = trajectory(there, estimates[name])
             errors = pose_errors(answers, trajectory(there, true[name]))
             metres, radians = (np.full(len(frames), np.inf) for _ in range(2))
             metres[answered], radians[answered] = errors
@@ -135,10 +135,10 @@ def main() -> None:
         "Two halves of alpha need 19 recordings, and 17 calibrate: the radius is infinite. One score for both errors "
         "needs 9.",
         "## How many metres weigh as much as one radian",
-        "Looked at on both truths; a round depth of a room was kept. All systems together.",
+        "Looked at on both truths; a round depth of a room was chosen. All systems together.",
         table_lines(["metres", "truth", "mean kept", "worst recording"], depths),
         "## A scene left out",
-        "Harder than what is promised: no recording of the same scene calibrates, so recordings are not exchangeable.",
+        "Not covered by the guarantee: no recording of the same scene calibrates, so recordings are not exchangeable.",
         table_lines(header, scenes),
     ]
     write_page("radius", "The radius in recordings left out", "python benchmarks/radius.py", *content)

@@ -1,8 +1,8 @@
-"""Are errors where a recording is called thin? Judged from poses and known frames, before any error is looked at.
+"""Whether errors are where a recording is called sparsely covered, which poses and known frames alone decide.
 
 python benchmarks/recording_quality.py [--seeds 10 11 12] [--chosen-on 0 1 2] [--runs FOLDER]
 
-redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). The frames of a seed are kept in the
+redkitchen, ``blocks``, regions calibrated on frames (one fit instead of six). The frames of a seed are cached in the
 folder of runs and not measured again.
 """
 
@@ -71,7 +71,7 @@ def share(data: TrainingData) -> None:
     SHARED[:] = [data._shared]
 
 
-def kept(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+def cached(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     """The numbers of a seed, measured once."""
     file = options.runs / f"redkitchen-{seed}.json"
     found: dict[str, Any] = cached_json(file, lambda: measured(seed, options.cache))
@@ -79,7 +79,7 @@ def kept(seed: int, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def rows(name: str, results: list[dict[str, Any]], limit: float) -> list[list[str]]:
-    """Errors where the nearest known view differs by more than the limit, and elsewhere: a row each kind of error."""
+    """Errors where the nearest known view differs by more than the limit, and elsewhere: one row per kind of error."""
     change = np.concatenate([result["change"] for result in results])
     found = []
     for kind in results[0]["errors_m"]:
@@ -115,8 +115,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=ROOT / "quality-out")
     parser.add_argument("--cache", type=Path, default=default_cache_dir())
     options = parser.parse_args()
-    chosen = [kept(seed, options) for seed in options.chosen_on]
-    reported = [kept(seed, options) for seed in options.seeds]
+    chosen = [cached(seed, options) for seed in options.chosen_on]
+    reported = [cached(seed, options) for seed in options.seeds]
     each = [
         row for seed, one in zip(options.seeds, reported, strict=True) for row in rows(str(seed), [one], QUALITY.sparse)
     ]
@@ -124,16 +124,17 @@ def main() -> None:
     depths = [one["depth_m"] for one in chosen + reported]
     write_page(
         "recording_quality",
-        "Errors where a recording is called thin",
+        "Errors where a recording is called sparsely covered",
         "python benchmarks/recording_quality.py",
         f"redkitchen sequence 01, `blocks`, regions calibrated on frames; models are whole. Frames of the "
-        f"test part. One is called thin if the nearest view that the model knows differs by more than "
+        f"test part. One is called sparsely covered if the nearest view that the model knows differs by more than "
         f"{QUALITY.sparse:g} of the field of view, in a "
         f"scene {min(depths):.2f} to {max(depths):.2f} m deep, as the models found it: poses "
         "and known frames alone tell.",
         table("seed", [*each, *rows("all", reported, QUALITY.sparse)]),
         f"Limits on the seeds on which one was chosen ({', '.join(map(str, options.chosen_on))}): that with the "
-        f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls thin.",
+        f"largest difference between the shares of errors over {LARGE_M:g} m and of others that it calls "
+        "sparsely covered.",
         table("limit", by_limit, "difference"),
     )
 

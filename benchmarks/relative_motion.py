@@ -153,7 +153,7 @@ def main() -> None:
         "where trusted",
         "share trusted",
         "error / claimed spread (rotation / direction)",
-        "ms a frame",
+        "ms per frame",
         f"of these: {', '.join(PARTS)}",
     ]
     title = f"Relative motion, first {N_FRAMES} frames"

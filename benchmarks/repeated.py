@@ -61,7 +61,7 @@ def main() -> None:
         f"7-Scenes redkitchen, sequence 01: {len(sequence)} frames with {pictures} different pictures, to the pixel; "
         "repeated pictures have different poses. Split `interleaved`, alpha = 0.1. Mean over seeds "
         f"{', '.join(map(str, seeds))} and 95 % interval (Student's t). Calibration and test frames repeat pictures of "
-        "the training part alike, so that the promise of coverage for frames of this recording holds; it is not one "
+        "the training part alike, so that the coverage guarantee for frames of this recording holds; it is not one "
         "for new pictures alone.",
     )
 

@@ -1,4 +1,4 @@
-"""Milliseconds a frame, memory and seconds to the first answer: one core and two, 640x480 and 1280x720.
+"""Milliseconds per frame, memory and seconds to the first answer: one core and two, 640x480 and 1280x720.
 
 python benchmarks/streaming.py [--frames 300]
 
@@ -47,8 +47,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=300)
     asked = parser.parse_args()
     sequence = read_sevenscenes(REDKITCHEN)
-    header = ["image", "local features", "cores", "median, ms", "99th percentile, ms", "frames a second"]
-    header += ["first answer, s", "resident, MB", "ms a frame, by part"]
+    header = ["image", "local features", "cores", "median, ms", "99th percentile, ms", "frames per second"]
+    header += ["first answer, s", "resident, MB", "ms per frame, by part"]
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for name, size in SIZES.items():

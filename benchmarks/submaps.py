@@ -87,7 +87,7 @@ def main() -> None:
         "of the claim",
         "turn, of the claim",
         "depth, m, and spread of log",
-        "ms a frame",
+        "ms per frame",
     ]
     note = (
         "Off: root mean square of a submap's positions against the true ones where its start and length are given the "

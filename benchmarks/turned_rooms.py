@@ -2,7 +2,7 @@
 
 python benchmarks/turned_rooms.py [--seeds 10 11 12 13 14]
 
-Results of a seed are kept in results/turned_rooms and not computed again.
+Results of a seed are cached in results/turned_rooms.
 """
 
 from __future__ import annotations

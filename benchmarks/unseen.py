@@ -2,7 +2,7 @@
 
 python benchmarks/unseen.py [--seeds 10 11 12 13 14] [--runs FOLDER] [--only redkitchen corridor]
 
-The numbers of a seed and a world are kept in the folder of runs and not measured again.
+The numbers of a seed and a world are cached in the folder of runs.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def trained(sequence: Sequence, split: str, calibration: str, seed: int, cache: 
 
 
 def measured(model: PoseModel, sequence: Sequence, frames: np.ndarray | None = None) -> dict[str, Any]:
-    """Numbers of one run; lists over frames are kept, so that seeds can be put together."""
+    """Numbers of one run; lists over frames are stored, so that seeds can be put together."""
     started = time.perf_counter()
     run = VisualOdometry(model).process(replace(sequence, camera=model.camera), frames)
     seconds = time.perf_counter() - started
@@ -207,7 +207,7 @@ def table(results: list[dict[str, Any]]) -> list[str]:
         "flagged",
         "not flagged: median error, m; within 0.3 m",
         "RMSE of all, m",
-        "ms a frame",
+        "ms per frame",
     ]
     lines = []
     for (world, how, name), rows in pooled.items():
@@ -261,11 +261,11 @@ def main() -> None:
         "coverage as the mean over runs and its range. "
         f"redkitchen: the first or the last {KNOWN_SHARE:.0%} of the recording are known and cut into training, "
         "calibration and test part; disturbances change the test part of the first. Corridor: a flight of "
-        f"{N_FLIGHT} frames that nobody trained on. The whole space counts as covered and as abstained. Nothing is "
-        "promised where frames are not exchangeable with those that calibrated (all rows but the test part of "
+        f"{N_FLIGHT} frames that nobody trained on. An unbounded region counts as covered and as abstained. Nothing is "
+        "guaranteed where frames are not exchangeable with those that calibrated (all rows but the test part of "
         "`interleaved`); settings were chosen on redkitchen with seed 10 and, the level of novelty, on corridors with "
         "seeds 20 to 22 (novelty.md); the other seeds were used for testing only. Flagged: `reliable` is False. "
-        "Absolute pose: of the landmarks' recognised poses, as a share of all frames. Milliseconds a frame include "
+        "Absolute pose: of the landmarks' recognised poses, as a share of all frames. Milliseconds per frame include "
         "the network, tracking and landmarks, once for whole sequences, beside another busy program."
     )
     command = "python benchmarks/unseen.py"
