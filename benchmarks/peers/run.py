@@ -28,7 +28,6 @@ from common import spread, write_table  # isort: skip - problems puts its folder
 
 ALPHA = 0.1
 SEEDS = {"concrete": 2, "bimodal": 2}  # one of the others
-UNIMODAL = ("concrete", "energy", "temperature")
 Run = dict[str, Any]
 
 
