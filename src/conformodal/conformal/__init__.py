@@ -1,8 +1,10 @@
 """Conformal regression over bins, whose prediction sets may be several disjoint intervals.
 
-Holds bins, scores, calibration, regions, diagnostics and a scikit-learn estimator.
+Holds bins, scores, calibrators, regions, diagnostics and a scikit-learn estimator. Works on arrays of probabilities, so
+any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 
-Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and scikit-learn only.
+Invalid input raises :class:`ConformalError`, which names the argument; a prediction before calibration raises
+:class:`NotCalibratedError`.
 """
 
 from typing import TYPE_CHECKING

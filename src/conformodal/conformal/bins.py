@@ -62,14 +62,7 @@ class QuantileBins:
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
-        """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d).
-
-        Raises
-        ------
-        ConformalError
-            If `y` is empty, not finite or of another shape, or its values are so large or so close together that
-            float64 cannot hold bins between them.
-        """
+        """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
         arr = as_targets(y)
         if arr.shape[0] == 0:
             raise ConformalError("y must hold at least one sample to place bins, got shape (0, d)")
@@ -87,13 +80,7 @@ class QuantileBins:
 
     @classmethod
     def from_edges(cls, edges: Sequence[npt.ArrayLike]) -> Self:
-        """Bins with edges of one's own: one strictly increasing vector a target.
-
-        Raises
-        ------
-        ConformalError
-            If a vector has fewer than two edges, or they are not finite or do not increase.
-        """
+        """Bins with edges of one's own: one strictly increasing vector a target."""
         try:
             arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
         except TypeError:
@@ -132,25 +119,13 @@ class QuantileBins:
         return [(e[1:] + e[:-1]) / 2 for e in self._edges()]
 
     def refine(self, cells: int) -> QuantileBins:
-        """Bins in which each of these is cut into `cells` equal parts.
-
-        Raises
-        ------
-        ConformalError
-            If `cells` is below 1 or too many, or a bin is too narrow to be cut.
-        """
+        """Bins in which each of these is cut into `cells` equal parts."""
         cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         return QuantileBins.from_edges(fine) if cells > 1 else self
 
     def encode(self, y: npt.ArrayLike) -> IntArray:
-        """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges.
-
-        Raises
-        ------
-        ConformalError
-            If `y` is not finite or has another number of targets.
-        """
+        """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
         codes = np.empty(arr.shape, dtype=np.int64)
@@ -178,11 +153,6 @@ class QuantileBins:
         -------
         list of d arrays (n, K_d)
             Rows sum to one.
-
-        Raises
-        ------
-        ConformalError
-            If `sigma_bins` is negative or `y` does not fit the bins.
         """
         sigma_bins = as_number(sigma_bins, "sigma_bins", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         edges = self._edges()

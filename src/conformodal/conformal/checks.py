@@ -45,13 +45,7 @@ _DEEPEST_LIST = 4
 
 
 def as_array(values: Any, name: str) -> npt.NDArray[Any]:
-    """Return any array-like as an array of whatever dtype; its masked entries would be lost, so it must have none.
-
-    Raises
-    ------
-    ConformalError
-        On masked entries, sparse matrices, ragged lists, and objects that cannot be read as an array.
-    """
+    """Return any array-like as an array of whatever dtype; its masked entries would be lost, so it must have none."""
     _refuse_masked(values, name)
     if issparse(values):
         raise ConformalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
@@ -85,11 +79,6 @@ def as_reals(values: Any, name: str) -> RealArray:
 
     What is float32 or float64 already is not copied. float16 becomes float32, which holds all its numbers; whole
     numbers, booleans, ``longdouble`` and objects become float64.
-
-    Raises
-    ------
-    ConformalError
-        On complex numbers, text, dates, missing values, and what :func:`as_array` refuses.
     """
     if type(values) is np.ndarray and values.dtype.char in "fd" and values.dtype.isnative:
         return values
@@ -126,13 +115,7 @@ def as_doubles(values: Any, name: str) -> FloatArray:
 
 
 def as_finite(values: Any, name: str, shape: str) -> FloatArray:
-    """Return finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters.
-
-    Raises
-    ------
-    ConformalError
-        On another number of axes, values that are not finite, or what :func:`as_reals` refuses.
-    """
+    """Return finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters."""
     arr = as_doubles(values, name)
     if arr.ndim != sum(map(str.isalpha, shape)):
         raise ConformalError(f"{name} must be finite, of shape {shape}, got shape {arr.shape}")
@@ -143,13 +126,7 @@ def as_finite(values: Any, name: str, shape: str) -> FloatArray:
 
 
 def as_scores(values: Any, name: str = "scores") -> RealArray:
-    """Return scores in float32 or float64: anything but NaN, infinities included.
-
-    Raises
-    ------
-    ConformalError
-        On NaN, or what :func:`as_reals` refuses.
-    """
+    """Return scores in float32 or float64: anything but NaN, infinities included."""
     arr = as_reals(values, name)
     if arr.size and np.isnan(arr.min()):  # without an array of flags, which would be a quarter as large
         raise ConformalError(f"{name} must not hold NaN; a sample that cannot be scored should score +inf")
@@ -157,13 +134,7 @@ def as_scores(values: Any, name: str = "scores") -> RealArray:
 
 
 def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
-    """Return booleans with `ndim` axes, not copied if they are an array already.
-
-    Raises
-    ------
-    ConformalError
-        On another dtype or number of axes, or what :func:`as_array` refuses.
-    """
+    """Return booleans with `ndim` axes, not copied if they are an array already."""
     arr = values if type(values) is np.ndarray else as_array(values, name)
     if arr.dtype != np.bool_ or arr.ndim != ndim:
         raise ConformalError(f"{name} must be boolean, with {ndim} axes, got {arr.dtype} {arr.shape}")
@@ -171,14 +142,7 @@ def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
 
 
 def as_targets(y: npt.ArrayLike, n_targets: int | None = None) -> FloatArray:
-    """Return `y` as a finite ``(n, d)`` float64 array; a vector is one target.
-
-    Raises
-    ------
-    ConformalError
-        On another shape, another number of targets than `n_targets`, values that are not finite, or what
-        :func:`as_reals` refuses.
-    """
+    """Return `y` as a finite ``(n, d)`` float64 array; a vector is one target."""
     given = as_doubles(y, "y")
     arr = given[:, None] if given.ndim == 1 else given
     if arr.ndim != 2 or arr.shape[1] == 0:
@@ -209,12 +173,6 @@ def as_table(
         What errors call the probabilities.
     check
         False leaves the values unchecked, and checks the shapes alone.
-
-    Raises
-    ------
-    ConformalError
-        On a shape that does not fit the bins, NaN, negative values, rows that do not sum to one, or what
-        :func:`as_reals` refuses.
     """
     d = len(n_bins)
     whole: RealArray | None = None
@@ -256,13 +214,7 @@ def _is_row(row: Any) -> bool:
 
 
 def check_rows(part: npt.NDArray[Any], name: str) -> None:
-    """Check that rows (the last axis) are probabilities, block by block so that each is read from memory once.
-
-    Raises
-    ------
-    ConformalError
-        On NaN, negative values, or rows that do not sum to one.
-    """
+    """Check that rows (the last axis) are probabilities, block by block so that each is read from memory once."""
     for_blocks(part.shape[0], lambda rows: check_block(part[rows], name, rows.start))
 
 

@@ -21,12 +21,6 @@ def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArra
 
     Strings, numbers, booleans, dates and tuples come in a list, an array or a pandas column, of objects or
     categories too. The same label is the same in all of them. Labels of mixed types stay objects.
-
-    Raises
-    ------
-    ConformalError
-        On another shape than (n,), a missing label (None, NaN, NaT, ``pandas.NA``, masked), or one that cannot be
-        told apart from others, such as a list.
     """
     # a list is read label by label: as an array its numbers could become text, and its tuples rows
     arr = _vector(groups) if isinstance(groups, (list, tuple)) else as_array(groups, name)
@@ -50,13 +44,7 @@ def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArra
 
 
 def as_label(label: Any) -> Hashable:
-    """Return a label as a plain Python object where there is one: the same for all types that mean the same.
-
-    Raises
-    ------
-    ConformalError
-        If it is missing or not hashable.
-    """
+    """Return a label as a plain Python object where there is one: the same for all types that mean the same."""
     if callable(getattr(label, "to_datetime64", None)) and getattr(label, "tzinfo", None) is None:
         label = label.to_datetime64()  # a time of pandas, to the nanosecond
     elif callable(getattr(label, "to_timedelta64", None)):

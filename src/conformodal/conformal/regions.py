@@ -73,13 +73,7 @@ class Regions:
         return f"Regions(samples={len(self)}, targets={self.bins.n_targets}, bins={self.bins.sizes})"
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
-        """Regions of some of the samples: a slice, a boolean mask or an array of positions.
-
-        Raises
-        ------
-        ConformalError
-            On anything else, or positions that are out of range.
-        """
+        """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
         if not isinstance(index, slice):
             index = as_array(index, "index")
             if index.ndim != 1 or (index.dtype.kind not in "biu" and index.size):
@@ -95,13 +89,7 @@ class Regions:
 
     @classmethod
     def concatenate(cls, parts: Iterable[Regions]) -> Regions:
-        """Regions of all the samples of `parts`, in order.
-
-        Raises
-        ------
-        ConformalError
-            If there are no parts, or their bins differ.
-        """
+        """Regions of all the samples of `parts`, in order."""
         parts = list(parts) if isinstance(parts, Iterable) else []
         if not parts or not all(isinstance(part, Regions) for part in parts):
             raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
@@ -114,11 +102,6 @@ class Regions:
         """What both hold, sample by sample; also ``self & other``.
 
         The guarantee does not survive it unchanged: two regions at alpha / 2 each intersect in one at alpha.
-
-        Raises
-        ------
-        ConformalError
-            If bins or numbers of samples differ.
         """
         _same_bins(self, other)
         if len(self) != len(other):
@@ -138,11 +121,6 @@ class Regions:
             (n, d) values, or (n,) for one target.
         joint
             True asks for all targets together.
-
-        Raises
-        ------
-        ConformalError
-            If `y` is not finite, or has another number of rows or targets.
         """
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
@@ -172,13 +150,7 @@ class Regions:
         return np.asarray(inside.all(axis=1)) if joint else inside
 
     def runs(self, i: int) -> list[IntArray]:
-        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last.
-
-        Raises
-        ------
-        ConformalError
-            If there is no sample `i`.
-        """
+        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
         i = self._row(i)
         return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
 
@@ -186,11 +158,6 @@ class Regions:
         """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded.
 
         An interval holds its lower end, and its upper end only if that is the target's last edge.
-
-        Raises
-        ------
-        ConformalError
-            If there is no sample `i`.
         """
         i = self._row(i)
         found = []

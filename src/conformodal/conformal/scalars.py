@@ -35,13 +35,7 @@ def shortened(text: str, most: int = 300) -> str:
 
 
 def as_alpha(alpha: Alpha) -> Fraction:
-    """Read a miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055.
-
-    Raises
-    ------
-    ConformalError
-        If `alpha` is no number strictly between 0 and 1.
-    """
+    """Read a miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055."""
     try:
         if isinstance(alpha, bool):
             raise TypeError
@@ -64,13 +58,7 @@ def _as_decimal(text: str) -> Fraction:
 
 
 def as_count(value: Any, name: str, least: int = 0, most: int | None = None) -> int:
-    """Return a whole number of at least `least` and at most `most`.
-
-    Raises
-    ------
-    ConformalError
-        If it is none: a float, a bool, or out of range.
-    """
+    """Return a whole number of at least `least` and at most `most`."""
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
@@ -84,13 +72,7 @@ def as_count(value: Any, name: str, least: int = 0, most: int | None = None) -> 
 
 
 def as_number(value: Any, name: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """Return a real number for which `holds`; `expected` says in words what that is.
-
-    Raises
-    ------
-    ConformalError
-        If it is no real number, or `holds` is false.
-    """
+    """Return a real number for which `holds`; `expected` says in words what that is."""
     if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
         value = value[()]
     number = float("nan")
@@ -105,25 +87,13 @@ def as_number(value: Any, name: str, expected: str, holds: Callable[[float], boo
 
 
 def as_choice(value: Any, options: Any, name: str) -> None:
-    """Check a name against a ``Literal``.
-
-    Raises
-    ------
-    ConformalError
-        If it is none of them.
-    """
+    """Check a name against a ``Literal``."""
     if not isinstance(value, str) or value not in get_args(options):
         raise ConformalError(f"{name} must be one of {list(get_args(options))}, got {brief(value)}")
 
 
 def as_random(random_state: Any) -> np.random.RandomState:
-    """Return the source of random numbers of a seed, a ``RandomState`` or None, as scikit-learn does.
-
-    Raises
-    ------
-    ConformalError
-        If it is none of these.
-    """
+    """Return the source of random numbers of a seed, a ``RandomState`` or None, as scikit-learn does."""
     from sklearn.utils import check_random_state  # noqa: PLC0415 - a second to import
 
     try:

@@ -234,13 +234,7 @@ SCORES: dict[str, Score] = {
 
 
 def resolve_score(score: str | Score) -> Score:
-    """Return a score object for a name from :data:`SCORES`, or the object itself.
-
-    Raises
-    ------
-    ConformalError
-        If the name is unknown, or the object has no ``of_bins``.
-    """
+    """Return a score object for a name from :data:`SCORES`, or the object itself."""
     if isinstance(score, str):
         if score not in SCORES:
             raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")

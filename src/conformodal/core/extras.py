@@ -22,11 +22,6 @@ def require_extra(extra: str, what: str) -> Iterator[None]:
         Extra that installs the packages: ``pip install 'conformodal[EXTRA]'``.
     what
         What needs them, as the subject of a sentence.
-
-    Raises
-    ------
-    MissingPackageError
-        If a package is not there.
     """
     try:
         yield

@@ -51,13 +51,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_writable(folder: Path) -> None:
-    """Make a folder if it is missing, and test that a megabyte can be written in it.
-
-    Raises
-    ------
-    FolderError
-        If it is not a folder, cannot be made or written, or its disk is full.
-    """
+    """Make a folder if it is missing, and test that a megabyte can be written in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -74,13 +68,6 @@ def writing_in(folder: Path) -> Iterator[None]:
     """Reserve a folder: check it, lock it until the block or the process ends, remove files that were half written.
 
     A folder that was made for this and stays empty is removed again.
-
-    Raises
-    ------
-    FolderInUseError
-        If another process or thread has it.
-    FolderError
-        See :func:`check_writable`.
     """
     made: list[Path] = []
     with suppress(OSError, ValueError):
@@ -102,11 +89,6 @@ def locked(file: Path) -> Iterator[None]:
     """Hold a lock file with the process's number in it. One thread may hold it several times over.
 
     The system releases the lock when the process ends, however it does.
-
-    Raises
-    ------
-    FolderInUseError
-        If another process or thread holds it.
     """
     with require_extra("run", "locking a folder"):
         from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra

@@ -35,13 +35,7 @@ class HubNetwork:
 
     @property
     def block(self) -> int:
-        """Index of the hidden state to take: the last with the channels of the first at a sixteenth of the resolution.
-
-        Raises
-        ------
-        VisionError
-            If the model cannot be loaded, or gives no maps.
-        """
+        """Hidden state to take: the last with as many channels as the first at a sixteenth of the resolution."""
         return _default_block(self.model)
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:

@@ -71,13 +71,7 @@ class LiteNetwork:
         return layers, _PIXEL_MEAN, _PIXEL_SCALE, identity
 
     def weights(self) -> Path:
-        """The weights file.
-
-        Raises
-        ------
-        VisionError
-            If the package is not installed; says how to get it.
-        """
+        """The weights file."""
         module = self.package.replace("-", "_")
         name = "".join(part.capitalize() for part in self.package.removesuffix("-pytorch-model").split("-"))
         try:
@@ -95,13 +89,7 @@ NETWORKS: dict[str, Network] = {
 
 
 def check_network(name: str) -> None:
-    """Refuse a name that is none of :data:`NETWORKS` and does not begin with ``hf:``; needs no torch.
-
-    Raises
-    ------
-    VisionError
-        If there is no such network.
-    """
+    """Refuse a name that is none of :data:`NETWORKS` and does not begin with ``hf:``; needs no torch."""
     if name not in NETWORKS and not name.startswith(PREFIX):
         raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
 

@@ -1,4 +1,8 @@
-"""Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only."""
+"""Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only.
+
+Invalid values raise :class:`PoseError`; files that cannot be read raise :class:`TrajectoryFileError`, which names the file
+and line.
+"""
 
 from .alignment import Alignment, align, umeyama
 from .camera import PinholeCamera

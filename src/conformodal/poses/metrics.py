@@ -100,12 +100,6 @@ def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, F
 
 
 def check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
-    """Refuse trajectories that are not paired pose by pose.
-
-    Raises
-    ------
-    PoseError
-        If the two differ in length.
-    """
+    """Refuse trajectories that are not paired pose by pose."""
     if len(estimate) != len(truth):
         raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")

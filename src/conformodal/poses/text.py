@@ -22,39 +22,21 @@ _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
 def number(text: str) -> float:
-    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts."""
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text[:80]!r} is no number")
     return float(text)
 
 
 def whole_number(text: str) -> int:
-    """As :func:`number`, of an integer below 10^20.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """As :func:`number`, of an integer below 10^20."""
     if not text.isascii() or "_" in text or len(text) > 20:
         raise ValueError(f"{text[:80]!r} is no whole number")
     return int(text)
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, with or without a byte order mark, whatever system it was written on.
-
-    Raises
-    ------
-    OSError, UnicodeDecodeError
-        If it cannot be read, or is a device or a pipe.
-    """
+    """Lines of a text file in UTF-8, with or without a byte order mark, whatever system it was written on."""
     if path.exists() and not os.path.isfile(path):
         raise OSError("is no regular file")
     lines = _END_OF_LINE.split(path.read_bytes().decode("utf-8-sig"))
@@ -86,12 +68,6 @@ def read_rows(
         Takes up what is wrong with a line, by its row, which holds NaN then. None refuses the file instead.
     by_line
         Whether a row belongs to what has its number, so that a blank line between others leaves it open whose they are.
-
-    Raises
-    ------
-    TrajectoryFileError
-        If the file cannot be read, holds no pose, or a line is not `width` finite numbers; with `damaged`, if most
-        lines are not `width` numbers or none is finite. Names the line.
     """
     try:
         lines = text_lines(path)
@@ -175,13 +151,7 @@ def table_of(poses: FloatArray) -> FloatArray:
 
 
 def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: dict[int, str] | None) -> None:
-    """Set faulty rows to NaN and take them up in `damaged`; refuse them where that is None or nothing is left.
-
-    Raises
-    ------
-    TrajectoryFileError
-        Names the file and the first faulty pose.
-    """
+    """Set faulty rows to NaN and take them up in `damaged`; refuse them where that is None or nothing is left."""
     told = {i: f"{path}: pose {i} (counted from 0): {why}" for i, why in faults.items()}
     if damaged is not None:
         damaged.update({i: why for i, why in told.items() if i not in damaged})
@@ -191,13 +161,7 @@ def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: d
 
 
 def trajectory_of(path: Path, rows: FloatArray) -> Trajectory:
-    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8).
-
-    Raises
-    ------
-    TrajectoryFileError
-        If a row is no pose; names the file.
-    """
+    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8)."""
     try:
         return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
     except PoseError as exc:

@@ -47,11 +47,6 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
         The file.
     damaged
         Takes up what is wrong with a pose, by its row, which holds NaN then. None refuses the file instead.
-
-    Raises
-    ------
-    TrajectoryFileError
-        If the file is missing, holds no pose, or, without `damaged`, one that is none.
     """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
     rows = read_rows(path, lambda line: [number(f) for f in line.replace(",", " ").split()], 8, expected, damaged)

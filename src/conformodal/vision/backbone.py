@@ -32,13 +32,7 @@ class FeatureViews(NamedTuple):
 
 
 def feature_views(n_features: int) -> FeatureViews:
-    """The parts of a :class:`Backbone`'s features.
-
-    Raises
-    ------
-    VisionError
-        If there are too few to end in a global descriptor.
-    """
+    """The parts of a :class:`Backbone`'s features."""
     cut = n_features - _PICTURE
     if cut < 1:
         raise VisionError(f"features end in a thumbnail of {_PICTURE} numbers, got {n_features} in all")
@@ -54,11 +48,6 @@ def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) ->
         (n, F) of a :class:`Backbone`.
     grid
         Rows and columns of its map, see :attr:`BackboneConfig.grid`; the last of an odd number stands for itself.
-
-    Raises
-    ------
-    VisionError
-        If no map of that grid has so many features.
     """
     rows, columns = grid
     network = features[:, feature_views(features.shape[1]).network]

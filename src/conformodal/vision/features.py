@@ -32,13 +32,7 @@ class FeatureCache:
         self.folder = None if folder is None else folder / "features"
 
     def key(self, backbone: Backbone, image_file: Path, noise: PixelNoise | None = None) -> str:
-        """Digest of what decides the features of an image file.
-
-        Raises
-        ------
-        ImageError
-            If the file cannot be read.
-        """
+        """Digest of what decides the features of an image file."""
         try:
             content = image_file.read_bytes()
         except OSError as exc:
@@ -75,11 +69,6 @@ def extract_features(
 
     With `noise`, of the disturbed images. Values are rounded to float16 whether cached or not, so that both give the
     same numbers.
-
-    Raises
-    ------
-    ImageError
-        Naming the first file that cannot be read.
     """
     out: npt.NDArray[np.float32] | None = None
     done = 0

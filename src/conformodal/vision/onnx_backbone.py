@@ -27,13 +27,6 @@ class OnnxBackbone(Backbone):
     content
         The ONNX file: input ``images`` (n, height, width, 3) uint8, output ``map`` (n, channels * rows * columns)
         float32.
-
-    Raises
-    ------
-    VisionError
-        If it is no such file.
-    MissingPackageError
-        If ONNX Runtime is not installed.
     """
 
     def __init__(self, config: BackboneConfig, content: bytes) -> None:

@@ -12,13 +12,7 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def check_device(name: str) -> None:
-    """Refuse a name that is none of :data:`DEVICES`; whether there is such a device is told where it is used.
-
-    Raises
-    ------
-    VisionError
-        If it is none.
-    """
+    """Refuse a name that is none of :data:`DEVICES`; whether there is such a device is told where it is used."""
     if name not in DEVICES:
         raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
 
@@ -37,11 +31,6 @@ class TrainingConfig:
         Of the projection, see :func:`~conformodal.vision.projection.fit_projection`.
     seed
         Of weights, dropout and the order of samples.
-
-    Raises
-    ------
-    VisionError
-        If a number is out of range.
     """
 
     epochs: int = 100

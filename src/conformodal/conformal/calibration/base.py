@@ -98,13 +98,7 @@ class Calibrator:
         return self
 
     def score_samples(self, proba: Probabilities, y: npt.ArrayLike) -> RealArray:
-        """Scores of the true values, (n, d): what calibration ranks, ``+inf`` outside the edges.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
-        """
+        """Scores of the true values, (n, d): what calibration ranks, ``+inf`` outside the edges."""
         parts, _ = as_table(proba, self.bins.sizes)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != parts[0].shape[0]:
@@ -160,13 +154,7 @@ class Calibrator:
                 )
 
     def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
-        """Scores of all cells for rows of one target's probabilities.
-
-        Raises
-        ------
-        ConformalError
-            If a score of one's own gives NaN or another shape.
-        """
+        """Scores of all cells for rows of one target's probabilities."""
         found = self.score.of_bins(part, widths)
         if type(self.score) in BUILT_IN:
             return found

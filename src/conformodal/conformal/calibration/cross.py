@@ -64,12 +64,6 @@ class CrossConformal(Calibrator):
             (n, d) true values, or (n,) for one target.
         folds
             (n,) labels, see :func:`~conformodal.conformal.grouping.as_groups`.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, a missing label,
-            or no samples.
         """
         if self.joint == "max":
             raise ConformalError('joint="max" has no cross-conformal form here; use "none" or "bonferroni"')
@@ -93,13 +87,6 @@ class CrossConformal(Calibrator):
         ----------
         proba
             For every fold, the probabilities that its model (fitted without it) gives the new samples.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            If folds are missing, or on probabilities that are no probabilities or do not fit the bins.
         """
         calibrated = self._calibrated()
         names = sorted(map(str, calibrated))

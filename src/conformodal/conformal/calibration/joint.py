@@ -21,13 +21,7 @@ _MOST_SEEN = 0.8
 
 
 def as_joint(joint: str) -> Joint:
-    """Check the name of a kind of joint coverage.
-
-    Raises
-    ------
-    ConformalError
-        If it is unknown.
-    """
+    """Check the name of a kind of joint coverage."""
     as_choice(joint, Joint, "joint")
     return cast(Joint, joint)
 
@@ -74,13 +68,7 @@ class JointRule:
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
 
     def calibration_columns(self, scores: RealArray) -> RealArray:
-        """:meth:`columns` of calibration scores.
-
-        Raises
-        ------
-        ConformalError
-            If :meth:`fit_scale` saw most of the rows: with several targets the guarantee would be broken.
-        """
+        """:meth:`columns` of calibration scores."""
         if self.joint == "max" and self.n_targets > 1 and len(scores) and hasattr(self, "seen_"):
             shared = int(np.isin(_single(scores), self.seen_).sum())
             if shared > _MOST_SEEN * len(scores):

@@ -80,14 +80,7 @@ class MondrianConformal(Calibrator):
         self.fallback: Fallback = fallback
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
-        """Set a threshold for each of the `groups`, (n,) labels; see :func:`~conformodal.conformal.grouping.as_groups`.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or a missing
-            label.
-        """
+        """Set one threshold per group; `groups` are (n,) labels."""
         scores = self.rule.calibration_columns(self.score_samples(proba, y))
         labels = as_groups(groups, scores.shape[0])
         alpha = self.alpha_per_target
@@ -111,15 +104,7 @@ class MondrianConformal(Calibrator):
         return [g for g, n in self.sizes_.items() if n < self.min_group or conformal_rank(n, alpha) > n]
 
     def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
-        """Regions of new samples, each by its group's threshold.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
-        """
+        """Regions of new samples, each by its group's threshold."""
         self._calibrated()
         parts, whole = as_table(proba, self.bins.sizes, check=False)
         n = parts[0].shape[0]

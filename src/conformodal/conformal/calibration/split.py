@@ -100,14 +100,6 @@ class SplitConformal(Calibrator):
         groups
             (n,) labels of what is exchangeable, see :func:`~conformodal.conformal.grouping.as_groups`; None where every
             sample is.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or, with
-            ``joint="max"`` and several targets, rows that :meth:`fit_scale` saw.
-        NotCalibratedError
-            With ``joint="max"`` before :meth:`fit_scale`, unless the score is normalised.
         """
         self.calibrate_scores(self.score_samples(proba, y), groups)
         self.warn_of_whole_range(self.thresholds_)
@@ -130,12 +122,6 @@ class SplitConformal(Calibrator):
         group_sizes
             (n,) members of each sample's whole group, where only those of one category are given, see
             :func:`~conformodal.conformal.grouped_quantile`; None where all are.
-
-        Raises
-        ------
-        ConformalError
-            On NaN, shapes that do not fit, missing labels, sizes that differ within a group, or, with ``joint="max"``
-            and several targets, rows that :meth:`fit_scale` saw.
         """
         scores = as_scores(scores)
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
@@ -158,15 +144,7 @@ class SplitConformal(Calibrator):
         return self
 
     def predict(self, proba: Probabilities) -> Regions:
-        """Regions of new samples: every bin whose score is at most the threshold.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities or do not fit the bins.
-        """
+        """Regions of new samples: every bin whose score is at most the threshold."""
         self._calibrated()
         return self.regions_at(proba, self.thresholds_)
 

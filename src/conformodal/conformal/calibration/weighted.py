@@ -84,13 +84,7 @@ class WeightedRanks:
 
 
 def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
-    """Return weights as a float64 vector.
-
-    Raises
-    ------
-    ConformalError
-        If they are negative, not finite, or no vector.
-    """
+    """Return weights as a float64 vector."""
     arr = as_doubles(weights, name)
     if arr.ndim != 1:
         raise ConformalError(f"{name} must be a vector, got shape {arr.shape}")
@@ -128,13 +122,7 @@ class WeightedConformal(Calibrator):
     weights_: FloatArray
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
-        """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
-        """
+        """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale."""
         scores = self.rule.calibration_columns(self.score_samples(proba, y))
         checked = _as_weights(weights, "weights")
         if checked.shape != (scores.shape[0],):
@@ -151,15 +139,7 @@ class WeightedConformal(Calibrator):
         return self.rule.per_target(np.stack(columns, axis=1))
 
     def predict(self, proba: Probabilities, weights: npt.ArrayLike) -> Regions:
-        """Regions of new samples; `weights` (m,) are their likelihood ratios.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
-        """
+        """Regions of new samples; `weights` (m,) are their likelihood ratios."""
         parts, whole = as_table(proba, self.bins.sizes, check=False)
         limits = self.thresholds(weights)
         if len(limits) != len(parts[0]):

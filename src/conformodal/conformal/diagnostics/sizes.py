@@ -34,13 +34,7 @@ class SizeSummary:
 
 
 def summarise_sizes(regions: Regions) -> list[SizeSummary]:
-    """One summary a target.
-
-    Raises
-    ------
-    ConformalError
-        If there are no samples.
-    """
+    """One summary a target."""
     if len(regions) == 0:
         raise ConformalError("regions must hold at least one sample to be summarised")
     counts = regions.n_intervals

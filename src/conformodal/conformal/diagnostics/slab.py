@@ -72,11 +72,6 @@ def worst_slab(
         Number of random directions.
     random_state
         Seed of directions and halves.
-
-    Raises
-    ------
-    ConformalError
-        If `X` does not fit, there are fewer than two samples, or `mass` is no share.
     """
     inside, inputs = as_flags(inside, "inside", 1), as_doubles(X, "X")
     if inputs.ndim != 2 or inputs.shape[0] != inside.size or not inputs.shape[1] or not np.isfinite(inputs).all():

@@ -30,11 +30,6 @@ def coverage_by_group(
         (n_test,) labels, see :func:`~conformodal.conformal.grouping.as_groups`.
     n_calibration, alpha, level
         As in :func:`check_coverage`.
-
-    Raises
-    ------
-    ConformalError
-        If `groups` has another length, or holds a missing label.
     """
     held = as_flags(inside, "inside", 1)
     labels, codes = factorise(as_groups(groups, held.size))
@@ -69,11 +64,6 @@ def coverage_by_size(
         As in :func:`check_coverage`; on the band see :func:`coverage_by_group`.
     strata
         Strata of about equal numbers of samples.
-
-    Raises
-    ------
-    ConformalError
-        If `sizes` has another length or holds NaN, or `strata` is below 1.
     """
     held, values = as_flags(inside, "inside", 1), as_doubles(sizes, "sizes")
     if values.shape != held.shape:

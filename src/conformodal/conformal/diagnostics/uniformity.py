@@ -62,11 +62,6 @@ def check_uniformity(
         Simulated orders.
     random_state
         Seed of ties and orders.
-
-    Raises
-    ------
-    ConformalError
-        If either is no vector, is empty, or holds NaN.
     """
     known, new = as_doubles(calibration_scores, "calibration_scores"), as_doubles(test_scores, "test_scores")
     for name, scores in (("calibration_scores", known), ("test_scores", new)):

@@ -33,13 +33,7 @@ _SLOW_S = 10.0
 
 
 def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
-    """The learner that `estimator` names or is, and whether it learns densities over bins.
-
-    Raises
-    ------
-    ConformalError
-        If it is neither None, a name, nor an object with the methods of a classifier or a density.
-    """
+    """The learner that `estimator` names or is, and whether it learns densities over bins."""
     if isinstance(estimator, str) and estimator not in get_args(LearnerName):
         raise ConformalError(
             f"estimator must be one of {list(get_args(LearnerName))}, None or a classifier, got {brief(estimator)}"
@@ -79,11 +73,6 @@ def fit_target(
     A classifier is fitted five times, on all rows but every fifth: these say how to smooth, and all answer together.
     A density is fitted once on all rows, and for ``out_of_fold=True`` once more without the first fifth. Of fewer than
     20 rows none is left out, and nothing is known out of fold: None. Rows must be in random order.
-
-    Raises
-    ------
-    ConformalError
-        If it refuses the data, or takes no weights and is given some.
     """
 
     def fitted(rows: Any, progress: Progress | None = None) -> Any:

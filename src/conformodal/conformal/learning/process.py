@@ -43,13 +43,7 @@ class SparseProcess:
         self.random_state = random_state
 
     def fit(self, X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds) -> Self:
-        """Fit on (n, p) features, (n,) values of about unit spread and weights of mean one.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the kernel is singular to rounding.
-        """
+        """Fit on (n, p) features, (n,) values of about unit spread and weights of mean one."""
         self._center, spread = X.mean(axis=0), X.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
         features = self._features(X)

@@ -80,12 +80,6 @@ class QuickDensity(MixtureDensity):
         """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
 
         Rows of weight 0 are left out; bandwidths are chosen as if all others weighed the same.
-
-        Raises
-        ------
-        ConformalError
-            With fewer than two samples, shapes that do not fit, values that are not finite or too large, edges that
-            do not increase, or weights that are not finite numbers of at least 0.
         """
         most = as_count(self.max_rows, "max_rows", 2)
         random = as_random(self.random_state)

@@ -143,12 +143,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             new sample that is exchangeable with the samples of positive weight, each counted once. It says nothing of
             a population in which samples are as frequent as they weigh; for that, where the ratio of densities is
             known, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
-
-        Raises
-        ------
-        ConformalError
-            If a parameter cannot be used, weights are not finite numbers of at least 0, the estimator takes none
-            (``"stack"`` does not), or there are too few samples to split.
         """
         features, values = self._table(X, y)
         self._one_target = values.ndim == 1
@@ -206,11 +200,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
         With ``region=True`` it is :meth:`predict_region`, for where scikit-learn knows of ``predict`` only: the regions
         of a pipeline are ``pipeline.predict(X, region=True)``.
-
-        Raises
-        ------
-        ConformalError
-            If `alpha` is given and `region` is not.
         """
         if region:
             return self.predict_region(X, alpha)
@@ -229,11 +218,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n, p) features.
         alpha
             Another miscoverage rate than the estimator's, from the same calibration data.
-
-        Raises
-        ------
-        NotCalibratedError
-            If there is no calibration data yet.
         """
         proba = self.predict_bins(X)
         calibrator = self._calibrated()
@@ -259,11 +243,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             Probability of the bands beside which coverages are set.
         names
             Names of the targets, for the report.
-
-        Raises
-        ------
-        NotCalibratedError
-            If there is no calibration data yet.
         """
         proba = self.predict_bins(X)
         features, values = self._table(X, y, reset=False)

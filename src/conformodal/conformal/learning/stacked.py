@@ -69,12 +69,6 @@ class StackedDensity(MixtureDensity):
         """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
 
         `progress` is called with the parts that are done and all parts, nearly all of which are of the location.
-
-        Raises
-        ------
-        ConformalError
-            With fewer than two samples, shapes that do not fit, values that are not finite or too large, or edges that
-            do not increase.
         """
         as_count(self.n_trees, "n_trees", 1)
         table = standardised(X, y, edges)

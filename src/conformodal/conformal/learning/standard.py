@@ -37,14 +37,7 @@ class Standardised:
 def standardised(
     X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
 ) -> Standardised:
-    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out.
-
-    Raises
-    ------
-    ConformalError
-        With fewer than two samples, shapes that do not fit, values that are not finite or too large, edges that do not
-        increase, or weights that :func:`as_sample_weight` refuses.
-    """
+    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out."""
     features, values = as_features(X), as_finite(y, "y", "(n,)")
     if values.shape != features.shape[:1]:
         raise ConformalError(f"y must have one value a row of X ({features.shape[0]}), got {values.size}")
@@ -64,13 +57,7 @@ def standardised(
 
 
 def as_features(X: npt.ArrayLike) -> FloatArray:
-    """Finite features (n, p) that trees can split.
-
-    Raises
-    ------
-    ConformalError
-        Without a column, or with numbers that float32 cannot hold.
-    """
+    """Finite features (n, p) that trees can split."""
     features = as_finite(X, "X", "(n, p)")
     most = float(np.finfo(np.float32).max)
     if not features.shape[1] or (features.size and np.abs(features).max() > most):
@@ -79,13 +66,7 @@ def as_features(X: npt.ArrayLike) -> FloatArray:
 
 
 def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
-    """Weights (n,) of samples, scaled so that the positive ones have mean one; their common factor has no meaning.
-
-    Raises
-    ------
-    ConformalError
-        Unless there is one finite number of at least 0 a sample, and one above 0.
-    """
+    """Weights (n,) of samples, scaled so that the positive ones have mean one; their common factor has no meaning."""
     given = as_doubles(sample_weight, "sample_weight")
     if given.ndim == 0:
         given = np.full(n, float(given))

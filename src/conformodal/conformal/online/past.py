@@ -54,13 +54,7 @@ class PastScores:
 
 
 def as_score(score: float) -> float:
-    """Return a score as a float.
-
-    Raises
-    ------
-    ConformalError
-        If it is no real number, or NaN.
-    """
+    """Return a score as a float."""
     if type(score) is float and score == score:  # noqa: PLR0124 - not NaN
         return score
     return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: s == s)  # noqa: PLR0124
