@@ -32,7 +32,7 @@ from conformodal.conformal import SplitConformal
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.local_features import extract_local_features
 from conformodal.localization.targets import pose_targets
-from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.smoother import smooth
 from conformodal.reasoning.viterbi import viterbi

@@ -14,21 +14,10 @@ from .settings import RELATIVE_POSE
 def plane_motions(
     pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, tolerance_px: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Motions that explain the corners if they lie on a plane; none if they do not.
+    """Motions ``(R_prev_next, direction_prev)`` that explain corners (n, 2) on one plane: one or two, or none.
 
-    Parameters
-    ----------
-    pixels_prev, pixels_next
-        (n, 2) corners that agree on a motion.
-    camera
-        Intrinsics of both frames.
-    tolerance_px
-        How far from where the plane leads a corner may be.
-
-    Returns
-    -------
-    list of (R_prev_next (3, 3), direction_prev (3,))
-        One or two; see :class:`~conformodal.poses.RelativeMotion` for what they mean.
+    Empty if the corners do not lie on a plane within `tolerance_px`. For the convention see
+    :class:`~conformodal.poses.RelativeMotion`.
     """
     homography, _ = cv2.findHomography(pixels_prev, pixels_next, 0)
     if homography is None:

@@ -12,8 +12,7 @@ from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 from .plane import plane_motions
 from .settings import RELATIVE_POSE
 from .spreads import image_cells, motion_spreads, turning_spread
-from .two_view import TwoViewSolver, solve_poselib
-from .undistortion import undistort
+from .two_view import TwoViewSolver, solve_poselib, undistort
 
 
 def estimate_relative_motion(
@@ -23,7 +22,7 @@ def estimate_relative_motion(
     n_at_start: int | None = None,
     solver: TwoViewSolver = solve_poselib,
 ) -> RelativeMotion:
-    """Motion of the camera between two frames.
+    """Motion of the camera between two frames; a rotation where it is sound, a direction only with enough parallax.
 
     Parameters
     ----------
@@ -34,13 +33,7 @@ def estimate_relative_motion(
     n_at_start
         Corners in the previous frame before tracking, to tell a blank frame from a cut.
     solver
-        Finds the motion: :func:`~conformodal.motion.two_view.solve_poselib` or
-        :func:`~conformodal.motion.two_view.solve_opencv`.
-
-    Returns
-    -------
-    RelativeMotion
-        With the rotation where it is sound, and the direction only where parallax carries it.
+        :func:`~conformodal.motion.two_view.solve_poselib` or :func:`~conformodal.motion.two_view.solve_opencv`.
     """
     n = len(pixels_prev)
     if n < RELATIVE_POSE.min_tracks:

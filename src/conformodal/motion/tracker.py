@@ -23,18 +23,10 @@ def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
 
 
 class Corners(NamedTuple):
-    """The corners of one frame.
+    """The corners of one frame."""
 
-    Attributes
-    ----------
-    ids
-        (n,) the same corner has the same number in every frame; no number is used twice.
-    pixels
-        (n, 2) where they are in the image.
-    """
-
-    ids: npt.NDArray[np.int64]
-    pixels: FloatArray
+    ids: npt.NDArray[np.int64]  # (n,) a corner keeps its number in all frames; none is reused
+    pixels: FloatArray  # (n, 2)
 
 
 class CornerTracker:

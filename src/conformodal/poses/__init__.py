@@ -1,7 +1,7 @@
 """Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only.
 
-Invalid values raise :class:`PoseError`; files that cannot be read raise :class:`TrajectoryFileError`, which names the file
-and line.
+Invalid values raise :class:`PoseError`; files that cannot be read raise :class:`TrajectoryFileError`, which names the
+file and the line.
 """
 
 from .alignment import Alignment, align, umeyama
