@@ -42,7 +42,7 @@ class FrontEnd(ABC):
         self.tracker.reset()
 
     def track_only(self, image: npt.NDArray[np.uint8]) -> None:
-        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         self.tracker.advance(grey_image(image))
 
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
@@ -85,7 +85,7 @@ class MotionFrontEnd(FrontEnd):
         self._broken = False
 
     def track_only(self, image: npt.NDArray[np.uint8]) -> None:
-        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._accumulate()
@@ -93,7 +93,7 @@ class MotionFrontEnd(FrontEnd):
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
         """Motion from the frame measured last to this one.
 
-        None for the first frame of a recording; if that is blank, a motion that says so.
+        None for the first frame of a recording, or a motion with status ``TOO_FEW`` if it is blank.
         """
         motion = super().measure(image)
         if motion is None and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:

@@ -111,7 +111,7 @@ def _matched(corners: Sequence[Corners]) -> _Matched:
     for k, other in enumerate(others):
         _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
         places[k, here], seen[k, here] = other.pixels[there], True
-    # those followed longest say most
+    # the longest tracks are the most informative
     best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
     best = best[seen[:, best].any(axis=0)]
     return _Matched(first.pixels[best].astype(np.float64), places[:, best], seen[:, best])
