@@ -86,7 +86,7 @@ class Trajectory:
 
 
 def concatenate(parts: Sequence[Trajectory]) -> Trajectory:
-    """One trajectory after the other."""
+    """One trajectory from several, in order."""
     return Trajectory(
         np.concatenate([part.timestamps_s for part in parts]),
         np.concatenate([part.positions_xyz for part in parts]),
