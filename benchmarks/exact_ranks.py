@@ -12,7 +12,7 @@ from common import write_table
 
 from conformodal.conformal import conformal_quantile, conformal_rank
 from conformodal.conformal.calibration.weighted import WeightedRanks
-from conformodal.conformal.online.past import PastScores
+from conformodal.conformal.online.trackers import PastScores
 
 LARGEST = 2000
 

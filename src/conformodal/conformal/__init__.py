@@ -9,9 +9,8 @@ Invalid input raises :class:`ConformalError`, which names the argument; a predic
 
 from typing import TYPE_CHECKING
 
-from conformodal.conformal.online.aci import Aci
-from conformodal.conformal.online.pid import ConformalPid
 from conformodal.conformal.online.sets import OnlineConformal
+from conformodal.conformal.online.trackers import Aci, ConformalPid
 from conformodal.core.lazy import lazy_getattr
 
 from .bins import QuantileBins

@@ -1,4 +1,4 @@
-"""A threshold for every group, so that the guarantee holds within each (Vovk et al. 2003)."""
+"""One threshold per group, so that coverage is guaranteed within each (Vovk et al. 2003)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Fallback = Literal["whole", "pooled"]
 class MondrianConformal(Calibrator):
     """Mondrian (group-conditional) conformal sets.
 
-    If the calibration samples of a group and a new sample of that group are exchangeable, the guarantee holds within
+    If the calibration samples of a group and a new sample of that group are exchangeable, coverage is guaranteed within
     the group, not only on average over groups.
 
     Parameters
@@ -35,11 +35,10 @@ class MondrianConformal(Calibrator):
     bins, alpha, score, joint, empty
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     min_group
-        Groups with fewer calibration samples fall back. By default those too small for any finite threshold do.
+        Groups with fewer calibration samples fall back; by default those too small for a finite threshold.
     fallback
-        For groups that are too small or were never seen. ``"whole"``: an unbounded set, which keeps the guarantee.
-        ``"pooled"``: the threshold of all calibration samples together; for such a group the guarantee is then an
-        average over everyone's, no longer its own.
+        For groups that are too small or new. ``"whole"``: an unbounded set, which keeps the guarantee. ``"pooled"``:
+        the threshold of all calibration samples, with a guarantee on average over all groups only.
 
     Attributes
     ----------
