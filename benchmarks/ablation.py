@@ -62,7 +62,7 @@ from conformodal.localization.targets import pose_targets, target_scale
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.model import Localization, PoseModel
 from conformodal.model.store import load_model, save_model
-from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.poses import Trajectory, trajectory_errors
 from conformodal.reasoning.bridging import bridge
 from conformodal.reasoning.candidates import Candidates, interval_runs

@@ -22,7 +22,7 @@ def test_bonferroni_calibrates_each_target_at_its_exact_share(problem):
     assert joint.rank == conformal_rank(200, 0.05)
 
 
-def test_short_calibration_gives_the_whole_space(problem):
+def test_short_calibration_gives_unbounded_regions(problem):
     bins, proba, y = problem(2)
     regions = SplitConformal(bins, 0.1).calibrate(proba[:8], y[:8]).predict(proba)
     assert regions.unbounded.all()

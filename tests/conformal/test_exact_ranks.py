@@ -15,7 +15,7 @@ from conformodal.conformal import (
     conformal_rank,
 )
 from conformodal.conformal.calibration.weighted import WeightedRanks
-from conformodal.conformal.online.past import PastScores
+from conformodal.conformal.online.trackers import PastScores
 
 
 def exact(n: int, thousandths: int) -> int:

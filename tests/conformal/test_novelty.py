@@ -62,7 +62,7 @@ def test_other_places_get_the_least_p_value():
         (np.zeros(3), [0, 1, 2], r"shape \(n, k\)"),
         (np.empty((0, 2)), [], "references must be finite"),
         ([[0.0], [np.nan]], [0, 1], "references must be finite"),
-        ([[0.0], [1.0]], [0], "one label a sample"),
+        ([[0.0], [1.0]], [0], "one label per sample"),
         ([[0.0], [1.0]], [0.0, np.nan], "NaN"),
         ([[0.0], [1.0]], [5, 5], "two groups"),
     ],

@@ -75,7 +75,7 @@ def test_quantile_counts_infinite_scores_and_refuses_nan():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_very_many_scores_are_ranked_in_a_file_as_by_sorting(dtype, tmp_path, monkeypatch):
     monkeypatch.setattr("conformodal.conformal.rank.MANY", 1000)
-    monkeypatch.setattr("conformodal.conformal.selecting._ROWS", 700)
+    monkeypatch.setattr("conformodal.conformal.rank._ROWS", 700)
     rng = np.random.default_rng(0)
     drawn = [
         rng.normal(size=5000),
@@ -105,7 +105,7 @@ def test_a_file_of_scores_is_not_copied(tmp_path):
     tracemalloc.start()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("conformodal.conformal.rank.MANY", 1000)
-        patch.setattr("conformodal.conformal.selecting._ROWS", 1 << 14)
+        patch.setattr("conformodal.conformal.rank._ROWS", 1 << 14)
         conformal_quantile(file, 0.1)
     assert tracemalloc.get_traced_memory()[1] < 0.4 * file.nbytes
     tracemalloc.stop()

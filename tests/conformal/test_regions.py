@@ -47,7 +47,7 @@ def test_indexing_and_membership():
 @pytest.mark.parametrize(
     ("make", "match"),
     [
-        (lambda: Regions(BINS, MASKS[:1], np.zeros((3, 2), bool)), "one array a target"),
+        (lambda: Regions(BINS, MASKS[:1], np.zeros((3, 2), bool)), "one array per target"),
         (lambda: Regions(BINS, [MASKS[1], MASKS[0]], np.zeros((3, 2), bool)), "mask of target 0"),
         (lambda: Regions(BINS, MASKS, np.zeros((3, 1), bool)), "unbounded"),
         (lambda: regions().contains(np.zeros((2, 2))), "2 rows"),

@@ -71,7 +71,7 @@ IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
     ("damage", "match"),
     [
         (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "nan 0 0 0")), "frame-000002.*NaN"),
-        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "2 0 0 0")), "frame-000002.*no rotation"),
+        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "2 0 0 0")), "frame-000002.*not a rotation"),
         (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "-1 0 0 0")), "frame-000002.*mirror"),
         (spoil("frame-000002.pose.txt", "1 0 0\n"), "frame-000002.*3 numbers, expected 16"),
         (spoil("frame-000002.pose.txt", IDENTITY.replace("0 0 0 1\n", "0 0 1 1\n")), "frame-000002.*last row"),

@@ -50,8 +50,8 @@ from conformodal.conformal import (
     weighted_quantile,
 )
 from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
 from conformodal.conformal.diagnostics.slab import worst_slab
-from conformodal.conformal.diagnostics.strata import coverage_by_group, coverage_by_size
 from conformodal.conformal.diagnostics.uniformity import check_uniformity
 from conformodal.conformal.learning.kernels import bandwidths, kernel_masses
 from conformodal.conformal.scores import SCORES
@@ -495,7 +495,7 @@ REFUSED = {
     "edges too far apart": (lambda: QuantileBins.from_edges([[-1.7e308, 1.7e308]]), "distances"),
     "one edge": (lambda: QuantileBins.from_edges([[0]]), "at least two"),
     "no edges": (lambda: QuantileBins.from_edges([]), "at least one"),
-    "edges that are a number": (lambda: QuantileBins.from_edges(5), "vector a target"),
+    "edges that are a number": (lambda: QuantileBins.from_edges(5), "vector per target"),
     "edges that are a word": (lambda: QuantileBins.from_edges("ab"), "numeric"),
     "edges of rows": (lambda: QuantileBins.from_edges([[[0, 1], [1, 2]]]), "vector"),
     "values too far apart": (lambda: QuantileBins(3).fit([-1.7e308, 1.7e308]), "target 0"),
@@ -508,7 +508,7 @@ REFUSED = {
     "weights of inf": (lambda: WeightedConformal(BINS).calibrate(P, Y, W + np.inf), "finite"),
     "weights of another length": (lambda: WeightedConformal(BINS).calibrate(P, Y, W[:3]), "shape"),
     "weights of rows": (lambda: WeightedConformal(BINS).calibrate(P, Y, W[:, None]), "vector"),
-    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry a row"),
+    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
     "bins that are none": (lambda: SplitConformal([0, 1]), "QuantileBins"),
     "score that is none": (lambda: SplitConformal(BINS, 0.1, 5), "score"),
     "score that is a class": (lambda: SplitConformal(BINS, 0.1, Lac), "score"),
@@ -533,7 +533,7 @@ REFUSED = {
     "a mask of another length": (lambda: REGIONS[[True, False]], "index"),
     "X too large for a tree": (lambda: tree().fit(X * 1e39, Y), "cannot be fitted"),
     "X to predict too large for a tree": (lambda: FITTED.predict(X * 1e39), "cannot predict"),
-    "names that are a number": (lambda: diagnose(SPLIT["lac"], P, Y, names=5), "name a target"),
+    "names that are a number": (lambda: diagnose(SPLIT["lac"], P, Y, names=5), "name per target"),
     "an intersection with a number": (lambda: REGIONS.intersection(5), "combined"),
     "parts that are a number": (lambda: Regions.concatenate(5), "Regions"),
     "parts that are none": (lambda: Regions.concatenate([1, 2]), "Regions"),

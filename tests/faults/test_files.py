@@ -266,7 +266,7 @@ def test_a_7_scenes_pose_that_is_no_file_costs_its_frame(tmp_path, damage):
         (lambda m: m[0].__setitem__(0, NAN), "NaN"),
         (lambda m: m[0].__setitem__(3, float("inf")), "NaN or infinity|away"),
         (lambda m: m[1].__setitem__(3, 1e250), "away"),
-        (lambda m: m[0].__setitem__(0, 7.0), "no rotation"),
+        (lambda m: m[0].__setitem__(0, 7.0), "not a rotation"),
         (lambda m: [row.__setitem__(0, -row[0]) for row in m], "mirror"),
         (lambda m: m[3].__setitem__(3, 2.0), "last row"),
     ],

@@ -22,7 +22,7 @@ from conformodal.conformal import (
     SplitConformal,
     diagnose,
 )
-from conformodal.conformal.diagnostics.strata import coverage_by_group
+from conformodal.conformal.diagnostics.coverage import coverage_by_group
 from conformodal.conformal.grouping import as_groups, as_label, factorise
 
 N = 60

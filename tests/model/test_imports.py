@@ -29,7 +29,7 @@ def test_settings_are_checked_without_torch():
 
         sys.modules["torch"] = None  # its import fails
         from conformodal.model.config import ModelConfig
-        from conformodal.vision.errors import VisionError
+        from conformodal.vision.settings import VisionError
 
         ModelConfig(), ModelConfig(network="hf:someone/something"), ModelConfig.paper(device="cuda")
         for wrong in ({"network": "efficientnet_lite9"}, {"device": "tpu"}):

@@ -12,9 +12,9 @@ from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, save_model
 from conformodal.running.estimator import VisualOdometry
 from conformodal.vision.backbone import coarse_features
-from conformodal.vision.errors import VisionError
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.vision.settings import VisionError
 
 SOMETHING_ELSE = {
     "noise": np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8),

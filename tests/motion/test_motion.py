@@ -7,13 +7,11 @@ from conformodal.datasets.corridor.path import rotation_world_cam
 from conformodal.datasets.corridor.render import Renderer
 from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.motion.frontend import MotionFrontEnd
-from conformodal.motion.plane import plane_motions
-from conformodal.motion.relative_pose import estimate_relative_motion
+from conformodal.motion.relative_pose import estimate_relative_motion, plane_motions
 from conformodal.motion.settings import MOTION_ERRORS
 from conformodal.motion.spreads import image_cells, turning_spread
 from conformodal.motion.tracker import CornerTracker
-from conformodal.motion.two_view import solve_opencv, solve_poselib
-from conformodal.motion.undistortion import undistort
+from conformodal.motion.two_view import solve_opencv, solve_poselib, undistort
 from conformodal.poses import MotionStatus, PinholeCamera
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)

@@ -8,7 +8,7 @@ from conformodal.core.extras import MissingPackageError
 from conformodal.networks import NETWORKS, TorchBackbone, backbone_config, pick_device
 from conformodal.networks.lite import LiteNetwork
 from conformodal.vision.backbone import BackboneConfig
-from conformodal.vision.errors import VisionError
+from conformodal.vision.settings import VisionError
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@ import pytest
 
 from conformodal.networks import TorchBackbone, exported, exporting
 from conformodal.vision.backbone import BackboneConfig
-from conformodal.vision.errors import VisionError
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.vision.settings import VisionError
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
 

@@ -5,7 +5,7 @@ import torch
 from conformodal.networks import TorchBackbone, backbone_config, find_network
 from conformodal.networks import hub as hub_module
 from conformodal.vision.backbone import BackboneConfig
-from conformodal.vision.errors import VisionError
+from conformodal.vision.settings import VisionError
 
 transformers = pytest.importorskip("transformers")
 

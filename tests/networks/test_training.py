@@ -8,9 +8,8 @@ import torch
 from scipy.stats import binomtest
 
 from conformodal.networks import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
-from conformodal.vision.errors import VisionError
 from conformodal.vision.projection import Projection, fit_projection
-from conformodal.vision.settings import TrainingConfig
+from conformodal.vision.settings import TrainingConfig, VisionError
 
 
 def toy(n=120, seed=0):

@@ -64,7 +64,7 @@ def test_real_kitti_poses_are_read(real_data):
         (read_kitti, "1 0 0 0 0 1 0 0 0 0 1 x\n", "line 1.*twelve"),
         (read_kitti, "1 0 0 0 0 1 0 0 0 0 1 nan\n", "line 1.*twelve"),
         (read_kitti, "\n\n", "holds no pose"),
-        (read_kitti, "2 0 0 0 0 1 0 0 0 0 1 0\n", "no rotation"),
+        (read_kitti, "2 0 0 0 0 1 0 0 0 0 1 0\n", "not a rotation"),
         (read_euroc, "#h\n1.5,0,0,0,1,0,0,0\n", "line 2.*ns"),
         (read_euroc, "1,0,0,0,1,0,0\n", "line 1.*qw"),
         (read_euroc, "1,0,0,0,inf,0,0,0\n", "line 1.*qw"),

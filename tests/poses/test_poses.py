@@ -57,7 +57,7 @@ def test_one_view_has_one_sign_even_after_a_full_turn():
     ("matrix", "match"),
     [
         (np.diag([1.0, 1, -1]), "mirror"),
-        (np.eye(3) * 1.1, "no rotation"),
+        (np.eye(3) * 1.1, "not a rotation"),
         (np.full((3, 3), np.nan), "NaN"),
     ],
 )

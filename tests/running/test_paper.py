@@ -11,7 +11,7 @@ from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Calibration, Method, ModelConfig
 from conformodal.model.errors import OdometryError
 from conformodal.model.store import load_model, save_model
-from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.poses import MotionStatus, angle_between_quats
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.paper_odometry import PaperOdometry, odometry_of

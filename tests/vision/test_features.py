@@ -6,8 +6,8 @@ from PIL import Image
 from conformodal.datasets import ImageError, PixelNoise, thumbnail
 from conformodal.networks import TorchBackbone
 from conformodal.vision.backbone import BackboneConfig, feature_views
-from conformodal.vision.errors import VisionError
 from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import VisionError
 
 
 @pytest.fixture(scope="module")

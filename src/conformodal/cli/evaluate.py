@@ -15,7 +15,7 @@ from conformodal.datasets import Layout
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.errors import OdometryError
 from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
-from conformodal.poses.drift import KITTI_LENGTHS_M
+from conformodal.poses.metrics import KITTI_LENGTHS_M
 from conformodal.running.results.evaluation import bounded_coverage, error_table
 from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.running.results.provenance import provenance

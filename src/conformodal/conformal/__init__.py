@@ -1,15 +1,16 @@
 """Conformal regression over bins, whose prediction sets may be several disjoint intervals.
 
-Holds bins, scores, calibration, regions, diagnostics and a scikit-learn estimator.
+Holds bins, scores, calibrators, regions, diagnostics and a scikit-learn estimator. Works on arrays of probabilities, so
+any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 
-Works on arrays of probabilities, so any classifier fits. Needs NumPy, SciPy and scikit-learn only.
+Invalid input raises :class:`ConformalError`, which names the argument; a prediction before calibration raises
+:class:`NotCalibratedError`.
 """
 
 from typing import TYPE_CHECKING
 
-from conformodal.conformal.online.aci import Aci
-from conformodal.conformal.online.pid import ConformalPid
 from conformodal.conformal.online.sets import OnlineConformal
+from conformodal.conformal.online.trackers import Aci, ConformalPid
 from conformodal.core.lazy import lazy_getattr
 
 from .bins import QuantileBins

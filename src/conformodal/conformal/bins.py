@@ -1,4 +1,4 @@
-"""Cutting a continuous target into bins that each hold the same share of the training data (the paper, section 2)."""
+"""Quantile bins of a continuous target: each holds the same share of the training data (the paper, section 2)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.ranges import RANGES
 
-from .blocks import for_blocks
-from .checks import as_doubles, as_targets
+from .checks import as_doubles, as_targets, for_blocks
 from .errors import ConformalError, NotCalibratedError
 from .scalars import as_count, as_number
 
@@ -27,10 +26,9 @@ _MOST_BINS = int(RANGES["n_bins"].high)
 class QuantileBins:
     """Bins between the K-quantiles of the training targets: narrow where the data is dense.
 
-    Bin i of a target holds ``edges[i] <= y < edges[i + 1]``; the last bin also holds its upper edge. A value so
-    frequent that several quantiles fall on it gets a bin of its own, which reaches half way to its neighbours among
-    the training values: a target of whole numbers is cut at the halves. A target may thus have fewer than `n_bins`
-    bins. A constant target gets one bin, a millionth of its size wide on either side.
+    Bin i holds ``edges[i] <= y < edges[i + 1]``; the last bin also holds its upper edge. A value on which several
+    quantiles fall gets its own bin, which reaches half way to the neighbouring training values; a target may thus have
+    fewer than `n_bins` bins. A constant target gets one bin, a millionth of its size wide on either side.
 
     Parameters
     ----------
@@ -38,8 +36,8 @@ class QuantileBins:
         Bins per target (K in the paper), at least 1 and at most 100 000.
     margin
         Share of the training range by which the outer bins reach beyond it at either end. With 0, as in the paper,
-        every value beyond the training range scores ``+inf``; a few such in the calibration data, where alpha is
-        small, make the region unbounded.
+        values beyond the training range score ``+inf``; a few such calibration values make regions unbounded at a
+        small alpha.
 
     Attributes
     ----------
@@ -62,20 +60,13 @@ class QuantileBins:
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
-        """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d).
-
-        Raises
-        ------
-        ConformalError
-            If `y` is empty, not finite or of another shape, or its values are so large or so close together that
-            float64 cannot hold bins between them.
-        """
+        """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
         arr = as_targets(y)
         if arr.shape[0] == 0:
             raise ConformalError("y must hold at least one sample to place bins, got shape (0, d)")
         levels = np.linspace(0.0, 1.0, self.n_bins + 1)
         placed = []
-        with np.errstate(over="ignore", invalid="ignore"):  # what is out of range is told below
+        with np.errstate(over="ignore", invalid="ignore"):  # checked below
             for column in arr.T:
                 edges = _place(np.quantile(column, levels), column)
                 edges[[0, -1]] += self.margin * (edges[-1] - edges[0]) * np.array([-1.0, 1.0])
@@ -87,17 +78,11 @@ class QuantileBins:
 
     @classmethod
     def from_edges(cls, edges: Sequence[npt.ArrayLike]) -> Self:
-        """Bins with edges of one's own: one strictly increasing vector a target.
-
-        Raises
-        ------
-        ConformalError
-            If a vector has fewer than two edges, or they are not finite or do not increase.
-        """
+        """Bins with given edges: one strictly increasing vector per target."""
         try:
             arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
         except TypeError:
-            raise ConformalError(f"edges must hold one vector a target, got {type(edges).__name__}") from None
+            raise ConformalError(f"edges must hold one vector per target, got {type(edges).__name__}") from None
         if not arrays:
             raise ConformalError("edges must hold at least one target")
         for j, e in enumerate(arrays):
@@ -118,39 +103,27 @@ class QuantileBins:
 
     @property
     def sizes(self) -> list[int]:
-        """Bins of each target, ``[K_1, ..., K_d]``."""
+        """Bins per target, ``[K_1, ..., K_d]``."""
         return [e.size - 1 for e in self._edges()]
 
     @property
     def widths(self) -> list[FloatArray]:
-        """Width of every bin, one (K_d,) array a target."""
+        """Width of every bin, one (K_d,) array per target."""
         return [np.diff(e) for e in self._edges()]
 
     @property
     def centers(self) -> list[FloatArray]:
-        """Middle of every bin, one (K_d,) array a target."""
+        """Middle of every bin, one (K_d,) array per target."""
         return [(e[1:] + e[:-1]) / 2 for e in self._edges()]
 
     def refine(self, cells: int) -> QuantileBins:
-        """Bins in which each of these is cut into `cells` equal parts.
-
-        Raises
-        ------
-        ConformalError
-            If `cells` is below 1 or too many, or a bin is too narrow to be cut.
-        """
+        """Bins cut into `cells` equal parts each."""
         cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         return QuantileBins.from_edges(fine) if cells > 1 else self
 
     def encode(self, y: npt.ArrayLike) -> IntArray:
-        """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges.
-
-        Raises
-        ------
-        ConformalError
-            If `y` is not finite or has another number of targets.
-        """
+        """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
         codes = np.empty(arr.shape, dtype=np.int64)
@@ -164,25 +137,15 @@ class QuantileBins:
         return codes
 
     def finders(self, n_values: int) -> list[Callable[[FloatArray], IntArray]]:
-        """One function a target from finite values (n,) to codes (n,), fast where `n_values` will be asked for."""
+        """One function per target from finite values (n,) to codes (n,), fast for many values."""
         return [_finder(e, n_values) for e in self._edges()]
 
     def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[FloatArray]:
-        """Order-aware class targets: a Gaussian over bin numbers around where `y` lies, parts of a bin included.
+        """Order-aware class targets: a Gaussian over bin numbers around `y`; d arrays (n, K_d) whose rows sum to one.
 
-        Plain one-hot targets make a classifier invent modes, because to it bin 7 is as far from bin 8 as from
-        bin 40. They also forget where in its bin a value lay. ``sigma_bins=0`` gives the one-hot targets of the
-        paper. A `y` outside the edges is put on the nearest.
-
-        Returns
-        -------
-        list of d arrays (n, K_d)
-            Rows sum to one.
-
-        Raises
-        ------
-        ConformalError
-            If `sigma_bins` is negative or `y` does not fit the bins.
+        With one-hot targets a classifier invents modes, because bin 7 is as far from bin 8 as from bin 40, and loses
+        where in its bin a value lies. ``sigma_bins=0`` gives the one-hot targets of the paper. A `y` outside the edges
+        is clipped.
         """
         sigma_bins = as_number(sigma_bins, "sigma_bins", "at least 0, and finite", lambda s: 0 <= s < np.inf)
         edges = self._edges()
@@ -218,7 +181,8 @@ def _check_edges(edges: FloatArray, what: str) -> None:
 def _finder(edges: FloatArray, n_values: int) -> Callable[..., IntArray]:
     """Codes by ``np.searchsorted``; for many values by a table that is several times faster.
 
-    The table over equal cells of the range answers for cells that no edge is in or next to; the others are searched.
+    The table over equal cells of the range holds the codes of cells with no edge in or next to them; others are
+    searched.
     """
     low, high, last = edges[0], edges[-1], edges.size - 2
 
@@ -250,7 +214,7 @@ def _finder(edges: FloatArray, n_values: int) -> Callable[..., IntArray]:
 
 
 def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:
-    """Strictly increasing edges at `quantiles`; a value on which several of them fall gets a bin around itself."""
+    """Strictly increasing edges at `quantiles`; a value on which several of them fall gets its own bin."""
     edges, counts = np.unique(quantiles, return_counts=True)
     if edges.size == 1:
         half = _CONSTANT_HALF_WIDTH * max(1.0, abs(float(edges[0])))

@@ -1,11 +1,14 @@
-"""Checks at the entry of the conformal core: arrays come out in one form, or an error names what is wrong.
+"""Checks of arguments: arrays come out in one form, or an error names what is wrong.
 
-Every array passes :func:`as_reals`: it makes the numbers real, of native byte order, and float32 or float64.
+Every array passes :func:`as_reals`, which returns real numbers of native byte order, float32 or float64. Strings, dates
+and masked entries, which NumPy and scikit-learn would convert, are refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from decimal import Decimal
 from numbers import Real
 from typing import Any, TypeAlias
@@ -17,41 +20,22 @@ from scipy.sparse import issparse
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
-from .blocks import for_blocks
 from .errors import ConformalError
 from .scalars import Alpha, as_alpha, brief
 
 Probabilities: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
 
-__all__ = [
-    "Alpha",
-    "Probabilities",
-    "as_alpha",
-    "as_array",
-    "as_doubles",
-    "as_finite",
-    "as_flags",
-    "as_reals",
-    "as_scores",
-    "as_table",
-    "as_targets",
-    "check_block",
-    "check_rows",
-]
+__all__ = ["Alpha", "as_alpha"]
 
 # float16 softmax rows of a few hundred classes sum to one within about this
 _ROW_SUM_TOLERANCE = 5e-3
 _DEEPEST_LIST = 4
+_BLOCK_ROWS = 4096
+_ROWS_WORTH_THREADS = 1 << 16
 
 
 def as_array(values: Any, name: str) -> npt.NDArray[Any]:
-    """Return any array-like as an array of whatever dtype; its masked entries would be lost, so it must have none.
-
-    Raises
-    ------
-    ConformalError
-        On masked entries, sparse matrices, ragged lists, and objects that cannot be read as an array.
-    """
+    """Any array-like as an array of any dtype; masked entries, which NumPy would drop, are refused."""
     _refuse_masked(values, name)
     if issparse(values):
         raise ConformalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
@@ -81,15 +65,9 @@ def _refuse_masked(values: Any, name: str, depth: int = 0) -> None:
 
 
 def as_reals(values: Any, name: str) -> RealArray:
-    """Return any array-like of real numbers as a float32 or float64 array of native byte order.
+    """Any array-like of real numbers as a float32 or float64 array of native byte order, not copied if it is one.
 
-    What is float32 or float64 already is not copied. float16 becomes float32, which holds all its numbers; whole
-    numbers, booleans, ``longdouble`` and objects become float64.
-
-    Raises
-    ------
-    ConformalError
-        On complex numbers, text, dates, missing values, and what :func:`as_array` refuses.
+    float16 becomes float32; integers, booleans, ``longdouble`` and objects become float64.
     """
     if type(values) is np.ndarray and values.dtype.char in "fd" and values.dtype.isnative:
         return values
@@ -126,13 +104,7 @@ def as_doubles(values: Any, name: str) -> FloatArray:
 
 
 def as_finite(values: Any, name: str, shape: str) -> FloatArray:
-    """Return finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters.
-
-    Raises
-    ------
-    ConformalError
-        On another number of axes, values that are not finite, or what :func:`as_reals` refuses.
-    """
+    """Finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters."""
     arr = as_doubles(values, name)
     if arr.ndim != sum(map(str.isalpha, shape)):
         raise ConformalError(f"{name} must be finite, of shape {shape}, got shape {arr.shape}")
@@ -143,13 +115,7 @@ def as_finite(values: Any, name: str, shape: str) -> FloatArray:
 
 
 def as_scores(values: Any, name: str = "scores") -> RealArray:
-    """Return scores in float32 or float64: anything but NaN, infinities included.
-
-    Raises
-    ------
-    ConformalError
-        On NaN, or what :func:`as_reals` refuses.
-    """
+    """Scores in float32 or float64: anything but NaN, infinities included."""
     arr = as_reals(values, name)
     if arr.size and np.isnan(arr.min()):  # without an array of flags, which would be a quarter as large
         raise ConformalError(f"{name} must not hold NaN; a sample that cannot be scored should score +inf")
@@ -157,13 +123,7 @@ def as_scores(values: Any, name: str = "scores") -> RealArray:
 
 
 def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
-    """Return booleans with `ndim` axes, not copied if they are an array already.
-
-    Raises
-    ------
-    ConformalError
-        On another dtype or number of axes, or what :func:`as_array` refuses.
-    """
+    """Booleans with `ndim` axes, not copied if they are an array already."""
     arr = values if type(values) is np.ndarray else as_array(values, name)
     if arr.dtype != np.bool_ or arr.ndim != ndim:
         raise ConformalError(f"{name} must be boolean, with {ndim} axes, got {arr.dtype} {arr.shape}")
@@ -171,14 +131,7 @@ def as_flags(values: Any, name: str, ndim: int) -> BoolArray:
 
 
 def as_targets(y: npt.ArrayLike, n_targets: int | None = None) -> FloatArray:
-    """Return `y` as a finite ``(n, d)`` float64 array; a vector is one target.
-
-    Raises
-    ------
-    ConformalError
-        On another shape, another number of targets than `n_targets`, values that are not finite, or what
-        :func:`as_reals` refuses.
-    """
+    """`y` as a finite (n, d) float64 array; a vector is one target."""
     given = as_doubles(y, "y")
     arr = given[:, None] if given.ndim == 1 else given
     if arr.ndim != 2 or arr.shape[1] == 0:
@@ -194,31 +147,14 @@ def as_targets(y: npt.ArrayLike, n_targets: int | None = None) -> FloatArray:
 def as_table(
     proba: Probabilities, n_bins: Sequence[int], name: str = "proba", check: bool = True
 ) -> tuple[list[RealArray], RealArray | None]:
-    """Return one checked ``(n, K_j)`` array per target, and all as one ``(n, d, K)`` array if they came as one.
+    """One checked ``(n, K_j)`` array per target, and all as one ``(n, d, K)`` array if they came as one; not copied.
 
-    What is already an array is not copied.
-
-    Parameters
-    ----------
-    proba
-        ``(n, d, K)`` when all targets have K bins, ``(n, K)`` for a single target, or a list of d arrays
-        ``(n, K_j)``. Lists of lists of lists that can be read as either are read as ``(n, d, K)``.
-    n_bins
-        Bins per target, ``[K_1, ..., K_d]``.
-    name
-        What errors call the probabilities.
-    check
-        False leaves the values unchecked, and checks the shapes alone.
-
-    Raises
-    ------
-    ConformalError
-        On a shape that does not fit the bins, NaN, negative values, rows that do not sum to one, or what
-        :func:`as_reals` refuses.
+    `proba` is (n, d, K), (n, K) for one target, or a list of d arrays (n, K_j) for `n_bins` = [K_1, ..., K_d]; nested
+    lists that can be read as either are (n, d, K). With ``check=False`` only the shapes are checked.
     """
     d = len(n_bins)
     whole: RealArray | None = None
-    if isinstance(proba, (list, tuple)) and _one_a_target(proba, n_bins):
+    if isinstance(proba, (list, tuple)) and _one_per_target(proba, n_bins):
         parts = [as_reals(part, f"{name} of target {j}") for j, part in enumerate(proba)]
     else:
         whole = as_reals(proba, name)
@@ -236,8 +172,8 @@ def as_table(
     return parts, whole
 
 
-def _one_a_target(proba: Sequence[Any], n_bins: Sequence[int]) -> bool:
-    """Whether a list holds one (n, K_j) array for each target, rather than one (d, K) table for each sample."""
+def _one_per_target(proba: Sequence[Any], n_bins: Sequence[int]) -> bool:
+    """Whether a list holds one (n, K_j) array per target, rather than one (d, K) table per sample."""
     d = len(n_bins)
     if len(proba) != d:
         return False
@@ -256,13 +192,7 @@ def _is_row(row: Any) -> bool:
 
 
 def check_rows(part: npt.NDArray[Any], name: str) -> None:
-    """Check that rows (the last axis) are probabilities, block by block so that each is read from memory once.
-
-    Raises
-    ------
-    ConformalError
-        On NaN, negative values, or rows that do not sum to one.
-    """
+    """Check that rows (the last axis) are probabilities, block by block so that memory is read once."""
     for_blocks(part.shape[0], lambda rows: check_block(part[rows], name, rows.start))
 
 
@@ -281,3 +211,20 @@ def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
         row = int(np.argmax(~(off <= _ROW_SUM_TOLERANCE)))
         total = sums[row].flat[np.abs(sums[row] - 1).argmax()]
         raise ConformalError(f"{name} must sum to 1 in every row; row {first_row + row} sums to {total:.6g}")
+
+
+def blocks(n: int) -> Iterator[slice]:
+    """Slices of at most ``_BLOCK_ROWS`` rows that cover n rows."""
+    return (slice(start, min(start + _BLOCK_ROWS, n)) for start in range(0, n, _BLOCK_ROWS))
+
+
+def for_blocks(n: int, work: Callable[[slice], None]) -> None:
+    """Call `work` for every block of rows, in threads if there are many; blocks must write to disjoint rows."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if n < _ROWS_WORTH_THREADS or cores == 1:
+        for rows in blocks(n):
+            work(rows)
+        return
+    with ThreadPoolExecutor(cores) as pool:
+        for _ in pool.map(work, blocks(n)):
+            pass

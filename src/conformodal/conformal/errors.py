@@ -1,17 +1,10 @@
-"""Errors of the conformal core."""
+"""Errors and warnings of :mod:`conformodal.conformal`."""
 
 from __future__ import annotations
 
 from conformodal.core.errors import ConformodalError
 
-__all__ = [
-    "ConformalError",
-    "ConformalTypeError",
-    "ConformodalError",
-    "NotCalibratedError",
-    "SlowFitWarning",
-    "WholeRangeWarning",
-]
+__all__ = ["ConformodalError"]
 
 
 class ConformalError(ConformodalError):
@@ -29,11 +22,11 @@ class ConformalError(ConformodalError):
 
 
 class ConformalTypeError(ConformalError, TypeError):
-    """What scikit-learn wants told as a ``TypeError``: sparse matrices, and objects that are no numbers."""
+    """For sparse matrices and objects, which scikit-learn expects a ``TypeError`` for."""
 
 
 class NotCalibratedError(ConformalError):
-    """A prediction was asked of a calibrator (or bins) that has not been fitted yet.
+    """A calibrator, or bins, used before they are fitted.
 
     Examples
     --------
@@ -42,25 +35,25 @@ class NotCalibratedError(ConformalError):
     ...     SplitConformal(QuantileBins.from_edges([[0, 1]])).predict([[1.0]])
     ... except NotCalibratedError as error:
     ...     print(error)
-    SplitConformal is not calibrated yet: call calibrate(proba, y) first
+    SplitConformal is not calibrated yet: call calibrate first
     """
 
 
 class SlowFitWarning(UserWarning):
-    """A fit that will take more than ten seconds; says about how many, and what is quicker.
+    """A fit that will take more than ten seconds; estimates the time and names a faster estimator.
 
     Examples
     --------
     >>> import warnings
     >>> from conformodal.conformal import SlowFitWarning
-    >>> warnings.simplefilter("ignore", SlowFitWarning)  # for who knows and waits
+    >>> warnings.simplefilter("ignore", SlowFitWarning)  # if you accept the wait
     """
 
 
 class WholeRangeWarning(UserWarning):
-    """A threshold is the worst score that there is, so that every set holds every bin.
+    """The threshold is the worst possible score, so that every set holds every bin.
 
-    So it is where more than alpha of the calibration rows lie in bins of probability 0.
+    This happens if more than alpha of the calibration rows lie in bins of probability 0.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Labels of groups and folds: anything that can be told apart, whatever container it comes in."""
+"""Labels of groups and folds, in any container."""
 
 from __future__ import annotations
 
@@ -17,21 +17,16 @@ from .scalars import brief
 
 
 def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
-    """Return one label a sample.
+    """Labels (n,), one per sample.
 
-    Strings, numbers, booleans, dates and tuples come in a list, an array or a pandas column, of objects or
-    categories too. The same label is the same in all of them. Labels of mixed types stay objects.
-
-    Raises
-    ------
-    ConformalError
-        On another shape than (n,), a missing label (None, NaN, NaT, ``pandas.NA``, masked), or one that cannot be
-        told apart from others, such as a list.
+    Strings, numbers, booleans, dates and tuples come in a list, an array or a pandas column, of objects or categories
+    too; the same label is the same in all of them. Labels of mixed types stay objects. Missing labels (None, NaN, NaT,
+    ``pandas.NA``, masked) and labels that are not hashable are refused.
     """
     # a list is read label by label: as an array its numbers could become text, and its tuples rows
     arr = _vector(groups) if isinstance(groups, (list, tuple)) else as_array(groups, name)
     if arr.shape != (n,):
-        raise ConformalError(f"{name} must have one label a sample, shape ({n},), got {arr.shape}")
+        raise ConformalError(f"{name} must have one label per sample, shape ({n},), got {arr.shape}")
     if arr.dtype.kind == "f" and not np.isnan(arr).any():
         return arr.astype(np.float64, copy=False)
     if arr.dtype.kind in "biuU":
@@ -50,13 +45,7 @@ def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArra
 
 
 def as_label(label: Any) -> Hashable:
-    """Return a label as a plain Python object where there is one: the same for all types that mean the same.
-
-    Raises
-    ------
-    ConformalError
-        If it is missing or not hashable.
-    """
+    """A label as a plain Python object if possible: the same for all types that mean the same."""
     if callable(getattr(label, "to_datetime64", None)) and getattr(label, "tzinfo", None) is None:
         label = label.to_datetime64()  # a time of pandas, to the nanosecond
     elif callable(getattr(label, "to_timedelta64", None)):
@@ -79,7 +68,7 @@ def as_label(label: Any) -> Hashable:
 
 
 def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
-    """Distinct labels, and for each sample (n,) the place of its own; in order, or as they come where none is."""
+    """Distinct labels, and for each sample (n,) the index of its own; sorted, or as they come if they cannot be."""
     if labels.dtype.kind != "O":
         values, codes = np.unique(labels, return_inverse=True)
         return values.tolist(), codes.astype(np.int64).reshape(labels.shape)

@@ -1,4 +1,4 @@
-"""A conformal test of novelty: whether a new sample is like those that are known."""
+"""A conformal test of novelty: whether a new sample is like the reference samples."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ _LARGEST_SQUARE = 1e300
 
 
 class NoveltyTest:
-    """Conformal p-values for "this sample comes from where the reference samples come from".
+    """Conformal p-values of "this sample comes from the distribution of the reference samples".
 
-    The novelty score of a sample is its distance to the nearest reference sample. A reference sample is scored without
-    the samples of its own group. If the groups and the group of a new sample are exchangeable, and the new sample is
-    drawn at random from its group, then ``P(p <= u) <= u`` for every u. No data are held out for this. The full
-    conformal test (Vovk, Gammerman and Shafer 2005; for groups Dunn, Wasserman and Ramdas 2023) would add the new group
-    to the references. The distances of reference samples could then only become smaller; that of the new sample would
-    not change. So this p-value is never smaller than that of the full test.
+    The novelty score of a sample is its distance to the nearest reference sample of another group. If the groups and
+    the group of a new sample are exchangeable, and the new sample is drawn at random from its group, then
+    ``P(p <= u) <= u`` for every u, and no data are held out. The full conformal test (Vovk, Gammerman and Shafer 2005;
+    for groups Dunn, Wasserman and Ramdas 2023) adds the new group to the references, which can only reduce the
+    distances of reference samples. So this p-value is never smaller than that of the full test.
 
     Parameters
     ----------
     references
         (n, k) reference samples, as descriptors that were not learnt from them.
     groups
-        (n,) labels: samples of one group, such as neighbouring frames of a video, are new together.
+        (n,) labels of dependent samples, such as neighbouring frames of a video.
 
     Attributes
     ----------
@@ -99,7 +98,7 @@ class NoveltyTest:
 
     @property
     def least_p(self) -> float:
-        """The smallest p-value that so many groups can give."""
+        """The smallest possible p-value."""
         return 1 / (self.n_groups + 1)
 
     def _nearest(self, samples: FloatArray, group: npt.NDArray[Any] | None = None) -> FloatArray:
@@ -109,7 +108,7 @@ class NoveltyTest:
             square = _squares(samples[rows], "samples")[:, None] + self._square - 2 * samples[rows] @ self._double.T
             if group is not None:
                 square[group[rows, None] == group] = np.inf
-            # from the difference itself: what cancels in the products would tell equal samples apart
+            # from the difference itself: cancellation in the products would make equal samples differ
             apart = samples[rows] - self._double[square.argmin(axis=1)]
             found[rows] = np.sqrt((apart**2).sum(axis=1))
         return found

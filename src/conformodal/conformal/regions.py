@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,8 @@ import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
-from .arrow import to_table
 from .bins import QuantileBins
-from .blocks import for_blocks
-from .checks import as_array, as_flags, as_targets
+from .checks import as_array, as_flags, as_targets, for_blocks
 from .errors import ConformalError
 from .scalars import as_count, brief
 
@@ -31,11 +30,9 @@ class Regions:
     bins
         The bins of the targets.
     masks
-        One (n, K_j) boolean array a target, or one (n, d, K) for all: which bins belong to the set. They are kept,
-        not copied.
+        One (n, K_j) boolean array per target, or one (n, d, K) for all: the bins in the set. Not copied.
     unbounded
-        (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask says.
-        This is the honest answer when the calibration data is too short for alpha.
+        (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask holds.
 
     Raises
     ------
@@ -53,7 +50,7 @@ class Regions:
         masks = [as_flags(mask, f"mask of target {j}", 2) for j, mask in enumerate(masks)]
         unbounded = as_flags(unbounded, "unbounded", 2)
         if len(masks) != bins.n_targets:
-            raise ConformalError(f"masks must hold one array a target ({bins.n_targets}), got {len(masks)}")
+            raise ConformalError(f"masks must hold one array per target ({bins.n_targets}), got {len(masks)}")
         n = masks[0].shape[0]
         for j, (mask, k) in enumerate(zip(masks, bins.sizes, strict=True)):
             if mask.shape != (n, k):
@@ -73,13 +70,7 @@ class Regions:
         return f"Regions(samples={len(self)}, targets={self.bins.n_targets}, bins={self.bins.sizes})"
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
-        """Regions of some of the samples: a slice, a boolean mask or an array of positions.
-
-        Raises
-        ------
-        ConformalError
-            On anything else, or positions that are out of range.
-        """
+        """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
         if not isinstance(index, slice):
             index = as_array(index, "index")
             if index.ndim != 1 or (index.dtype.kind not in "biu" and index.size):
@@ -95,13 +86,7 @@ class Regions:
 
     @classmethod
     def concatenate(cls, parts: Iterable[Regions]) -> Regions:
-        """Regions of all the samples of `parts`, in order.
-
-        Raises
-        ------
-        ConformalError
-            If there are no parts, or their bins differ.
-        """
+        """Regions of all the samples of `parts`, which must have the same bins, in order."""
         parts = list(parts) if isinstance(parts, Iterable) else []
         if not parts or not all(isinstance(part, Regions) for part in parts):
             raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
@@ -111,14 +96,9 @@ class Regions:
         return cls(parts[0].bins, masks, np.concatenate([p.unbounded for p in parts]))
 
     def intersection(self, other: Regions) -> Regions:
-        """What both hold, sample by sample; also ``self & other``.
+        """Sample-wise intersection; also ``self & other``.
 
-        The guarantee does not survive it unchanged: two regions at alpha / 2 each intersect in one at alpha.
-
-        Raises
-        ------
-        ConformalError
-            If bins or numbers of samples differ.
+        It has a lower coverage guarantee: the intersection of two regions at alpha / 2 each has that of one at alpha.
         """
         _same_bins(self, other)
         if len(self) != len(other):
@@ -130,20 +110,7 @@ class Regions:
         return self.intersection(other)
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
-        """Whether each set holds the value: (n, d), or (n,) when all targets must hold at once.
-
-        Parameters
-        ----------
-        y
-            (n, d) values, or (n,) for one target.
-        joint
-            True asks for all targets together.
-
-        Raises
-        ------
-        ConformalError
-            If `y` is not finite, or has another number of rows or targets.
-        """
+        """Whether each set holds the value `y`, (n, d), or (n,) for one target; with `joint`, whether all do, (n,)."""
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
             raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
@@ -172,25 +139,14 @@ class Regions:
         return np.asarray(inside.all(axis=1)) if joint else inside
 
     def runs(self, i: int) -> list[IntArray]:
-        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last.
-
-        Raises
-        ------
-        ConformalError
-            If there is no sample `i`.
-        """
+        """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
         i = self._row(i)
         return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
 
     def intervals(self, i: int) -> list[FloatArray]:
         """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded.
 
-        An interval holds its lower end, and its upper end only if that is the target's last edge.
-
-        Raises
-        ------
-        ConformalError
-            If there is no sample `i`.
+        An interval holds its lower end; it holds its upper end only if that is the target's last edge.
         """
         i = self._row(i)
         found = []
@@ -200,14 +156,9 @@ class Regions:
         return found
 
     def flat_intervals(self, target: int = 0) -> tuple[IntArray, FloatArray]:
-        """All intervals of one target at once.
+        """All intervals of one target: offsets (n + 1,) and ends (m, 2), ``[-inf, inf]`` where unbounded.
 
-        Returns
-        -------
-        offsets : (n + 1,)
-            Sample i has the rows ``offsets[i]:offsets[i + 1]`` of `ends`.
-        ends : (m, 2)
-            Lower and upper ends, in the order of the samples; ``[-inf, inf]`` where unbounded.
+        Sample i has the rows ``offsets[i]:offsets[i + 1]`` of the ends.
         """
         target = as_count(target, "target", 0, len(self.masks) - 1)
         counts, runs = _flat_runs(self.masks[target])
@@ -258,8 +209,24 @@ class Regions:
         return np.stack([~mask.any(axis=1) for mask in self.masks], axis=1)
 
     def to_arrow(self) -> pa.Table:
-        """As an Arrow table, one row a sample; see :mod:`conformodal.conformal.arrow` for the columns."""
-        return to_table(self.bins, [self.flat_intervals(j) for j in range(self.bins.n_targets)])
+        """As an Arrow table with one row per sample; needs the extra ``arrow``.
+
+        Columns ``target_J``, ``list<fixed_size_list<double>[2]>``, hold the sorted, disjoint intervals: ``[-inf, inf]``
+        if unbounded, an empty list for an empty set. The schema's metadata holds the edges as JSON, key
+        ``conformodal.edges``.
+        """
+        try:
+            import pyarrow as pa  # noqa: PLC0415
+        except ImportError:
+            raise ConformalError("Arrow and Parquet need pyarrow: pip install 'conformodal[arrow]'") from None
+        columns = []
+        for j in range(self.bins.n_targets):
+            offsets, ends = self.flat_intervals(j)
+            pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
+            columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
+        edges = json.dumps([e.tolist() for e in self.bins.edges_]).encode()
+        names = [f"target_{j}" for j in range(len(columns))]
+        return pa.table(columns, names=names).replace_schema_metadata({b"conformodal.edges": edges})
 
     def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
         out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
@@ -278,7 +245,7 @@ def _count_runs(mask: BoolArray, _target: int) -> IntArray:
 
 
 def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
-    """Runs a row (n,), and all runs (m, 2) as first bin and one past the last."""
+    """Runs per row (n,), and all runs (m, 2) as first bin and one past the last."""
     n, k = mask.shape
     padded = np.zeros((n, k + 2), dtype=bool)
     padded[:, 1:-1] = mask

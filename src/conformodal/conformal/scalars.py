@@ -1,9 +1,10 @@
-"""Checks of single values: rates, whole numbers, real numbers, names and seeds."""
+"""Checks of single values: rates, integers, real numbers, names and seeds."""
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from contextlib import suppress
 from decimal import Decimal
 from fractions import Fraction
 from numbers import Rational, Real
@@ -15,7 +16,7 @@ from .errors import ConformalError
 
 Alpha: TypeAlias = float | str | Decimal | Fraction
 
-# powers of ten beyond which a decimal is no rate, and would take long to read
+# powers of ten beyond which a decimal is not a rate, and would take long to read
 _MOST_DIGITS = 400
 _LONGEST_REPR = 80
 
@@ -35,13 +36,7 @@ def shortened(text: str, most: int = 300) -> str:
 
 
 def as_alpha(alpha: Alpha) -> Fraction:
-    """Read a miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055.
-
-    Raises
-    ------
-    ConformalError
-        If `alpha` is no number strictly between 0 and 1.
-    """
+    """A miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055."""
     try:
         if isinstance(alpha, bool):
             raise TypeError
@@ -49,7 +44,7 @@ def as_alpha(alpha: Alpha) -> Fraction:
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
         raise ConformalError(f"alpha must be a number strictly between 0 and 1, got {brief(alpha)}") from None
     if not 0 < value < 1:
-        percent = float(value) / 100  # of misses, or, where it is more than half, of what is held
+        percent = float(value) / 100  # a miscoverage, or, if it is more than half, a coverage
         hint = f"; did you mean {min(percent, 1 - percent):g}?" if 1 < value < 100 else ""
         found = brief(str(alpha)).strip("'")
         raise ConformalError(f"alpha must lie strictly between 0 and 1 (a miscoverage rate), got {found}{hint}")
@@ -64,13 +59,7 @@ def _as_decimal(text: str) -> Fraction:
 
 
 def as_count(value: Any, name: str, least: int = 0, most: int | None = None) -> int:
-    """Return a whole number of at least `least` and at most `most`.
-
-    Raises
-    ------
-    ConformalError
-        If it is none: a float, a bool, or out of range.
-    """
+    """An integer of at least `least` and at most `most`; booleans and floats are refused."""
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
@@ -84,46 +73,26 @@ def as_count(value: Any, name: str, least: int = 0, most: int | None = None) -> 
 
 
 def as_number(value: Any, name: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """Return a real number for which `holds`; `expected` says in words what that is.
-
-    Raises
-    ------
-    ConformalError
-        If it is no real number, or `holds` is false.
-    """
+    """A real number for which `holds`; `expected` describes it in messages."""
     if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
         value = value[()]
     number = float("nan")
     if isinstance(value, (Real, Decimal)) and not isinstance(value, bool):
-        try:
+        with suppress(OverflowError, ValueError):
             number = float(value)
-        except (OverflowError, ValueError):
-            number = float("nan")
     if not holds(number):
         raise ConformalError(f"{name} must be {expected}, got {brief(value)}")
     return number
 
 
 def as_choice(value: Any, options: Any, name: str) -> None:
-    """Check a name against a ``Literal``.
-
-    Raises
-    ------
-    ConformalError
-        If it is none of them.
-    """
+    """Check a name against a ``Literal``."""
     if not isinstance(value, str) or value not in get_args(options):
         raise ConformalError(f"{name} must be one of {list(get_args(options))}, got {brief(value)}")
 
 
 def as_random(random_state: Any) -> np.random.RandomState:
-    """Return the source of random numbers of a seed, a ``RandomState`` or None, as scikit-learn does.
-
-    Raises
-    ------
-    ConformalError
-        If it is none of these.
-    """
+    """The random numbers of a seed, a ``RandomState`` or None, as in scikit-learn."""
     from sklearn.utils import check_random_state  # noqa: PLC0415 - a second to import
 
     try:

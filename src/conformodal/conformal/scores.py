@@ -1,7 +1,4 @@
-"""Nonconformity scores of bins: how badly each value would fit. The lower, the better a bin fits.
-
-A new score is one small class with a name and ``of_bins``; see :class:`Score`.
-"""
+"""Nonconformity scores of bins: the lower, the better a bin fits. For a new score see :class:`Score`."""
 
 from __future__ import annotations
 
@@ -18,18 +15,16 @@ from .scalars import as_choice, as_count, as_number, brief
 
 @runtime_checkable
 class Score(Protocol):
-    """What calibration needs of a score.
+    """A nonconformity score; ``examples/custom_score.py`` is a complete example.
 
     ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
-    probabilities' own floating type. A row's scores may depend on nothing but that row.
+    probabilities' own floating type. A row's scores may depend on that row only.
 
-    Four attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
-    (n, K * cells). ``normalised`` (bool): scores of different targets can be compared as they are, so that one
-    threshold over all of them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
-    ``elementwise`` (bool): a bin's score depends on its own probability and width alone and never rises with the
-    probability; sets are then found without computing a score.
-
-    A whole score of one's own is in ``examples/custom_score.py``.
+    Four attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns (n, K
+    * cells). ``normalised`` (bool): scores of different targets are comparable, so that one threshold over all of them
+    needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target. ``elementwise`` (bool): a
+    bin's score depends on its own probability and width only and never rises with the probability; sets are then found
+    without computing a score.
     """
 
     name: str
@@ -89,20 +84,20 @@ class Density:
 class LinearDensity:
     """Minus the density, linear between bin centres instead of constant in each bin.
 
-    Every bin is cut into equal cells, and each cell scored at its middle, so that an interval may end within a
-    bin. Beyond the outermost centres the density is that of the outermost bin.
+    Every bin is cut into equal cells, each scored at its middle, so that an interval may end within a bin. Beyond the
+    outermost centres the density is constant.
 
     Parameters
     ----------
     cells
-        Cells a bin, at least 1.
+        Cells per bin, at least 1.
 
     Examples
     --------
     >>> import numpy as np
     >>> from conformodal.conformal import LinearDensity
     >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
-    >>> LinearDensity(cells=2).of_bins(proba, widths)  # two cells a bin
+    >>> LinearDensity(cells=2).of_bins(proba, widths)  # two cells per bin
     array([[-0.25      , -0.26666667, -0.29166667, -0.275     , -0.225     ,
             -0.2       ]])
     """
@@ -150,27 +145,25 @@ _NAMES = {  # of the share of the bin's own probability that counts, randomised 
 
 
 class Aps:
-    """Adaptive prediction sets: the probability of all bins that are more probable, and a random part of the bin's.
+    """Adaptive prediction sets: the probability of all more probable bins, and a random share of the bin's own.
 
-    The random number of a row is a hash of the row's probabilities and the seed. It is thus the same whenever the
-    row is scored, in whatever order, and the score stays a fixed function of the sample, as the guarantee needs.
+    The random number of a row is a hash of its probabilities and the seed, so that the score is a fixed function of the
+    sample, as the coverage guarantee needs.
 
     Source: Romano, Sesia and Candes (2020). Ordered by density instead, these are the highest-density sets of
-    Izbicki, Shimizu and Stern (2022). The score named ``"hpd"`` is the mid-p version of these: half of the bin's own
-    probability counts. ``"hpd_random"`` counts a random share.
+    Izbicki, Shimizu and Stern (2022): ``"hpd"`` is their mid-p version, in which half of the bin's own probability
+    counts; ``"hpd_random"`` counts a random share.
 
     Parameters
     ----------
     order
-        ``"probability"`` or ``"density"``: by which bins are ranked.
+        Bins are ranked by ``"probability"`` or ``"density"``.
     randomized
-        False counts a fixed share of the bin's own probability. The score then moves little where the probabilities do,
-        so that batches and streams, whose last digits differ, get the same sets.
+        False counts a fixed share of the bin's own probability, which makes sets robust to rounding.
     seed
         Of the hash.
     own_share
-        That fixed share: 1 makes sets larger, and never empty; one half makes them as large as random shares do, on
-        average.
+        The fixed share: with 1, sets are larger and never empty; with 0.5, as large on average as with random shares.
 
     Examples
     --------
@@ -216,7 +209,7 @@ class Aps:
 
 
 def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
-    """One number in [0, 1) a row, a hash of its bits and `seed`: equal rows share theirs, others are unrelated."""
+    """One number in [0, 1) per row, a hash of its bits and `seed`: equal rows get equal numbers."""
     bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
     odd = np.random.default_rng(seed).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
     # the top bits of a float differ least between rows; folding brings them down before the multiplication
@@ -234,13 +227,7 @@ SCORES: dict[str, Score] = {
 
 
 def resolve_score(score: str | Score) -> Score:
-    """Return a score object for a name from :data:`SCORES`, or the object itself.
-
-    Raises
-    ------
-    ConformalError
-        If the name is unknown, or the object has no ``of_bins``.
-    """
+    """A score object for a name from :data:`SCORES`, or the object itself."""
     if isinstance(score, str):
         if score not in SCORES:
             raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
@@ -251,10 +238,10 @@ def resolve_score(score: str | Score) -> Score:
 
 
 def is_per_unit(score: Score) -> bool:
-    """Whether scores have a unit, one over that of the target; False if `score` does not say."""
+    """Whether scores have a unit, one over that of the target."""
     return bool(getattr(score, "per_unit", False))
 
 
 def cells_of(score: Score) -> int:
-    """Cells into which `score` cuts every bin; 1 if it does not."""
+    """Cells into which `score` cuts every bin."""
     return as_count(getattr(score, "cells", 1), "cells of the score", 1)

@@ -14,18 +14,7 @@ _LONGEST = 80
 def as_member(
     value: Any, choices: type[Member], argument: str, error: type[ConformodalError] = ConformodalError
 ) -> Member:
-    """The member of an enumeration that a value stands for; comparisons with ``is`` hold for it.
-
-    Parameters
-    ----------
-    value
-        A member, or its value as text or number.
-    choices
-        The enumeration.
-    argument
-        Name of the argument or attribute, for the message.
-    error
-        Raised where there is no such member.
+    """The member of an enumeration that a value stands for, or `error`, which names the argument.
 
     Examples
     --------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class ConformodalError(ValueError):
-    """Bad input, told kindly: what was found, where, and what was expected.
+    """Invalid input: what was found, where, and what was expected.
 
-    Every package has an error of its own below it. For an example see :class:`~conformodal.conformal.ConformalError`.
+    Every package has its own subclass. For an example see :class:`~conformodal.conformal.ConformalError`.
     """

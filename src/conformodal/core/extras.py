@@ -1,4 +1,4 @@
-"""Optional packages: the error about a missing one says how to install it."""
+"""Optional packages, and the error about a missing one."""
 
 from __future__ import annotations
 
@@ -14,19 +14,9 @@ class MissingPackageError(ConformodalError, ImportError):
 
 @contextmanager
 def require_extra(extra: str, what: str) -> Iterator[None]:
-    """Context for the imports of an optional part.
+    """Context for the imports of an optional part: says ``pip install 'conformodal[EXTRA]'`` if a package is missing.
 
-    Parameters
-    ----------
-    extra
-        Extra that installs the packages: ``pip install 'conformodal[EXTRA]'``.
-    what
-        What needs them, as the subject of a sentence.
-
-    Raises
-    ------
-    MissingPackageError
-        If a package is not there.
+    `what` needs the package; it is the subject of the message.
     """
     try:
         yield

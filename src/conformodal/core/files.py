@@ -27,7 +27,7 @@ class FolderInUseError(FolderError):
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file beside its place and move it there: no reader sees half of it, and a failure leaves the old one.
+    """Write a file atomically: readers never see half of it, and a failure leaves the old one.
 
     Text that UTF-8 cannot encode, such as undecodable bytes of a file name, is written with backslashes.
     """
@@ -38,7 +38,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file beside `path` to be written; it takes the place of `path` if all goes well, and is removed if not."""
+    """A temporary file to write; it replaces `path` on success and is removed on failure."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}{PART}")
     try:
@@ -51,13 +51,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_writable(folder: Path) -> None:
-    """Make a folder if it is missing, and test that a megabyte can be written in it.
-
-    Raises
-    ------
-    FolderError
-        If it is not a folder, cannot be made or written, or its disk is full.
-    """
+    """Create a folder if it is missing, and test that a megabyte can be written in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -71,16 +65,9 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def writing_in(folder: Path) -> Iterator[None]:
-    """Reserve a folder: check it, lock it until the block or the process ends, remove files that were half written.
+    """Lock a folder until the block or the process ends, and remove files that were half written.
 
-    A folder that was made for this and stays empty is removed again.
-
-    Raises
-    ------
-    FolderInUseError
-        If another process or thread has it.
-    FolderError
-        See :func:`check_writable`.
+    A folder that was created for this and stays empty is removed again.
     """
     made: list[Path] = []
     with suppress(OSError, ValueError):
@@ -99,14 +86,9 @@ def writing_in(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def locked(file: Path) -> Iterator[None]:
-    """Hold a lock file with the process's number in it. One thread may hold it several times over.
+    """Hold a lock file with the process's number in it, re-entrant within a thread.
 
     The system releases the lock when the process ends, however it does.
-
-    Raises
-    ------
-    FolderInUseError
-        If another process or thread holds it.
     """
     with require_extra("run", "locking a folder"):
         from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra

@@ -8,15 +8,7 @@ from typing import Any
 
 
 def lazy_getattr(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """A package's ``__getattr__`` (PEP 562).
-
-    Parameters
-    ----------
-    package
-        Its ``__name__``.
-    names
-        Public names, and the modules that they are in, relative to the package.
-    """
+    """A package's ``__getattr__`` (PEP 562); `names` maps public names to their modules, relative to the package."""
 
     def get(name: str) -> Any:
         if name not in names:

@@ -1,13 +1,13 @@
-"""How far long work has come."""
+"""Progress of long work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeAlias
 
-# Called with what is done and what is to be done in all.
+# called with the number of finished parts and of all parts
 Progress: TypeAlias = Callable[[int, int], None]
-# Called with the stage as well.
+# called with the stage first
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 
 

@@ -1,4 +1,4 @@
-"""The range of each setting that is a number: the Python interface and the command line are checked by these."""
+"""Ranges of numeric settings, which the Python interface and the command line check."""
 
 from __future__ import annotations
 
@@ -69,13 +69,7 @@ RANGES = {
 
 
 def check_ranges(settings: Mapping[str, Any], error: type[ConformodalError]) -> None:
-    """Refuse the first of some settings by name that is out of its range; None and other settings pass.
-
-    Raises
-    ------
-    ConformodalError
-        `error`, with the name, what was found and what was expected.
-    """
+    """Raise `error` for the first setting that is out of its range; None and settings without a range pass."""
     for name, value in settings.items():
         allowed = RANGES.get(name)
         if allowed is not None and value is not None and not allowed.holds(value):
@@ -89,13 +83,7 @@ def check_shares(
     error: type[ConformodalError],
     names: tuple[str, str, str] = ("test", "calibration", "used"),
 ) -> None:
-    """Refuse shares of frames that leave nothing to train on; `names` are what an error calls them.
-
-    Raises
-    ------
-    ConformodalError
-        `error`.
-    """
+    """Raise `error` for shares of frames that leave nothing to train on; `names` are for the message."""
     if test + calibration >= 1:
         raise error(f"{names[0]} and {names[1]} must leave something to train on, got {test} and {calibration}")
     if used is not None and not calibration < used <= 1 - test + 1e-9:

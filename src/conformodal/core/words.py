@@ -6,16 +6,7 @@ from collections.abc import Sequence
 
 
 def counted(n: int, noun: str, plural: str | None = None) -> str:
-    """A number with its noun: ``1 frame``, ``2 frames``.
-
-    Parameters
-    ----------
-    n
-        How many.
-    noun
-        Of one.
-    plural
-        Of several; by default the noun with an s.
+    """A number with its noun, whose plural ends in s unless it is given.
 
     Examples
     --------
@@ -26,13 +17,7 @@ def counted(n: int, noun: str, plural: str | None = None) -> str:
 
 
 def noun_for(n: int, noun: str, plural: str | None = None) -> str:
-    """The noun alone, or another word that a count changes: ``noun_for(n, "is", "are")``.
-
-    Parameters
-    ----------
-    n, noun, plural
-        As for :func:`counted`.
-    """
+    """The noun alone, or another word that depends on a number: ``noun_for(n, "is", "are")``."""
     return noun if n == 1 else plural or f"{noun}s"
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import yaml
 
 from conformodal.poses import PinholeCamera, Trajectory
-from conformodal.poses.euroc import euroc_table
+from conformodal.poses.formats import euroc_table
 from conformodal.poses.text import matrix_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.poses import TrajectoryFileError
-from conformodal.poses.kitti import kitti_table
+from conformodal.poses.formats import kitti_table, tum_table
 from conformodal.poses.text import number
-from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size

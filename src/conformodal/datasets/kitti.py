@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.poses import Trajectory, TrajectoryFileError
-from conformodal.poses.kitti import kitti_table
+from conformodal.poses.formats import kitti_table
 from conformodal.poses.text import number, table_of
 
 from .cameras import camera_of, check_matrix

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.poses import PinholeCamera
+from conformodal.poses.formats import tum_table
 from conformodal.poses.text import number
-from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size

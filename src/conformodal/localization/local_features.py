@@ -13,7 +13,7 @@ from threadpoolctl import ThreadpoolController
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.datasets import thumbnail
 from conformodal.motion.tracker import grey_image
-from conformodal.motion.undistortion import undistort
+from conformodal.motion.two_view import undistort
 from conformodal.poses import PinholeCamera
 
 from .settings import LOCAL_FEATURES

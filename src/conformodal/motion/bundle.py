@@ -1,8 +1,7 @@
-"""Bundle adjustment of a few cameras and the corners of the first (Triggs et al. 2000).
+"""Bundle adjustment of a few cameras and the corners of the first, the anchor (Triggs et al. 2000).
 
-A corner is known by where the first camera, the anchor, sees it, and by its inverse depth there (Civera et al. 2008),
-which is well behaved for corners far away. So a corner is one unknown, and the Schur complement that removes all
-corners divides by numbers instead of matrices.
+A corner is parametrised by its inverse depth in the anchor (Civera et al. 2008), which is well behaved far away. It is
+one unknown, so the Schur complement that removes all corners divides by numbers instead of matrices.
 """
 
 from __future__ import annotations
@@ -19,56 +18,27 @@ from .settings import BUNDLE
 
 
 class Bundle(NamedTuple):
-    """Cameras and corners, up to one unknown length.
+    """Cameras and corners, in the anchor's frame and up to scale."""
 
-    Attributes
-    ----------
-    R_anchor_frame, positions
-        (k, 3, 3) and (k, 3): the cameras but the anchor, in the anchor's frame.
-    inverse_depths
-        (n,) of the corners, seen from the anchor.
-    """
-
-    R_anchor_frame: FloatArray
-    positions: FloatArray
-    inverse_depths: FloatArray
+    R_anchor_frame: FloatArray  # (k, 3, 3), the cameras but the anchor
+    positions: FloatArray  # (k, 3)
+    inverse_depths: FloatArray  # (n,) of the corners, seen from the anchor
 
 
 class Views(NamedTuple):
-    """Where corners are seen, on the plane at depth 1 of each camera.
+    """Where corners are seen, on the plane at depth 1 of each camera."""
 
-    Attributes
-    ----------
-    anchor
-        (n, 2).
-    others
-        (k, n, 2); of no meaning where `seen` is False.
-    seen
-        (k, n).
-    """
-
-    anchor: FloatArray
-    others: FloatArray
-    seen: BoolArray
+    anchor: FloatArray  # (n, 2)
+    others: FloatArray  # (k, n, 2); meaningless where `seen` is False
+    seen: BoolArray  # (k, n)
 
 
 def adjust_bundle(start: Bundle, views: Views, sigma: float) -> tuple[Bundle, FloatArray]:
-    """Cameras and corners that explain the views best, by Levenberg and Marquardt with Cauchy's weights.
+    """Cameras and corners that fit the views best: Levenberg-Marquardt with Cauchy weights.
 
-    Parameters
-    ----------
-    start
-        A first guess.
-    views
-        What to explain.
-    sigma
-        Spread of a corner's error, on the plane at depth 1.
-
-    Returns
-    -------
-    bundle, residuals
-        The bundle with its last camera at distance 1, and (k, n) lengths of the residuals on the plane at depth 1, NaN
-        where nothing was seen.
+    `sigma` is the standard deviation of a corner on the plane at depth 1. Returns the bundle, scaled so that its last
+    camera is at distance 1, and the lengths (k, n) of the residuals on the plane at depth 1, NaN where nothing was
+    seen.
     """
     now, damping = start, 1e-4
     seen_from, residuals = _residuals(now, views, sigma)

@@ -13,25 +13,22 @@ from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 from .relative_pose import estimate_relative_motion
 from .settings import RELATIVE_POSE
 from .tracker import Corners, CornerTracker, grey_image
-from .two_view import TwoViewSolver, solve_poselib
+from .two_view import TwoViewSolver, solve_opencv, solve_poselib, undistort
+
+_FIVE = 5  # corners that an essential matrix needs
 
 
 class FrontEnd(ABC):
     """Relative motion between frames of one camera.
 
-    :meth:`track_only` shows it a frame that lies between; :meth:`measure` ends an interval and starts the next.
-
-    Parameters
-    ----------
-    camera
-        Intrinsics and distortion.
+    :meth:`track_only` tracks through an intermediate frame; :meth:`measure` ends an interval and starts the next.
 
     Attributes
     ----------
     tracks
-        Corners (m, 2) in the frame measured last but one and in the last, in pixels; None for the first frame.
+        Pixels (m, 2) of the same corners in the last two measured frames; None for the first frame.
     corners
-        All corners of the frame measured last, for :func:`~conformodal.motion.submaps.build_submaps`.
+        All corners of the last measured frame, for :func:`~conformodal.motion.submaps.build_submaps`.
     """
 
     def __init__(self, camera: PinholeCamera) -> None:
@@ -45,7 +42,7 @@ class FrontEnd(ABC):
         self.tracker.reset()
 
     def track_only(self, image: npt.NDArray[np.uint8]) -> None:
-        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         self.tracker.advance(grey_image(image))
 
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
@@ -66,16 +63,9 @@ class FrontEnd(ABC):
 class MotionFrontEnd(FrontEnd):
     """Relative motions with checks for pure rotation, small steps, planes and repeated pictures.
 
-    Where corners had to be renewed on the way, rotations are chained and the direction, which would need the lengths of
-    the parts, is left out.
-
-    Parameters
-    ----------
-    camera
-        Intrinsics and distortion.
-    solver
-        Of two-view geometry: :func:`~conformodal.motion.two_view.solve_poselib`, or
-        :func:`~conformodal.motion.two_view.solve_opencv`.
+    If corners had to be renewed within an interval, rotations are chained and the direction, which would need the
+    lengths of the parts, is left out. `solver` is :func:`~conformodal.motion.two_view.solve_poselib` or
+    :func:`~conformodal.motion.two_view.solve_opencv`.
     """
 
     def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
@@ -95,7 +85,7 @@ class MotionFrontEnd(FrontEnd):
         self._broken = False
 
     def track_only(self, image: npt.NDArray[np.uint8]) -> None:
-        """Follow corners through a frame (height, width[, 3]) that no motion is asked for."""
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._accumulate()
@@ -103,7 +93,7 @@ class MotionFrontEnd(FrontEnd):
     def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
         """Motion from the frame measured last to this one.
 
-        None for the first frame of a recording; if that is blank, a motion that says so.
+        None for the first frame of a recording, or a motion with status ``TOO_FEW`` if it is blank.
         """
         motion = super().measure(image)
         if motion is None and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
@@ -142,3 +132,20 @@ class MotionFrontEnd(FrontEnd):
             last.n_inliers,
             rotation_sigma_rad=float(np.sqrt(self._accumulated_variance + last.rotation_sigma_rad**2)),
         )
+
+
+class EssentialFrontEnd(FrontEnd):
+    """Rotation and direction by OpenCV's essential matrix, as in section 3 of the paper.
+
+    It has none of the checks of :class:`MotionFrontEnd`: it gives a direction whenever it finds a matrix.
+    """
+
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        n = len(before)
+        if n < _FIVE:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)
+        found = solve_opencv(undistort(before, self.camera), undistort(now, self.camera), self.camera)
+        if found is None:
+            return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n)
+        n_inliers = int(found.inliers.sum())
+        return RelativeMotion(MotionStatus.OK, found.R_prev_next, found.direction_prev, n, n_inliers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
@@ -9,11 +10,9 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
-from .plane import plane_motions
 from .settings import RELATIVE_POSE
 from .spreads import image_cells, motion_spreads, turning_spread
-from .two_view import TwoViewSolver, solve_poselib
-from .undistortion import undistort
+from .two_view import TwoViewSolver, solve_poselib, undistort
 
 
 def estimate_relative_motion(
@@ -23,7 +22,7 @@ def estimate_relative_motion(
     n_at_start: int | None = None,
     solver: TwoViewSolver = solve_poselib,
 ) -> RelativeMotion:
-    """Motion of the camera between two frames.
+    """Motion of the camera between two frames; a rotation where it is sound, a direction only with enough parallax.
 
     Parameters
     ----------
@@ -34,13 +33,7 @@ def estimate_relative_motion(
     n_at_start
         Corners in the previous frame before tracking, to tell a blank frame from a cut.
     solver
-        Finds the motion: :func:`~conformodal.motion.two_view.solve_poselib` or
-        :func:`~conformodal.motion.two_view.solve_opencv`.
-
-    Returns
-    -------
-    RelativeMotion
-        With the rotation where it is sound, and the direction only where parallax carries it.
+        :func:`~conformodal.motion.two_view.solve_poselib` or :func:`~conformodal.motion.two_view.solve_opencv`.
     """
     n = len(pixels_prev)
     if n < RELATIVE_POSE.min_tracks:
@@ -66,7 +59,7 @@ def estimate_relative_motion(
 def _turning_alone(
     rays_prev: FloatArray, rays_next: FloatArray, cells: npt.NDArray[np.int64], pixel: float
 ) -> RelativeMotion | None:
-    """The motion where a rotation explains the pair, so that no five points can tell a direction; or None."""
+    """The motion if a rotation alone explains the pair, which leaves the direction undetermined; or None."""
     rotation, inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
     if inliers.mean() < RELATIVE_POSE.turning_share:
         return None
@@ -119,6 +112,32 @@ def _moving(
         rotation_sigma,
         direction_sigma if enough else np.inf,
     )
+
+
+def plane_motions(
+    pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, tolerance_px: float
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Motions ``(R_prev_next, direction_prev)`` that explain corners (n, 2) on one plane: one or two, or none.
+
+    Faugeras and Lustman (1988). Empty if the corners do not lie on a plane within `tolerance_px`.
+    """
+    homography, _ = cv2.findHomography(pixels_prev, pixels_next, 0)
+    if homography is None:
+        return []
+    led = np.column_stack((pixels_prev, np.ones(len(pixels_prev)))) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.linalg.norm(led[:, :2] / led[:, 2:] - pixels_next, axis=1)
+    if not np.mean(off <= tolerance_px) >= RELATIVE_POSE.plane_share:
+        return []
+    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, camera.matrix)
+    rays = camera.bearings(pixels_prev)
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):
+        length = float(np.linalg.norm(t))
+        if length > 1e-9 and (rays @ normal[:, 0] > RELATIVE_POSE.behind).all():
+            R_prev_next = np.asarray(R_next_prev, dtype=np.float64).T
+            found.append((R_prev_next, -R_prev_next @ t[:, 0] / length))
+    return found
 
 
 def _rotation_only(

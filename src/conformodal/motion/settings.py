@@ -1,4 +1,4 @@
-"""Every number that motion was given and did not learn, with its unit and where it comes from."""
+"""Settings of tracking, relative motion and submaps: numbers that were chosen, not learnt."""
 
 from __future__ import annotations
 
@@ -10,151 +10,72 @@ import numpy as np
 
 @dataclass(frozen=True)
 class _TrackerSettings:
-    """How corners are found and followed.
+    """How corners are found and followed."""
 
-    Attributes
-    ----------
-    max_corners
-        Corners kept alive.
-    harris_k
-        Weight of the squared trace in the Harris response.
-    quality
-        Weakest Harris response, relative to the strongest.
-    spacing_share
-        Least distance between new corners, as a share of the image width.
-    renew_below
-        New corners are sought when fewer than this share of `max_corners` are left.
-    window_px, levels
-        Lucas-Kanade window and pyramid levels above the image.
-    back_levels
-        Levels on the way back, which starts from where the corner was.
-    max_back_error_px
-        Largest distance between a corner and itself tracked forth and back.
-    """
-
-    max_corners: int = 500
-    harris_k: float = 0.04
-    quality: float = 1e-4
-    spacing_share: float = 0.025
-    renew_below: float = 0.85
-    window_px: int = 11
-    levels: int = 4
-    back_levels: int = 1
-    max_back_error_px: float = 0.7
+    max_corners: int = 500  # tracked at a time
+    harris_k: float = 0.04  # weight of the squared trace in the Harris response
+    quality: float = 1e-4  # weakest Harris response, relative to the strongest
+    spacing_share: float = 0.025  # least distance between new corners, as a share of the image width
+    renew_below: float = 0.85  # share of `max_corners` below which new corners are detected
+    window_px: int = 11  # of Lucas-Kanade flow
+    levels: int = 4  # pyramid levels above the image
+    back_levels: int = 1  # the same for tracking back, which starts from the corner's first position
+    max_back_error_px: float = 0.7  # largest distance between a corner and itself tracked forth and back
 
 
 @dataclass(frozen=True)
 class _RelativePoseSettings:
-    """When a relative motion is measured, and how uncertain it is.
+    """When a relative motion is measured, and how uncertain it is."""
 
-    Attributes
-    ----------
-    min_tracks
-        Followed corners below which nothing is measured.
-    min_inlier_share
-        Of the corners, below which the geometry does not fit.
-    repeated_flow_px
-        Median displacement below which nothing has moved: a repeated picture, or a camera at rest.
-    plane_ambiguity_rad
-        Two motions that one plane allows are two answers if their directions differ by more than this.
-    turning_share
-        Share of the corners that a rotation alone must explain for the pair to be one.
-    min_parallax_px
-        Parallax below this is lost in the tracker's own error.
-    plane_share
-        Share of the corners that one plane must explain.
-    behind
-        Plane distances by which a corner may fall behind a camera through tracking error alone.
-    remark_below
-        Share of the marked corners left below which a rotation is chained from here on: the corners that last longest
-        drift most.
-    epipolar_px
-        Largest distance from an epipolar line.
-    ransac, refinement
-        Of PoseLib; corners drift by a few tenths of a pixel, so a quarter is where the final fit doubts one.
-    farthest
-        Steps beyond which OpenCV does not count a point as in front of both cameras.
-    """
-
-    min_tracks: int = 16
+    min_tracks: int = 16  # tracked corners
     min_inlier_share: float = 0.5
-    repeated_flow_px: float = 0.05
-    plane_ambiguity_rad: float = float(np.radians(5.0))
-    turning_share: float = 0.9
-    min_parallax_px: float = 1.0
-    plane_share: float = 0.97
-    behind: float = -1e-3
+    repeated_flow_px: float = 0.05  # median displacement below which the picture is repeated or the camera at rest
+    plane_ambiguity_rad: float = float(np.radians(5.0))  # between the two directions that a plane allows
+    turning_share: float = 0.9  # of the corners that a rotation alone must explain to be the answer
+    min_parallax_px: float = 1.0  # below this, parallax is lost in tracking errors
+    plane_share: float = 0.97  # of the corners that one plane must explain
+    behind: float = -1e-3  # plane distances by which tracking errors may put a corner behind a camera
+    # share of the marked corners below which rotations are chained from here on: the longest tracks drift most
     remark_below: float = 0.5
-    epipolar_px: float = 1.0
+    epipolar_px: float = 1.0  # largest distance from an epipolar line
     ransac: dict[str, Any] = field(
         default_factory=lambda: {"max_epipolar_error": 1.0, "max_iterations": 1000, "min_iterations": 20, "seed": 0}
     )
+    # corners drift by a few tenths of a pixel: the final fit gives those beyond a quarter less weight
     refinement: dict[str, Any] = field(
         default_factory=lambda: {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
     )
-    farthest: float = 1e4
+    farthest: float = 1e4  # steps beyond which OpenCV does not count a point as in front of both cameras
 
 
 @dataclass(frozen=True)
 class _MotionErrorSettings:
-    """Standard deviations of a relative motion, from the scatter between parts of the image.
+    """Standard deviations of a relative motion, from the scatter between parts of the image."""
 
-    Attributes
-    ----------
-    columns, rows
-        Parts of the image.
-    rotation_factor, direction_factor
-        Errors over what the scatter predicts (benchmarks/relative_motion.py).
-    least_residual_px
-        No corner is followed better than this.
-    """
-
-    columns: int = 4
+    columns: int = 4  # parts of the image
     rows: int = 3
-    rotation_factor: float = 2.4
+    rotation_factor: float = 2.4  # errors over what the scatter predicts (benchmarks/relative_motion.py)
     direction_factor: float = 3.0
-    least_residual_px: float = 0.05
+    least_residual_px: float = 0.05  # no corner is tracked better than this
 
 
 @dataclass(frozen=True)
 class _SubmapSettings:
-    """Where a submap ends, and how uncertain it is.
+    """Where a submap ends, and how uncertain it is."""
 
-    Attributes
-    ----------
-    min_share, min_corners
-        It ends where fewer of its corners are left.
-    max_span
-        Frames.
-    max_cameras
-        The anchor included; frames between these say little more.
-    max_corners
-        That are triangulated.
-    position_factor, rotation_factor
-        Errors over what the corners' residuals predict (benchmarks/submaps.py): rolling shutter and drift are common
-        to all corners.
-    worst_sigma
-        Predicted standard deviation, as a share of the longest distance, above which a submap is dropped.
-    sigma_px, least_residual_px
-        Of a corner.
-    agree_px, min_agreeing
-        A frame agrees where this share of its corners is reprojected within so many pixels.
-    ransac, refinement
-        Of PoseLib.
-    """
-
-    min_share: float = 0.3
+    min_share: float = 0.3  # it ends where a smaller share of its corners is left, or fewer than min_corners
     min_corners: int = 40
-    max_span: int = 60
-    max_cameras: int = 9
-    max_corners: int = 250
+    max_span: int = 60  # frames
+    max_cameras: int = 9  # the anchor included; frames between these add little
+    max_corners: int = 250  # that are triangulated
+    # errors over what the residuals predict (benchmarks/submaps.py): rolling shutter and drift are common to all
     position_factor: float = 4.5
     rotation_factor: float = 35.0
-    worst_sigma: float = 0.5
-    sigma_px: float = 0.5
+    worst_sigma: float = 0.5  # predicted standard deviation over the longest distance, above which a submap is dropped
+    sigma_px: float = 0.5  # of a corner
     least_residual_px: float = 0.1
-    agree_px: float = 2.0
-    min_agreeing: float = 0.6
+    agree_px: float = 2.0  # a corner agrees if it is reprojected within this
+    min_agreeing: float = 0.6  # share of the corners
     ransac: dict[str, Any] = field(
         default_factory=lambda: {"max_reproj_error": 3.0, "max_iterations": 200, "min_iterations": 10, "seed": 0}
     )
@@ -163,25 +84,13 @@ class _SubmapSettings:
 
 @dataclass(frozen=True)
 class _BundleSettings:
-    """Of bundle adjustment (Triggs et al. 2000).
+    """Of bundle adjustment (Triggs et al. 2000)."""
 
-    Attributes
-    ----------
-    iterations, dampings
-        At most; dampings are tried in one iteration.
-    enough
-        Relative decrease of the cost that ends the search.
-    cauchy
-        Standard deviations beyond which a residual loses its pull.
-    nearest
-        Least depth in front of a camera, as a share of the anchor's.
-    """
-
-    iterations: int = 20
-    dampings: int = 6
-    enough: float = 1e-5
-    cauchy: float = 2.0
-    nearest: float = 1e-3
+    iterations: int = 20  # at most
+    dampings: int = 6  # tried per iteration, at most
+    enough: float = 1e-5  # relative decrease of the cost that ends the search
+    cauchy: float = 2.0  # standard deviations beyond which residuals are down-weighted
+    nearest: float = 1e-3  # least depth in front of a camera, as a share of the anchor's
 
 
 TRACKER = _TrackerSettings()

@@ -1,9 +1,8 @@
-"""Standard deviations of a relative motion, from residuals and parallax of its inliers and their spread in the image.
+"""Standard deviations of a relative motion, from the residuals and the parallax of its inliers.
 
-Errors of corners that lie close together are alike: they share texture, blur, shutter and depth. Counting each corner
-as a witness of its own makes spreads far too small. Here the image is cut into cells, and all corners of a cell
-share one error; least squares passes these on to the motion (the sandwich covariance of clustered data, Liang and
-Zeger 1986). What remains is a factor, the same for all data, measured in ``benchmarks/relative_motion.py``.
+Errors of neighbouring corners are correlated: they share texture, blur, shutter and depth. So all corners of an image
+cell share one error, which least squares passes on to the motion (the sandwich covariance of clustered data, Liang and
+Zeger 1986), times a factor measured in ``benchmarks/relative_motion.py``.
 """
 
 from __future__ import annotations
@@ -33,23 +32,9 @@ def motion_spreads(
     cells: npt.NDArray[np.int64],
     pixel_rad: float,
 ) -> tuple[float, float]:
-    """Spreads of the errors of a rotation (about each axis) and of a unit direction (in each way orthogonal to it).
+    """Standard deviations (radians) of a rotation about each axis and of a direction along each orthogonal axis.
 
-    Parameters
-    ----------
-    rays_prev, rays_next
-        (n, 3) unit rays of the inliers.
-    R_prev_next, direction_prev
-        The motion.
-    cells
-        (n,) from :func:`image_cells`.
-    pixel_rad
-        Radians a pixel.
-
-    Returns
-    -------
-    rotation_sigma_rad, direction_sigma_rad
-        ``inf`` where the inliers leave it open.
+    From unit rays (n, 3) of the inliers and their cells (n,) from :func:`image_cells`; ``inf`` where undetermined.
     """
     turned = rays_next @ R_prev_next.T
     normal, other = np.cross(direction_prev, turned), np.cross(direction_prev, rays_prev)
@@ -74,7 +59,7 @@ def turning_spread(
     cells: npt.NDArray[np.int64],
     pixel_rad: float,
 ) -> float:
-    """Spread of a rotation's error about each axis, where turning alone explains the corners."""
+    """Standard deviation of a pure rotation about each axis, as :func:`motion_spreads`."""
     turned = rays_next @ R_prev_next.T
     off = np.linalg.norm(rays_prev - turned, axis=1)
     x, y, z = turned.T

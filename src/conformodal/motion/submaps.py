@@ -1,8 +1,8 @@
-"""Submaps: pieces of the camera's path, from the corners of one frame that are followed through later frames.
+"""Submaps: pieces of the camera's path from corners that are tracked over many frames.
 
-Two frames give a direction; only a corner seen in three or more ties the lengths of steps to each other. A submap
-starts at an anchor, ends where most of its corners are lost, and is bundle adjusted on its own. The next one is
-anchored in its middle, so that the frames which two submaps share tie their lengths together.
+Two frames give a direction; the ratio of steps needs a corner that three or more frames see. A submap starts at an
+anchor, ends where most of its corners are lost, and is bundle adjusted on its own. The next one is anchored in its
+middle; the frames that both share link their scales.
 """
 
 from __future__ import annotations
@@ -20,25 +20,14 @@ from .bundle import Bundle, Views, adjust_bundle, residual_spread
 from .relative_pose import estimate_relative_motion
 from .settings import SUBMAPS
 from .tracker import Corners
-from .two_view import poselib_camera
-from .undistortion import undistort
+from .two_view import poselib_camera, undistort
 
 
 def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Submap]:
-    """Submaps of a recording.
+    """Submaps of a recording, from the corners of its frames in order of time.
 
-    Parameters
-    ----------
-    corners
-        Of its frames in order of time, see :meth:`~conformodal.motion.tracker.CornerTracker.corners`.
-    camera
-        Intrinsics and distortion.
-
-    Returns
-    -------
-    list of Submap
-        Frames are numbered by their place in `corners`. Where the camera stands still, only turns or sees nothing there
-        is none.
+    Frames are numbered by their index in `corners`. There is no submap where the camera stands still, only turns or
+    sees nothing.
     """
     found: list[Submap] = []
     anchor, n = 0, len(corners)
@@ -122,7 +111,7 @@ def _matched(corners: Sequence[Corners]) -> _Matched:
     for k, other in enumerate(others):
         _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
         places[k, here], seen[k, here] = other.pixels[there], True
-    # those followed longest say most
+    # the longest tracks are the most informative
     best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
     best = best[seen[:, best].any(axis=0)]
     return _Matched(first.pixels[best].astype(np.float64), places[:, best], seen[:, best])

@@ -23,18 +23,10 @@ def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
 
 
 class Corners(NamedTuple):
-    """The corners of one frame.
+    """The corners of one frame."""
 
-    Attributes
-    ----------
-    ids
-        (n,) the same corner has the same number in every frame; no number is used twice.
-    pixels
-        (n, 2) where they are in the image.
-    """
-
-    ids: npt.NDArray[np.int64]
-    pixels: FloatArray
+    ids: npt.NDArray[np.int64]  # (n,) a corner keeps its number in all frames; none is reused
+    pixels: FloatArray  # (n, 2)
 
 
 class CornerTracker:
@@ -71,7 +63,7 @@ class CornerTracker:
         there, found, _ = cv2.calcOpticalFlowPyrLK(
             previous, image, start, start.copy(), maxLevel=TRACKER.levels, **options
         )
-        # the way back may start at its end: a corner that is stable there is found again, a false one is not
+        # tracking back may start at its end: a stable corner is found again there, a false one is not
         options |= {"maxLevel": TRACKER.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
         back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
         there, back = there[:, 0], back[:, 0]

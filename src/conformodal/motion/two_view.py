@@ -17,19 +17,25 @@ from .settings import RELATIVE_POSE
 
 
 class TwoView(NamedTuple):
-    """A motion and the corners that agree with it.
-
-    Attributes
-    ----------
-    R_prev_next, direction_prev
-        As in :class:`~conformodal.poses.RelativeMotion`.
-    inliers
-        (n,) bool.
-    """
+    """A motion, as in :class:`~conformodal.poses.RelativeMotion`, and its inliers."""
 
     R_prev_next: FloatArray
     direction_prev: FloatArray
-    inliers: npt.NDArray[np.bool_]
+    inliers: npt.NDArray[np.bool_]  # (n,)
+
+
+_UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
+# in OpenCV 4 the function that takes a criterion has its own name; in OpenCV 5 there is one function
+_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+
+
+def undistort(pixels: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """Pixels (n, 2) of the same rays in the pinhole camera without distortion."""
+    if not camera.distortion or not len(pixels):
+        return pixels
+    matrix, lens = camera.matrix, np.array(camera.distortion)
+    ideal = _undistort_points(pixels[:, None], matrix, lens, R=np.eye(3), P=matrix, criteria=_UNTIL)
+    return np.asarray(ideal, dtype=np.float64)[:, 0]
 
 
 TwoViewSolver: TypeAlias = Callable[[FloatArray, FloatArray, PinholeCamera], TwoView | None]
@@ -42,20 +48,9 @@ def poselib_camera(camera: PinholeCamera) -> dict[str, object]:
 
 
 def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
-    """Five points in LO-RANSAC, then a robust fit to all inliers.
+    """LO-RANSAC over five points, then a robust fit to all inliers, of undistorted pixels (n, 2).
 
-    PoseLib maps points as ``X_next = R X_prev + t``; the result is turned round, into the camera's own motion.
-
-    Parameters
-    ----------
-    pixels_prev, pixels_next
-        (n, 2) undistorted positions of the same corners.
-    camera
-        Intrinsics of both frames.
-
-    Returns
-    -------
-    TwoView, or None where no motion was found
+    PoseLib maps points as ``X_next = R X_prev + t``; the result is inverted, to the camera's own motion.
     """
     model = poselib_camera(camera)
     pose, info = poselib.estimate_relative_pose(

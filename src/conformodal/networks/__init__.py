@@ -1,6 +1,6 @@
-"""Networks and their training, in torch: what running a trained model does not need.
+"""Networks and their training, in torch; running a trained model does not need this package.
 
-Every name is imported when it is first used; the names of networks are known without torch.
+Every name is imported when it is first used.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from .exporting import exported, quantised, with_head
     from .heads import Head, Loss, fit_head, mean_squared_error, predict_values, soft_cross_entropy
     from .lite import NETWORKS, find_network
-    from .threads import limit_threads
-    from .torch_backbone import TorchBackbone, backbone_config, pick_device
+    from .torch_backbone import TorchBackbone, backbone_config, limit_threads, pick_device
 
 __all__ = [
     "NETWORKS",
@@ -40,8 +39,7 @@ _find = lazy_getattr(
         **dict.fromkeys(("Head", "Loss", "fit_head", "mean_squared_error"), ".heads"),
         **dict.fromkeys(("predict_values", "soft_cross_entropy"), ".heads"),
         **dict.fromkeys(("NETWORKS", "find_network"), ".lite"),
-        "limit_threads": ".threads",
-        **dict.fromkeys(("TorchBackbone", "backbone_config", "pick_device"), ".torch_backbone"),
+        **dict.fromkeys(("TorchBackbone", "backbone_config", "limit_threads", "pick_device"), ".torch_backbone"),
     },
 )
 

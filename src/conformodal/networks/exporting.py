@@ -19,11 +19,11 @@ from conformodal.core.extras import require_extra
 from conformodal.core.progress import Progress
 from conformodal.datasets import read_image
 from conformodal.vision.backbone import Backbone
-from conformodal.vision.errors import VisionError
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.onnx_backbone import INPUT, OUTPUT, OnnxBackbone
+from conformodal.vision.settings import VisionError
 
 from .torch_backbone import TorchBackbone
 
@@ -33,12 +33,12 @@ _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers;
 
 
 def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
-    """The same network in ONNX, from the cache where it is there; preprocessing is inside, the batch is dynamic.
+    """The same network in ONNX, cached; preprocessing is included and the batch size dynamic.
 
     Raises
     ------
     VisionError
-        If torch cannot export the network, or the exported one gives other features.
+        If torch cannot export the network, or the export gives other features.
     """
 
     def make() -> bytes:
@@ -54,26 +54,19 @@ def quantised(
 ) -> OnnxBackbone:
     """The same network with weights and activations in eight bits.
 
-    Weights have a scale a channel; ranges of activations are those of at most 64 of the images, spread evenly. The
-    features are other ones: sources and thresholds have to be learnt from these.
+    Weights have one scale per channel; activation ranges are those of at most 64 of the images, spread evenly. The
+    features change, so pose sources and thresholds must be learnt again.
 
     Parameters
     ----------
     backbone
-        Stays as it is.
+        Not changed.
     image_files
         Of the training part.
     cache
-        Keeps the network.
+        Stores the network.
     progress
         Called with images done and images in all.
-
-    Raises
-    ------
-    ImageError
-        If an image cannot be read; names the file.
-    MissingPackageError
-        If a package for the quantisation is not installed.
     """
     chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
     key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
@@ -90,15 +83,7 @@ def quantised(
 
 
 def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...]) -> bytes:
-    """The network and its softmax head: input ``images`` as the network's, outputs ``map`` and one (n, K) per target.
-
-    Parameters
-    ----------
-    backbone, head
-        Of one model.
-    targets
-        Names of the outputs, one per target.
-    """
+    """The network with its softmax head: input ``images``, outputs ``map`` and one (n, K) per name in `targets`."""
     with require_extra("train", "the export of a network"):
         import onnx  # noqa: PLC0415
         from onnx import helper, numpy_helper  # noqa: PLC0415

@@ -16,11 +16,10 @@ import torch
 from torch import nn
 
 from conformodal.core.progress import Progress
-from conformodal.vision.errors import VisionError
 from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.projection import Projection, fit_projection
-from conformodal.vision.settings import TrainingConfig
+from conformodal.vision.settings import TrainingConfig, VisionError
 
 _STATE_EVERY_EPOCHS = 10
 
@@ -41,26 +40,20 @@ class _Dropout(nn.Module):
 
 
 class Head(nn.Module):
-    """Projected features, dropout, one hidden layer, and a linear output for every target.
+    """Projected features, dropout, one hidden layer, and a linear output per target.
 
-    The conformal network has one softmax over K bins per target; the classical regressor has one number per target and
-    shares all else.
+    The conformal network has one softmax over K bins per target; the classical regressor has one number per target.
 
     Parameters
     ----------
     projection
-        From features to what is learnt from; it stays as it is in training.
+        Of the features; not trained.
     outputs
-        Outputs of each target: ``[K_1, ..., K_d]``, or ones.
+        Outputs per target: ``[K_1, ..., K_d]``, or ones.
     hidden
         Units of the hidden layer.
     dropout, input_dropout
         Share of hidden units, and of projected features, dropped in training.
-
-    Raises
-    ------
-    VisionError
-        If a share is not at least 0 and less than 1.
     """
 
     offset: torch.Tensor
@@ -158,9 +151,9 @@ def fit_head(
     Parameters
     ----------
     features, targets
-        (n, F), and (n, p) in whatever form the loss takes.
+        (n, F), and (n, p) in the form that the loss takes.
     outputs
-        Outputs of each target.
+        Outputs per target.
     loss
         :func:`soft_cross_entropy`, :func:`mean_squared_error`, or another function of head, outputs and targets.
     config
@@ -168,17 +161,12 @@ def fit_head(
     head_type
         A subclass, for losses with parameters of their own.
     projection
-        Of these features; fitted by default. Several heads for the same samples can share one.
+        Of these features; fitted by default. Heads of the same samples can share one.
     checkpoint_dir
-        Where to save the state every ten epochs. A training that was stopped and is started again with the same data
-        and settings continues there and gives the same head to the bit; when training ends, its state is removed.
+        Where the state is saved every ten epochs. The same training continues there after an interruption and gives the
+        same head to the bit. The state is removed when training ends.
     progress
         Called with epochs done and epochs in all.
-
-    Raises
-    ------
-    VisionError
-        If there are fewer samples than two, or shapes differ.
     """
     x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
     y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))
@@ -250,9 +238,7 @@ def _digest(head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: Tr
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """A batch of a small head is too little work to share: threads that wait for each other spin, and where another
-    program has a core, each batch waits for the thread that was put off. Sums come out alike on all machines, too.
-    """
+    """Train on one thread: a batch is too small to share, and sums are the same on all machines."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,7 +1,7 @@
 """Vision models of Hugging Face's transformers, by name or folder: ``hf:google/efficientnet-b0``, ``hf:./my-model``.
 
 Nothing is downloaded here: a model must be on this machine already (``hf download NAME`` fetches one). Weights are
-safetensors, and no code that comes with a model is run.
+safetensors, and no code of a model is run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from conformodal.vision.errors import VisionError
+from conformodal.vision.settings import VisionError
 
 from .lite import PREFIX
 
@@ -23,25 +23,13 @@ _STRIDE = 16
 
 @dataclass(frozen=True)
 class HubNetwork:
-    """A model of transformers that gives maps.
-
-    Attributes
-    ----------
-    model
-        Name on the hub, or a folder.
-    """
+    """A model of transformers that gives maps; `model` is its name on the hub, or a folder."""
 
     model: str
 
     @property
     def block(self) -> int:
-        """Index of the hidden state to take: the last with the channels of the first at a sixteenth of the resolution.
-
-        Raises
-        ------
-        VisionError
-            If the model cannot be loaded, or gives no maps.
-        """
+        """Hidden state to take: the last with as many channels as the first at a sixteenth of the resolution."""
         return _default_block(self.model)
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
@@ -100,7 +88,7 @@ def _default_block(name: str) -> int:
     with torch.inference_mode():
         states = model(pixel_values=torch.zeros(1, 3, side, side), output_hidden_states=True).hidden_states
     if states is None or states[-1].ndim != 4:
-        raise VisionError(f"{PREFIX}{name}: gives no maps (n, channels, h, w), so it cannot say where things are")
+        raise VisionError(f"{PREFIX}{name}: gives no maps (n, channels, h, w)")
     at = [k for k, state in enumerate(states) if state.shape[-1] == side // _STRIDE]
     if not at:
         return len(states) - 1

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from conformodal.core.extras import require_extra
-from conformodal.vision.errors import VisionError
+from conformodal.vision.settings import VisionError
 
 if TYPE_CHECKING:
     from torch import nn
@@ -33,26 +33,15 @@ class Network(Protocol):
 
 @dataclass(frozen=True)
 class LiteNetwork:
-    """EfficientNet-Lite: where its weights are, and which of its blocks gives the features.
+    """EfficientNet-Lite: its weights and the block that gives the features."""
 
-    Attributes
-    ----------
-    name
-        Of the architecture.
-    package
-        Distribution that holds the weights.
-    block
-        Last block to run: the last at a sixteenth of the resolution with 80 (Lite2: 88) channels. Later ones know more
-        of what and less of where.
-    """
-
-    name: str
-    package: str
-    block: int
+    name: str  # of the architecture
+    package: str  # distribution that holds the weights
+    block: int  # the last at 1/16 of the resolution with 80 (Lite2: 88) channels
 
     def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
         """See :class:`Network`."""
-        with require_extra("train", "a network"):  # here, because names of networks are asked for without torch
+        with require_extra("train", "a network"):  # here, so that names of networks need no torch
             import torch  # noqa: PLC0415
             from efficientnet_lite_pytorch import EfficientNet  # noqa: PLC0415
 
@@ -71,13 +60,7 @@ class LiteNetwork:
         return layers, _PIXEL_MEAN, _PIXEL_SCALE, identity
 
     def weights(self) -> Path:
-        """The weights file.
-
-        Raises
-        ------
-        VisionError
-            If the package is not installed; says how to get it.
-        """
+        """The weights file."""
         module = self.package.replace("-", "_")
         name = "".join(part.capitalize() for part in self.package.removesuffix("-pytorch-model").split("-"))
         try:
@@ -95,25 +78,13 @@ NETWORKS: dict[str, Network] = {
 
 
 def check_network(name: str) -> None:
-    """Refuse a name that is none of :data:`NETWORKS` and does not begin with ``hf:``; needs no torch.
-
-    Raises
-    ------
-    VisionError
-        If there is no such network.
-    """
+    """Refuse a name that is none of :data:`NETWORKS` and does not begin with ``hf:``; needs no torch."""
     if name not in NETWORKS and not name.startswith(PREFIX):
         raise VisionError(f"backbone must be one of {sorted(NETWORKS)}, or {PREFIX}NAME of transformers; got {name!r}")
 
 
 def find_network(name: str) -> Network:
-    """The network of a name: one of :data:`NETWORKS`, or ``hf:`` and a model of transformers.
-
-    Raises
-    ------
-    VisionError
-        If there is none.
-    """
+    """The network of a name: one of :data:`NETWORKS`, or ``hf:`` and a model of transformers."""
     check_network(name)
     if name.startswith(PREFIX):
         with require_extra("train", "a network"):

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 from dataclasses import asdict
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
+from threadpoolctl import threadpool_limits
 from torch import nn
 
+from conformodal.core.process import set_thread_limit
 from conformodal.datasets import THUMBNAIL
 from conformodal.vision.backbone import Backbone, BackboneConfig
-from conformodal.vision.errors import VisionError
-from conformodal.vision.settings import check_device
+from conformodal.vision.settings import VisionError, check_device
 
 from .lite import find_network
 
@@ -26,13 +28,7 @@ def backbone_config(
 ) -> BackboneConfig:
     """The default features of a network for images of a size.
 
-    `whole` asks for those that a classifier would get, as the paper does: of the whole network, averaged over the
-    image.
-
-    Raises
-    ------
-    VisionError
-        If the network is unknown.
+    `whole` gives those of a classifier, as in the paper: of the whole network, averaged over the image.
     """
     w = min(_MAX_WIDTH, width)
     network, size = find_network(name), (w, max(1, round(height * w / width)))
@@ -42,13 +38,7 @@ def backbone_config(
 
 
 def pick_device(name: str) -> torch.device:
-    """The device of a name: ``cpu``, ``cuda``, or ``auto`` for a graphics card where there is one.
-
-    Raises
-    ------
-    VisionError
-        If the name is another, or there is no such device.
-    """
+    """The device ``cpu``, ``cuda``, or ``auto``: a graphics card if there is one."""
     check_device(name)
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
@@ -56,14 +46,16 @@ def pick_device(name: str) -> torch.device:
     return torch.device("cuda" if there and name != "cpu" else "cpu")
 
 
-class TorchBackbone(Backbone, nn.Module):
-    """A feature extractor in torch, frozen.
+def limit_threads(threads: int) -> None:
+    """Limit torch, ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
+    set_thread_limit(threads)
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    threadpool_limits(threads)
 
-    Raises
-    ------
-    VisionError
-        If the network is unknown, its weights are not installed, or it has no such block.
-    """
+
+class TorchBackbone(Backbone, nn.Module):
+    """A feature extractor in torch, frozen."""
 
     pixel_mean: torch.Tensor
     pixel_scale: torch.Tensor

@@ -1,13 +1,24 @@
-"""Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only."""
+"""Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only.
+
+Invalid values raise :class:`PoseError`; files that cannot be read raise :class:`TrajectoryFileError`, which names the
+file and the line.
+"""
 
 from .alignment import Alignment, align, umeyama
 from .camera import PinholeCamera
-from .drift import KittiDrift, kitti_drift, relative_errors
 from .errors import PoseError, TrajectoryFileError
-from .euroc import read_euroc, write_euroc
-from .kitti import read_kitti, write_kitti
-from .metrics import associate, orientation_errors_deg, position_errors_m, recall, trajectory_errors
-from .relative import MotionStatus, RelativeMotion
+from .formats import read_euroc, read_kitti, read_tum, tum_lines, write_euroc, write_kitti, write_tum
+from .metrics import (
+    KittiDrift,
+    associate,
+    kitti_drift,
+    orientation_errors_deg,
+    position_errors_m,
+    recall,
+    relative_errors,
+    trajectory_errors,
+)
+from .relative import MotionStatus, RelativeMotion, Submap
 from .rotations import (
     angle_between_quats,
     check_rotation_matrices,
@@ -17,9 +28,7 @@ from .rotations import (
     quat_wxyz_from_matrix,
     sign_reference,
 )
-from .submap import Submap
 from .trajectory import Trajectory, concatenate
-from .tum import read_tum, tum_lines, write_tum
 
 __all__ = [
     "Alignment",

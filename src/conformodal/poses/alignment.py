@@ -1,4 +1,4 @@
-"""Aligning an estimated trajectory with the truth (Umeyama 1991), for errors that leave out where the world begins."""
+"""Aligning an estimated trajectory with the truth (Umeyama 1991)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .trajectory import Trajectory
 
 
 class Alignment(StrEnum):
-    """What an estimate may be moved by before it is compared."""
+    """Transformations that may be applied to an estimate before it is compared."""
 
     NONE = "none"
     SE3 = "se3"  # rotation and translation
@@ -25,16 +25,12 @@ class Alignment(StrEnum):
 
 
 def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tuple[FloatArray, FloatArray, float]:
-    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3).
-
-    Returns
-    -------
-    R (3, 3), t (3,), s
+    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3): R (3, 3), t (3,), s.
 
     Raises
     ------
     PoseError
-        If there are fewer than three points, shapes differ, or the points lie on a line, which leaves R open.
+        If there are fewer than three points, shapes differ, or the points are collinear.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise PoseError(f"alignment needs three or more pairs of points (n, 3), got {source.shape}, {target.shape}")
@@ -51,13 +47,7 @@ def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tupl
 
 
 def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Trajectory:
-    """The estimate, moved to fit the truth as well as `how` allows; the two must be paired already.
-
-    Raises
-    ------
-    PoseError
-        If lengths differ or the alignment is undetermined.
-    """
+    """The estimate, aligned with the truth, with which it must be paired."""
     kind = as_member(how, Alignment, "alignment", PoseError)
     check_same_length(estimate, truth)
     if kind is Alignment.NONE:

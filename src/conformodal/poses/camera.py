@@ -20,11 +20,6 @@ class PinholeCamera:
     distortion
         Radial and tangential, (k1, k2, p1, p2) or (k1, k2, p1, p2, k3) in the order of OpenCV and of EuRoC; empty for
         a lens without.
-
-    Raises
-    ------
-    PoseError
-        If a focal length or a size is not positive or finite, or distortion has another length or is not finite.
     """
 
     fx: float

@@ -1,4 +1,4 @@
-"""Errors of the poses floor."""
+"""Errors of poses and trajectories."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from conformodal.conformal import ConformodalError
 
 
 class PoseError(ConformodalError):
-    """A pose, rotation or trajectory that is none: NaN, a matrix that is no rotation, lengths that differ."""
+    """An invalid pose, rotation or trajectory: NaN, not a rotation, different lengths."""
 
 
 class TrajectoryFileError(PoseError):
-    """A trajectory file that cannot be read as what it should be; names the file and line."""
+    """A trajectory file that cannot be read; names the file and the line."""

@@ -1,8 +1,11 @@
-"""Errors of an estimated trajectory against the truth, frame by frame and without alignment."""
+"""Errors of an estimated trajectory against the truth: per frame, per motion, and drift."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
@@ -12,6 +15,8 @@ from .trajectory import Trajectory
 
 # Matches what common tools use to pair estimated and true timestamps.
 MAX_TIME_DIFFERENCE_S = 0.01
+KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+_KITTI_EVERY = 10  # frames between the starts of stretches
 
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> FloatArray:
@@ -28,13 +33,7 @@ def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> FloatArra
 
 
 def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
-    """``rmse_m`` = sqrt(mean squared position error), ``rmse_deg`` alike, and the medians.
-
-    Raises
-    ------
-    PoseError
-        If the two differ in length or hold no pose.
-    """
+    """``rmse_m`` = sqrt(mean squared position error), ``rmse_deg`` alike, and the medians."""
     metres, degrees = _pose_errors(estimate, truth)
     return {
         "rmse_m": float(np.sqrt(np.mean(metres**2))),
@@ -49,13 +48,7 @@ _RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10
 
 
 def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
-    """Share of poses within metres and degrees of the truth, both at once; by ``"0.05 m, 5 deg"``.
-
-    Raises
-    ------
-    PoseError
-        If the two differ in length or hold no pose.
-    """
+    """Share of poses within thresholds of both position and orientation, by ``"0.05 m, 5 deg"``."""
     metres, degrees = _pose_errors(estimate, truth)
     return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in _RECALL_THRESHOLDS}
 
@@ -63,7 +56,7 @@ def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
 def associate(
     estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S
 ) -> tuple[IntArray, IntArray]:
-    """Pair every estimated pose with the nearest true one in time: indices into both, equally long.
+    """Pair every estimated pose with the nearest true one in time; indices into both.
 
     Raises
     ------
@@ -86,7 +79,7 @@ def associate(
 
 
 def nearest_in_time(times_s: FloatArray, asked_s: FloatArray) -> IntArray:
-    """Index of the time nearest to each asked one, the earlier of two; `times_s` increase and hold at least one."""
+    """Index of the time nearest to each of `asked_s`, the earlier of two; `times_s` must increase."""
     right = np.minimum(np.searchsorted(times_s, asked_s), len(times_s) - 1)
     left = np.maximum(right - 1, 0)
     closer_left = np.abs(times_s[left] - asked_s) <= np.abs(times_s[right] - asked_s)
@@ -100,12 +93,70 @@ def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, F
 
 
 def check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
-    """Refuse trajectories that are not paired pose by pose.
+    """Refuse trajectories that are not paired pose by pose."""
+    if len(estimate) != len(truth):
+        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+
+
+def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Errors of the motion over `delta` frames (Sturm et al. 2012, eq. 2): metres and degrees, (n - delta,) each."""
+    check_same_length(estimate, truth)
+    if delta < 1 or len(truth) <= delta:
+        raise PoseError(
+            f"relative errors need delta of at least 1 and more than delta poses, got {delta}, {len(truth)}"
+        )
+    starts = np.arange(len(truth) - delta)
+    return _motion_errors(estimate, truth, starts, starts + delta)
+
+
+@dataclass(frozen=True)
+class KittiDrift:
+    """Drift over segments of 100 to 800 m (Geiger, Lenz and Urtasun 2012), means over segments."""
+
+    translation_percent: float  # of the segment's length
+    rotation_deg_per_m: float
+    by_length: dict[float, tuple[float, float]]  # both, by nominal length in metres
+    n_stretches: int
+
+
+def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
+    """KITTI's drift: segments start at every tenth frame and end where the true path has the nominal length.
 
     Raises
     ------
     PoseError
-        If the two differ in length.
+        If lengths differ, or the true path is shorter than 100 m.
     """
-    if len(estimate) != len(truth):
-        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+    check_same_length(estimate, truth)
+    steps = np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    by_length: dict[float, tuple[float, float]] = {}
+    percents, rates = [], []
+    for length in KITTI_LENGTHS_M:
+        starts = np.arange(0, len(truth), _KITTI_EVERY)
+        ends = np.searchsorted(along, along[starts] + length, side="right")  # the first frame beyond
+        inside = ends < len(truth)
+        if not inside.any():
+            continue
+        metres, degrees = _motion_errors(estimate, truth, starts[inside], ends[inside])
+        percents.append(100 * metres / length)
+        rates.append(degrees / length)
+        by_length[length] = (float(percents[-1].mean()), float(rates[-1].mean()))
+    if not percents:
+        raise PoseError(f"the true path is {along[-1]:.1f} m long; drift needs stretches of at least 100 m")
+    percent, rate = np.concatenate(percents), np.concatenate(rates)
+    return KittiDrift(float(percent.mean()), float(rate.mean()), by_length, len(percent))
+
+
+def _motion_errors(
+    estimate: Trajectory, truth: Trajectory, starts: IntArray, ends: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Sizes of ``(truth_i^-1 truth_j)^-1 (estimate_i^-1 estimate_j)``, in metres and degrees."""
+    motions = []
+    for path in (truth, estimate):
+        rotation = Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True)
+        back = rotation[starts].inv()
+        motions.append((back * rotation[ends], back.apply(path.positions_xyz[ends] - path.positions_xyz[starts])))
+    (R_true, t_true), (R, t) = motions
+    # turning the difference back into the frame at the end does not change its length
+    return np.linalg.norm(t - t_true, axis=1), np.degrees((R_true.inv() * R).magnitude())

@@ -1,13 +1,15 @@
-"""What two frames say about the motion between them."""
+"""Relative motion: between two frames, and of a short piece of the path."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.choices import as_member
 
 from .errors import PoseError
@@ -49,11 +51,6 @@ class RelativeMotion:
         Spread of the rotation's error about each axis.
     direction_sigma_rad
         Spread of the direction's error.
-
-    Raises
-    ------
-    PoseError
-        If `status` is not one of :class:`MotionStatus`.
     """
 
     status: MotionStatus
@@ -77,3 +74,41 @@ class RelativeMotion:
     def direction_trusted(self) -> bool:
         """Whether there is a direction with a claimed spread of at most 10 degrees; others still weigh, by theirs."""
         return self.direction_prev is not None and self.direction_sigma_rad <= _TRUSTED_DIRECTION_RAD
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """Poses of a few frames relative to the first of them, its anchor, up to one unknown length: the submap's unit.
+
+    Attributes
+    ----------
+    frames
+        (k,) increasing numbers of the frames; the anchor first.
+    R_anchor_frame
+        (k, 3, 3): takes directions from each camera's frame to the anchor's; the first is the identity.
+    positions
+        (k, 3) camera centres in the anchor's camera frame; the first is zero.
+    depth
+        Median depth of the corners, seen from the anchor.
+    sigma
+        Spread of the errors of `positions`, per axis.
+    rotation_sigma_rad
+        Spread of the errors of `R_anchor_frame`, about each axis.
+    """
+
+    frames: IntArray
+    R_anchor_frame: FloatArray
+    positions: FloatArray
+    depth: float
+    sigma: float
+    rotation_sigma_rad: float
+
+    def renumbered(self, number: Mapping[int, int]) -> Self | None:
+        """With the frames' numbers replaced; None where one has no other."""
+        frames = [number.get(f) for f in self.frames.tolist()]
+        return None if None in frames else replace(self, frames=np.array(frames, dtype=np.int64))
+
+    @property
+    def span(self) -> int:
+        """Frames from the anchor to the last, those between that are not part of it counted in."""
+        return int(self.frames[-1] - self.frames[0]) + 1

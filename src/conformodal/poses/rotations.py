@@ -1,7 +1,7 @@
 """Rotations as unit quaternions in ``wxyz`` order, on top of SciPy.
 
-q and -q are one rotation. Where a single sign is needed (bins over quaternion components), it is fixed against a
-reference quaternion, so that one view always has one label; distances use ``|dot|``.
+q and -q are one rotation. Where one sign is needed (bins over quaternion components), a reference quaternion fixes it,
+so that one view has one label; distances use ``|dot|``.
 """
 
 from __future__ import annotations
@@ -19,36 +19,30 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 
 
 def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:
-    """Return `matrices` (n, 3, 3), projected to exact rotations, after checking that they nearly are.
-
-    Raises
-    ------
-    PoseError
-        If an entry is not finite, or a matrix is not orthonormal within 1e-3 or mirrors space.
-    """
+    """Check matrices (n, 3, 3) and project them to exact rotations."""
     arr = np.asarray(matrices, dtype=np.float64)
     if arr.ndim != 3 or arr.shape[1:] != (3, 3):
         raise PoseError(f"{name} must have shape (n, 3, 3), got {arr.shape}")
     faults = rotation_faults(arr)
     if faults:
         i = min(faults)
-        raise PoseError(f"{name} {i} {'is ' if faults[i].startswith('no') else ''}{faults[i]}")
+        raise PoseError(f"{name} {i} {'is ' if faults[i].startswith('not') else ''}{faults[i]}")
     u, _, vt = np.linalg.svd(arr)
     return np.asarray(u @ vt)
 
 
 def rotation_faults(matrices: FloatArray) -> dict[int, str]:
-    """Why matrices (n, 3, 3) are no rotations, by their index; sound ones are left out."""
+    """Why matrices (n, 3, 3) are not rotations, by index; valid ones are left out."""
     faults = {int(i): "holds NaN or infinity" for i in np.flatnonzero(~np.isfinite(matrices).all(axis=(1, 2)))}
     with np.errstate(over="ignore", invalid="ignore"):
         gap = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
         far = ~(gap <= _ORTHONORMAL_TOLERANCE)
     for i in np.flatnonzero(far).tolist():
-        faults.setdefault(i, f"no rotation: R R^T differs from the identity by {gap[i]:.3g}")
+        faults.setdefault(i, f"not a rotation: R R^T differs from the identity by {gap[i]:.3g}")
     near = np.flatnonzero(~far)
     for i, det in zip(near.tolist(), np.linalg.det(matrices[near]).tolist(), strict=True):
         if det < 0:
-            faults[i] = f"no rotation: its determinant is {det:.3g}, a mirror image; expected 1"
+            faults[i] = f"not a rotation: its determinant is {det:.3g}, a mirror image; expected 1"
     return faults
 
 
@@ -58,13 +52,7 @@ def quat_wxyz_from_matrix(matrices: npt.ArrayLike) -> FloatArray:
 
 
 def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of quaternions (n, 4), normalised first.
-
-    Raises
-    ------
-    PoseError
-        If one has length zero.
-    """
+    """Rotation matrices (n, 3, 3) of quaternions (n, 4), normalised first."""
     try:
         return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
     except ValueError as exc:
@@ -72,13 +60,7 @@ def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
 
 
 def normalise_quat(quats: npt.ArrayLike) -> FloatArray:
-    """Quaternions (..., 4) at unit length.
-
-    Raises
-    ------
-    PoseError
-        If one has length zero or is not finite.
-    """
+    """Quaternions (..., 4) at unit length."""
     arr = np.asarray(quats, dtype=np.float64)
     norm = np.linalg.norm(arr, axis=-1, keepdims=True)
     if not (np.isfinite(norm).all() and (norm > 1e-12).all()):
@@ -98,8 +80,7 @@ def angle_between_quats(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
 def sign_reference(quats: npt.ArrayLike) -> FloatArray:
     """The quaternion (4,) whose hemisphere holds `quats` (n, 4) best: their principal axis, sign-free.
 
-    Fixing signs against one reference gives a view one label. Fixing them along a sequence does not: after a
-    full turn the same view would come with the opposite sign.
+    Signs fixed along a sequence would not do: after a full turn the same view would get the opposite sign.
     """
     arr = normalise_quat(quats)
     _, vectors = np.linalg.eigh(arr.T @ arr)

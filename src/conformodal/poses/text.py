@@ -1,4 +1,4 @@
-"""Text files with a pose a line."""
+"""Text files with one pose per line."""
 
 from __future__ import annotations
 
@@ -22,41 +22,23 @@ _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
 def number(text: str) -> float:
-    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts."""
     if not text.isascii() or "_" in text:
-        raise ValueError(f"{text[:80]!r} is no number")
+        raise ValueError(f"{text[:80]!r} is not a number")
     return float(text)
 
 
 def whole_number(text: str) -> int:
-    """As :func:`number`, of an integer below 10^20.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """As :func:`number`, of an integer below 10^20."""
     if not text.isascii() or "_" in text or len(text) > 20:
-        raise ValueError(f"{text[:80]!r} is no whole number")
+        raise ValueError(f"{text[:80]!r} is not a whole number")
     return int(text)
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, with or without a byte order mark, whatever system it was written on.
-
-    Raises
-    ------
-    OSError, UnicodeDecodeError
-        If it cannot be read, or is a device or a pipe.
-    """
+    """Lines of a UTF-8 text file, with or without a byte order mark, with the line ends of any system."""
     if path.exists() and not os.path.isfile(path):
-        raise OSError("is no regular file")
+        raise OSError("is not a regular file")
     lines = _END_OF_LINE.split(path.read_bytes().decode("utf-8-sig"))
     return lines if lines[-1] else lines[:-1]
 
@@ -78,43 +60,20 @@ def read_rows(
         The file.
     parse
         Turns a line into numbers; may raise ValueError or IndexError.
-    width
-        Numbers a line.
-    expected
-        What a line should be, for people.
+    width, expected
+        Numbers per line, and what a line should be, for messages.
     damaged
-        Takes up what is wrong with a line, by its row, which holds NaN then. None refuses the file instead.
+        Collects what is wrong with a line, by its row, which then holds NaN. The file is still refused if most lines do
+        not hold `width` numbers, or all are bad. None refuses the file for any bad line.
     by_line
-        Whether a row belongs to what has its number, so that a blank line between others leaves it open whose they are.
-
-    Raises
-    ------
-    TrajectoryFileError
-        If the file cannot be read, holds no pose, or a line is not `width` finite numbers; with `damaged`, if most
-        lines are not `width` numbers or none is finite. Names the line.
+        Whether rows are matched to frames by line, so that a blank line between rows is ambiguous.
     """
     try:
         lines = text_lines(path)
     except (OSError, ValueError) as exc:
         raise TrajectoryFileError(f"{path}: cannot be read as a trajectory: {exc}") from exc
-    rows, bad, n_unread = _parse_lines(path, lines, parse, width, by_line=by_line)
-    if not rows:
-        raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
-    refused = damaged is None or len(bad) == len(rows) or 2 * n_unread > len(rows)
-    for row_number, (at, line) in bad.items():
-        fault = f"{path}, line {at}: expected {expected}, got {line!r}"
-        if damaged is None or refused:
-            raise TrajectoryFileError(fault)
-        damaged[row_number] = fault
-    return np.array(rows)
-
-
-def _parse_lines(
-    path: Path, lines: list[str], parse: Callable[[str], list[float]], width: int, *, by_line: bool
-) -> tuple[list[list[float]], dict[int, tuple[int, str]], int]:
-    """Rows, those of bad lines full of NaN; number and text of the bad lines, by row; how many are not `width` long."""
     rows: list[list[float]] = []
-    bad: dict[int, tuple[int, str]] = {}
+    bad: dict[int, str] = {}
     n_unread = blank = 0
     for at, line in enumerate(lines, start=1):
         if not line.strip():
@@ -130,30 +89,34 @@ def _parse_lines(
             row = []
         n_unread += len(row) != width
         if len(row) != width or not all(map(isfinite, row)):
-            bad[len(rows)] = at, line[:80]
+            bad[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
             row = [np.nan] * width
         rows.append(row)
-    return rows, bad, n_unread
+    if not rows:
+        raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
+    if bad and (damaged is None or len(bad) == len(rows) or 2 * n_unread > len(rows)):
+        raise TrajectoryFileError(next(iter(bad.values())))
+    if damaged is not None:
+        damaged.update(bad)
+    return np.array(rows)
 
 
 def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
-    """What is wrong with rows of positions (n, 3) and quaternions (n, 4), by row; rows of NaN are left out."""
+    """Faults of positions (n, 3) and quaternions (n, 4), by row; rows of NaN are left out."""
     faults = {}
     with np.errstate(over="ignore", invalid="ignore"):
         far = np.abs(positions).max(axis=1, initial=0.0) > _MOST_M
         length = np.linalg.norm(quats, axis=1)
         short = (length <= 1e-12) | np.isinf(length)
-    for i in np.flatnonzero(far | short).tolist():
-        faults[i] = (
-            f"its quaternion {quats[i].tolist()} has no direction"
-            if short[i]
-            else f"its position {positions[i].tolist()} is more than {_MOST_M:g} m away"
-        )
+    for i in np.flatnonzero(far).tolist():
+        faults[i] = f"its position {positions[i].tolist()} is more than {_MOST_M:g} m away"
+    for i in np.flatnonzero(short).tolist():
+        faults[i] = f"its quaternion {quats[i].tolist()} has no direction"
     return faults
 
 
 def matrix_faults(poses: FloatArray) -> dict[int, str]:
-    """What is wrong with poses (n, 4, 4), by row; rows of NaN are left out."""
+    """Faults of poses (n, 4, 4), by row; rows of NaN are left out."""
     n = len(poses)
     faults = pose_faults(poses[:, :3, 3], np.tile([1.0, 0, 0, 0], (n, 1)))
     known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
@@ -175,29 +138,17 @@ def table_of(poses: FloatArray) -> FloatArray:
 
 
 def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: dict[int, str] | None) -> None:
-    """Set faulty rows to NaN and take them up in `damaged`; refuse them where that is None or nothing is left.
-
-    Raises
-    ------
-    TrajectoryFileError
-        Names the file and the first faulty pose.
-    """
-    told = {i: f"{path}: pose {i} (counted from 0): {why}" for i, why in faults.items()}
+    """Set faulty rows to NaN and collect them in `damaged`; raise if that is None or no row is left."""
+    lines = {i: f"{path}: pose {i} (counted from 0): {why}" for i, why in faults.items()}
     if damaged is not None:
-        damaged.update({i: why for i, why in told.items() if i not in damaged})
-    if told and (damaged is None or len(damaged) == len(rows)):
-        raise TrajectoryFileError(told[min(told)])
-    rows[list(told)] = np.nan
+        damaged.update({i: why for i, why in lines.items() if i not in damaged})
+    if lines and (damaged is None or len(damaged) == len(rows)):
+        raise TrajectoryFileError(lines[min(lines)])
+    rows[list(lines)] = np.nan
 
 
 def trajectory_of(path: Path, rows: FloatArray) -> Trajectory:
-    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8).
-
-    Raises
-    ------
-    TrajectoryFileError
-        If a row is no pose; names the file.
-    """
+    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8)."""
     try:
         return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
     except PoseError as exc:

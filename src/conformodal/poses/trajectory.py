@@ -69,13 +69,7 @@ class Trajectory:
 
     @classmethod
     def from_poses_se3(cls, timestamps_s: npt.ArrayLike, poses_se3: npt.ArrayLike) -> Trajectory:
-        """From 4x4 matrices ``T_world_cam`` (n, 4, 4).
-
-        Raises
-        ------
-        PoseError
-            If a matrix is no rigid motion.
-        """
+        """From 4x4 matrices ``T_world_cam`` (n, 4, 4)."""
         poses = np.asarray(poses_se3, dtype=np.float64)
         if poses.ndim != 3 or poses.shape[1:] != (4, 4):
             raise PoseError(f"poses_se3 must have shape (n, 4, 4), got {poses.shape}")
@@ -92,7 +86,7 @@ class Trajectory:
 
 
 def concatenate(parts: Sequence[Trajectory]) -> Trajectory:
-    """One trajectory after the other."""
+    """One trajectory from several, in order."""
     return Trajectory(
         np.concatenate([part.timestamps_s for part in parts]),
         np.concatenate([part.positions_xyz for part in parts]),

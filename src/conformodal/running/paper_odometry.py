@@ -13,7 +13,7 @@ from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
-from conformodal.motion.essential import EssentialFrontEnd
+from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import interval_candidates, interval_runs
 from conformodal.reasoning.greedy import Greedy, greedy

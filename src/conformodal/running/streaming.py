@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from conformodal.core.arrays import IntArray
-from conformodal.core.memory import release_freed_memory
+from conformodal.core.process import release_freed_memory
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.submaps import build_submaps

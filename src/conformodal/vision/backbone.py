@@ -12,19 +12,13 @@ import numpy.typing as npt
 
 from conformodal.datasets import THUMBNAIL, thumbnail
 
-from .errors import VisionError
+from .settings import VisionError
 
 _PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
 
 
 class FeatureViews(NamedTuple):
-    """Parts of features that can be looked at alone.
-
-    Attributes
-    ----------
-    network, thumbnail, both
-        Which of the F features.
-    """
+    """Slices of the features: the network's map, the thumbnail, and both."""
 
     network: slice
     thumbnail: slice
@@ -32,13 +26,7 @@ class FeatureViews(NamedTuple):
 
 
 def feature_views(n_features: int) -> FeatureViews:
-    """The parts of a :class:`Backbone`'s features.
-
-    Raises
-    ------
-    VisionError
-        If there are too few to end in a global descriptor.
-    """
+    """The parts of a :class:`Backbone`'s features."""
     cut = n_features - _PICTURE
     if cut < 1:
         raise VisionError(f"features end in a thumbnail of {_PICTURE} numbers, got {n_features} in all")
@@ -46,19 +34,9 @@ def feature_views(n_features: int) -> FeatureViews:
 
 
 def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """The network's map, averaged over two by two cells: a global descriptor that training images have no part in.
+    """The network's map, averaged over 2 x 2 cells: a global descriptor that is independent of the training images.
 
-    Parameters
-    ----------
-    features
-        (n, F) of a :class:`Backbone`.
-    grid
-        Rows and columns of its map, see :attr:`BackboneConfig.grid`; the last of an odd number stands for itself.
-
-    Raises
-    ------
-    VisionError
-        If no map of that grid has so many features.
+    Of features (n, F) whose map has `grid` rows and columns; in an odd grid, the last row or column stands for itself.
     """
     rows, columns = grid
     network = features[:, feature_views(features.shape[1]).network]
@@ -72,43 +50,19 @@ def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) ->
 
 @dataclass(frozen=True)
 class BackboneConfig:
-    """Which features to take.
+    """Which features to take."""
 
-    Attributes
-    ----------
-    name
-        Network; its ImageNet weights come with a package, no download.
-    block
-        Last block to run; None for the whole network but its classifier. Block 7 of Lite0 has 80 channels at a
-        sixteenth of the resolution; later ones know more of what and less of where.
-    width, height
-        Input size in pixels.
-    grid
-        Rows and columns the map is averaged into. A global average, (1, 1), throws position away.
-    """
-
-    name: str = "efficientnet_lite0"
+    name: str = "efficientnet_lite0"  # its ImageNet weights come with a package
+    # last block to run, None for all but the classifier; block 7 of Lite0 has 80 channels at 1/16 of the resolution,
+    # later ones encode more of what is seen and less of where
     block: int | None = 7
-    width: int = 320
+    width: int = 320  # input size in pixels
     height: int = 240
-    grid: tuple[int, int] = (6, 8)
-
-    def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
-        size = (self.width, self.height)
-        if image.shape[1::-1] == size:
-            return image
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    grid: tuple[int, int] = (6, 8)  # rows and columns the map is averaged into; (1, 1) loses positions
 
 
 class Backbone(ABC):
-    """A feature extractor; a subclass runs the network.
-
-    Attributes
-    ----------
-    config
-        See :class:`BackboneConfig`.
-    """
+    """A feature extractor; a subclass runs the network."""
 
     config: BackboneConfig
 
@@ -123,7 +77,10 @@ class Backbone(ABC):
 
     def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
-        return self.config.prepare(image)
+        size = (self.config.width, self.config.height)
+        if image.shape[1::-1] == size:
+            return image
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
         """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.

@@ -1,4 +1,4 @@
-"""Features of image files, cached on disk by content: the same picture is never run through the network twice."""
+"""Features of image files, cached on disk by content."""
 
 from __future__ import annotations
 
@@ -20,25 +20,13 @@ _BATCH = 16
 
 
 class FeatureCache:
-    """Feature vectors in small files named by the digest of backbone and image.
-
-    Parameters
-    ----------
-    folder
-        Where to keep them; None keeps nothing.
-    """
+    """Feature vectors in files named by the digest of backbone and image; without a folder nothing is cached."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = None if folder is None else folder / "features"
 
     def key(self, backbone: Backbone, image_file: Path, noise: PixelNoise | None = None) -> str:
-        """Digest of what decides the features of an image file.
-
-        Raises
-        ------
-        ImageError
-            If the file cannot be read.
-        """
+        """Digest of everything that determines the features of an image file."""
         try:
             content = image_file.read_bytes()
         except OSError as exc:
@@ -47,17 +35,16 @@ class FeatureCache:
         return hashlib.sha256(backbone.fingerprint.encode() + disturbed.encode() + content).hexdigest()
 
     def load(self, key: str) -> npt.NDArray[np.float16] | None:
-        """The vector of a key, or None where it is not there or not whole."""
+        """The cached vector, or None if it is missing or damaged."""
         if self.folder is None:
             return None
         found = cached_arrays(self._path(key), key)
         return None if found is None else found.get("features")
 
     def store(self, key: str, vector: npt.NDArray[np.float16]) -> None:
-        """Keep a vector; written beside and moved into place, so that a killed run leaves no half file."""
-        if self.folder is None:
-            return
-        cache_arrays(self._path(key), key, {"features": vector})
+        """Cache a vector, atomically."""
+        if self.folder is not None:
+            cache_arrays(self._path(key), key, {"features": vector})
 
     def _path(self, key: str) -> Path:
         assert self.folder is not None
@@ -71,15 +58,9 @@ def extract_features(
     progress: Progress | None = None,
     noise: PixelNoise | None = None,
 ) -> npt.NDArray[np.float32]:
-    """Features of images, (n, F), from the cache where they are there.
+    """Features of images, (n, F), cached ones first; with `noise`, of the disturbed images.
 
-    With `noise`, of the disturbed images. Values are rounded to float16 whether cached or not, so that both give the
-    same numbers.
-
-    Raises
-    ------
-    ImageError
-        Naming the first file that cannot be read.
+    Values are rounded to float16 whether cached or not, so that both give the same numbers.
     """
     out: npt.NDArray[np.float32] | None = None
     done = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +17,11 @@ _EPSILON = 1e-5  # of the layer norm, torch's default
 
 @dataclass(frozen=True, eq=False)
 class SoftmaxHead:
-    """Projected features, one hidden layer with layer norm and GELU, and a softmax for every target.
+    """Projected features, one hidden layer with layer norm and GELU, and a softmax per target.
 
-    Attributes
-    ----------
-    weights
-        Arrays under the names of :class:`~conformodal.networks.Head`.
-    outputs
-        Bins of each target, ``[K_1, ..., K_d]``.
+    `weights` have the names of :class:`~conformodal.networks.Head`; `outputs` are the bins per target, ``[K_1, ...,
+    K_d]``.
     """
-
-    untrained: ClassVar[tuple[str, ...]] = ("offset", "components")
 
     weights: Mapping[str, npt.NDArray[np.float32]]
     outputs: Sequence[int]

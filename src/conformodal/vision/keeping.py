@@ -1,4 +1,4 @@
-"""Arrays in cache files, with digests that show whether a file is whole and belongs to its key."""
+"""Arrays in cache files, with a digest that detects damage and files of another key."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def cache_arrays(path: Path, key: str, arrays: Arrays) -> None:
 
 
 def cached_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
-    """The arrays of a file, or None where there are none; a file that is damaged, or another key's, is removed."""
+    """The arrays of a file, or None; a file that is damaged or another key's is removed."""
     try:
         content = path.read_bytes()
     except OSError:

@@ -1,4 +1,4 @@
-"""Networks in ONNX, run by ONNX Runtime: what a trained model needs, without torch."""
+"""Networks in ONNX, run by ONNX Runtime without torch."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.extras import require_extra
-from conformodal.core.threads import thread_limit
+from conformodal.core.process import thread_limit
 from conformodal.datasets import THUMBNAIL
 
 from .backbone import Backbone, BackboneConfig
-from .errors import VisionError
+from .settings import VisionError
 
 INPUT, OUTPUT = "images", "map"
 
@@ -20,20 +20,8 @@ INPUT, OUTPUT = "images", "map"
 class OnnxBackbone(Backbone):
     """A feature extractor in ONNX.
 
-    Parameters
-    ----------
-    config
-        Of the network that it was made from.
-    content
-        The ONNX file: input ``images`` (n, height, width, 3) uint8, output ``map`` (n, channels * rows * columns)
-        float32.
-
-    Raises
-    ------
-    VisionError
-        If it is no such file.
-    MissingPackageError
-        If ONNX Runtime is not installed.
+    The file has the input ``images`` (n, height, width, 3) uint8 and the output ``map`` (n, channels * rows * columns)
+    float32.
     """
 
     def __init__(self, config: BackboneConfig, content: bytes) -> None:

@@ -14,12 +14,8 @@ FloatArray = npt.NDArray[np.float32]
 class Projection:
     """A linear map of features, learnt without targets.
 
-    Attributes
-    ----------
-    offset
-        (F,) mean of the training features.
-    components
-        (F, k) directions with their scale in them; or (F,), which scales every feature and keeps them all.
+    `offset` (F,) is the mean of the training features. `components` are (F, k) scaled directions, or (F,) scales that
+    keep every feature.
     """
 
     offset: FloatArray
@@ -38,7 +34,7 @@ class Projection:
 
 
 def fit_projection(features: FloatArray, n_components: int | None, view: slice = slice(None)) -> Projection:
-    """Principal components of standardised features, all on one scale: their mean variance is one.
+    """Principal components of standardised features (n, F), scaled together to a mean variance of one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
     features: benchmarks/ablation.py.
@@ -46,11 +42,11 @@ def fit_projection(features: FloatArray, n_components: int | None, view: slice =
     Parameters
     ----------
     features
-        (n, F) of the training part only.
+        Of the training part only.
     n_components
-        Number of directions, at most n - 1 and F are there; None standardises and keeps all features.
+        At most n - 1 and F are computed; None standardises and keeps all features.
     view
-        Features that are looked at; the others count nothing.
+        Features that are used; the others get weight zero.
     """
     offset = features.mean(axis=0)
     if view != slice(None):

@@ -1,58 +1,38 @@
-"""How networks are trained: settings alone, so that they can be stored and read without torch."""
+"""Settings of training, apart from the code that needs torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import check_ranges
-
-from .errors import VisionError
 
 DEVICES = ("auto", "cpu", "cuda")
 
 
-def check_device(name: str) -> None:
-    """Refuse a name that is none of :data:`DEVICES`; whether there is such a device is told where it is used.
+class VisionError(ConformodalError):
+    """A backbone, feature or training setting that cannot be used."""
 
-    Raises
-    ------
-    VisionError
-        If it is none.
-    """
+
+def check_device(name: str) -> None:
+    """Check the name of a device; whether the machine has it is checked where it is used."""
     if name not in DEVICES:
         raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a head is trained; the same for the conformal network and the classical regressor.
-
-    Attributes
-    ----------
-    epochs, batch_size, learning_rate, weight_decay
-        Of AdamW with a one-cycle schedule.
-    hidden, dropout, input_dropout
-        Of the :class:`~conformodal.networks.Head`; `input_dropout` is `dropout` where it is None.
-    components
-        Of the projection, see :func:`~conformodal.vision.projection.fit_projection`.
-    seed
-        Of weights, dropout and the order of samples.
-
-    Raises
-    ------
-    VisionError
-        If a number is out of range.
-    """
+    """How a head is trained; the same for the conformal network and the classical regressor."""
 
     epochs: int = 100
     batch_size: int = 64
-    learning_rate: float = 3e-3
+    learning_rate: float = 3e-3  # of AdamW with a one-cycle schedule
     weight_decay: float = 1e-2
-    hidden: int = 256
+    hidden: int = 256  # units of the hidden layer
     dropout: float = 0.3
-    input_dropout: float | None = None
-    components: int | None = 256
-    seed: int = 0
+    input_dropout: float | None = None  # of the projected features; None: the same as `dropout`
+    components: int | None = 256  # of the projection, see conformodal.vision.projection.fit_projection
+    seed: int = 0  # of weights, dropout and the order of samples
 
     def __post_init__(self) -> None:
         check_ranges(vars(self), VisionError)

@@ -68,7 +68,7 @@ def test_equal_weights_give_the_exact_rank():
             assert found == conformal_quantile(scores, f"{alpha / 1000}")
 
 
-def test_mondrian_keeps_the_promise_in_every_group_and_falls_back():
+def test_mondrian_covers_every_group_and_falls_back():
     rng = np.random.default_rng(0)
     bins = QuantileBins.from_edges([np.linspace(-9, 9, 2001)])
     center = bins.centers[0]

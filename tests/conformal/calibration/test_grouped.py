@@ -12,7 +12,7 @@ GROUPS = st.lists(st.lists(st.integers(0, 12), min_size=1, max_size=6), min_size
 
 @settings(deadline=None, max_examples=300)
 @given(GROUPS, st.integers(1, 99))
-def test_the_promise_holds_exactly_for_exchangeable_groups(groups, percent):
+def test_the_guarantee_holds_exactly_for_exchangeable_groups(groups, percent):
     """Given the groups, each is the new one with the same probability: the law is a finite sum, compared exactly."""
     alpha, rate = f"0.{percent:02d}", Fraction(percent, 100)
     member, whole = Fraction(0), Fraction(0)
@@ -28,7 +28,7 @@ def test_the_promise_holds_exactly_for_exchangeable_groups(groups, percent):
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 10_000), st.integers(2, 30), st.integers(1, 99))
 def test_it_is_no_larger_than_it_must_be(seed, n_groups, percent):
-    """Without ties the promise is kept to within one member's weight of the new total, and the group at infinity."""
+    """Without ties coverage is exact to within one member's weight of the new total, and the group at infinity."""
     rng = np.random.default_rng(seed)
     groups = [rng.random(rng.integers(1, 8)) for _ in range(n_groups)]
     limit = grouped_quantile(groups, f"0.{percent:02d}")
@@ -65,7 +65,7 @@ def test_groups_that_are_none_are_refused(group, message):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_members_of_a_category_keep_the_promise_of_whole_groups(seed):
+def test_members_of_a_category_have_the_guarantee_of_whole_groups(seed):
     """Every group in turn is the new one: its members of a category miss with their share of alpha at most, exactly."""
     rng = np.random.default_rng(seed)
     alpha = Fraction(int(rng.integers(1, 9)), 10)

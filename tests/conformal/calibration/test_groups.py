@@ -52,9 +52,9 @@ def test_a_value_is_in_its_set_if_its_p_value_exceeds_alpha(problem, alpha):
     np.testing.assert_array_equal(cal.predict(proba).contains(y), cal.p_values(proba, y) > alpha)
 
 
-def test_groups_need_a_label_a_sample(problem):
+def test_groups_need_one_label_per_sample(problem):
     bins, proba, y = problem(0, n=20)
-    with pytest.raises(ConformalError, match="one label a sample"):
+    with pytest.raises(ConformalError, match="one label per sample"):
         SplitConformal(bins).calibrate(proba, y, [1, 2])
 
 

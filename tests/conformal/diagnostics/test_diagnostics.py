@@ -24,7 +24,7 @@ def test_lowest_run_is_that_of_brute_force(values, least):
     assert v[start:stop].mean() == pytest.approx(best)
 
 
-def test_a_slab_that_is_missed_is_found_and_judged_on_the_other_half():
+def test_a_slab_that_is_missed_is_found_and_checked_on_the_other_half():
     rng = np.random.default_rng(0)
     X = rng.uniform(-1, 1, (4000, 3))
     bad = X @ [1, 1, 0] > 0.9
@@ -95,7 +95,7 @@ def test_a_diagnosis_says_everything_in_one_call(joint):
     assert "] within" in text.replace("  ", " ")
 
 
-def test_a_diagnosis_of_a_broken_promise_says_so():
+def test_a_diagnosis_reports_a_broken_guarantee():
     cal, proba, y, _ = problem("none")
     cal.thresholds_ = cal.thresholds_ - 1.5
     assert "BELOW" in str(diagnose(cal, proba, y))
@@ -148,7 +148,7 @@ def test_many_samples_are_tested_by_a_random_part():
     assert check_uniformity(np.sort(known), np.sort(new) + 0.1, repeats=99).p_value == 0.01  # drawn, not the first
 
 
-def test_of_many_samples_two_thousand_choose_the_slab_and_all_others_judge():
+def test_of_many_samples_two_thousand_choose_the_slab_and_all_others_check_it():
     rng = np.random.default_rng(0)
     X, inside = rng.random((20_000, 1)), rng.random(20_000) < 0.9
     assert worst_slab(inside, X, 2000, 0.1, mass=1.0).coverage.n_test >= 17_900

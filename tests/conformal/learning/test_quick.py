@@ -114,5 +114,5 @@ def test_errors():
             QuickDensity().fit_bins(X, y, EDGES, weight)
     with pytest.raises(ConformalError, match="max_rows"):
         QuickDensity(max_rows=1).fit_bins(X, y, EDGES)
-    with pytest.raises(ConformalError, match="one value a row"):
+    with pytest.raises(ConformalError, match="one value per row"):
         QuickDensity().fit_bins(X, y[:3], EDGES)

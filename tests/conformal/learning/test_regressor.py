@@ -140,7 +140,7 @@ def test_coverage_is_exact_whatever_the_weights():
 @pytest.mark.parametrize(
     ("weight", "what"),
     [
-        (np.ones(5), r"sample_weight must have shape \(60,\), one weight a row of X, got \(5,\)"),
+        (np.ones(5), r"sample_weight must have shape \(60,\), one weight per row of X, got \(5,\)"),
         (np.full(60, -1.0), "sample_weight must be finite and at least 0, found -1 at position 0"),
         (np.full(60, np.inf), "sample_weight must be finite and at least 0, found inf at position 0"),
         (np.zeros(60), "sample_weight must be above zero for a sample at least, all 60 are zero"),

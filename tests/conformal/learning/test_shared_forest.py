@@ -1,7 +1,6 @@
 import numpy as np
 
-from conformodal.conformal.learning.forest import group_values, rank_cosines
-from conformodal.conformal.learning.shared_forest import SharedForest
+from conformodal.conformal.learning.forest import SharedForest, group_values, rank_cosines
 
 
 def grown(weight):

@@ -1,4 +1,4 @@
-"""What all calibrators share: scoring true values, and finding the bins whose score is at most a threshold."""
+"""What all calibrators share: scores of true values, and the bins whose score is at most a threshold."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.blocks import blocks, for_blocks
 from conformodal.conformal.checks import (
     Alpha,
     Probabilities,
@@ -19,10 +18,12 @@ from conformodal.conformal.checks import (
     as_scores,
     as_table,
     as_targets,
+    blocks,
     check_block,
     check_rows,
+    for_blocks,
 )
-from conformodal.conformal.errors import ConformalError, WholeRangeWarning
+from conformodal.conformal.errors import ConformalError, NotCalibratedError, WholeRangeWarning
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scalars import as_choice
 from conformodal.conformal.scores import BUILT_IN, Score, cells_of, resolve_score
@@ -35,7 +36,7 @@ _ROWS_OF_A_CUT = 64
 
 
 class Calibrator:
-    """Bins, a score, a miscoverage rate, and whether it is meant jointly. Subclasses find the thresholds.
+    """Bins, a score, a miscoverage rate and its joint form; subclasses find the thresholds.
 
     Parameters
     ----------
@@ -47,13 +48,12 @@ class Calibrator:
         A name from :data:`~conformodal.conformal.scores.SCORES` (``"lac"`` is the paper's), or a
         :class:`~conformodal.conformal.scores.Score`.
     joint
-        ``"none"``: the guarantee holds for each target alone (the paper's). ``"bonferroni"``: every target is
-        calibrated at alpha / d, so that the guarantee holds for all together. ``"max"``: one threshold over the largest
-        of the targets' scores, scaled by :meth:`fit_scale` unless they are comparable as they are (``hpd``, ``aps``);
-        holds for all together.
+        ``"none"``: coverage is guaranteed per target (the paper's). Otherwise it is guaranteed for all targets
+        together: ``"bonferroni"`` calibrates every target at alpha / d; ``"max"`` sets one threshold over the largest
+        of the targets' scores, scaled by :meth:`fit_scale` unless they are comparable (``hpd``, ``aps``).
     empty
-        What becomes of an empty set. ``"allow"``: it stays; the sets are exactly the values whose score is at most
-        the threshold. ``"mode"``: the best bin is put in; coverage can only rise.
+        How empty sets are handled. ``"allow"``: they stay; sets are exactly the values whose score is at most the
+        threshold. ``"mode"``: the best bin is added; coverage can only rise.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Calibrator:
 
     @property
     def joint(self) -> Joint:
-        """Whether coverage is guaranteed for each target alone, or for all at once."""
+        """Whether coverage is guaranteed per target, or for all targets together."""
         return self.rule.joint
 
     @property
@@ -90,21 +90,15 @@ class Calibrator:
     def fit_scale(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Scale the targets' scores for ``joint="max"``, on data that is not the calibration data.
 
-        The guarantee holds whatever the scales, they only balance the targets. Training rows will do if `proba` is by
-        models that have not seen them: scores of rows that were learnt from are too low, of some targets more than of
-        others, and make sets larger. Calibration refuses the rows that were given here.
+        The guarantee holds for any scales; they only balance the targets. Training rows will do with out-of-fold
+        `proba`: scores of rows that were learnt from are too low, more so for some targets, which makes sets larger.
+        Calibration refuses rows that were given here.
         """
         self.rule.fit_scale(self.score_samples(proba, y), self.alpha)
         return self
 
     def score_samples(self, proba: Probabilities, y: npt.ArrayLike) -> RealArray:
-        """Scores of the true values, (n, d): what calibration ranks, ``+inf`` outside the edges.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
-        """
+        """Scores of the true values, (n, d), ``+inf`` outside the edges."""
         parts, _ = as_table(proba, self.bins.sizes)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != parts[0].shape[0]:
@@ -144,7 +138,7 @@ class Calibrator:
         return Regions(self.cells, masks, unbounded)
 
     def warn_of_whole_range(self, thresholds: RealArray, where: str = "") -> None:
-        """Warn if a bin of no probability is at most a threshold, of (d,): sets then hold every bin."""
+        """Warn if a threshold of (d,) admits a bin of probability 0: sets then hold every bin."""
         for j, (widths, limit) in enumerate(zip(self.bins.widths, thresholds, strict=True)):
             if widths.size == 1 or not np.isfinite(limit):
                 continue
@@ -160,13 +154,7 @@ class Calibrator:
                 )
 
     def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
-        """Scores of all cells for rows of one target's probabilities.
-
-        Raises
-        ------
-        ConformalError
-            If a score of one's own gives NaN or another shape.
-        """
+        """Scores of all cells for rows of one target's probabilities."""
         found = self.score.of_bins(part, widths)
         if type(self.score) in BUILT_IN:
             return found
@@ -175,12 +163,18 @@ class Calibrator:
             raise ConformalError(f"score must give scores of shape {cells}, got {np.shape(found)}")
         return as_scores(found)
 
+    def _calibrated(self) -> Any:
+        """The calibration scores."""
+        if not hasattr(self, "scores_"):
+            raise NotCalibratedError(f"{type(self).__name__} is not calibrated yet: call calibrate first")
+        return self.scores_
+
     @property
     def _elementwise(self) -> bool:
         return bool(getattr(self.score, "elementwise", False))
 
     def _by_cuts(self, n: int) -> bool:
-        """Whether to find the least probability in a set first: it costs as much as the scores of some sixty rows."""
+        """Whether to find the least probability in a set first: it costs as much as scoring about sixty rows."""
         return self._elementwise and n > _ROWS_OF_A_CUT
 
     def _masks_at_once(self, proba: RealArray, limits: RealArray) -> BoolArray:
@@ -226,8 +220,8 @@ class Calibrator:
 def lowest_probability(score: Score, widths: FloatArray, threshold: npt.ArrayLike, dtype: np.dtype[Any]) -> RealArray:
     """Smallest probability of each bin whose score is at most `threshold`, ``+inf`` if there is none.
 
-    For an elementwise score this turns a set into one comparison a bin. It is found by bisection over the floating
-    numbers themselves, so ``proba >= cut`` and ``score <= threshold`` agree for every one of them.
+    For an elementwise score this reduces a set to one comparison per bin. Bisection over the floats themselves makes
+    ``proba >= cut`` and ``score <= threshold`` agree for all of them.
     """
     kind = {2: np.uint16, 4: np.uint32, 8: np.uint64}[dtype.itemsize]
     # rows may sum to a little more than one; the bits of positive floats are ordered as they are

@@ -1,4 +1,4 @@
-"""Cross-conformal sets over folds that the caller names (Vovk 2015; Barber, Candes, Ramdas and Tibshirani 2021)."""
+"""Cross-conformal sets over given folds (Vovk 2015; Barber, Candes, Ramdas and Tibshirani 2021)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Probabilities, as_table
-from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import as_groups, as_label, factorise
 from conformodal.conformal.rank import conformal_rank
 from conformodal.conformal.regions import Regions
@@ -19,17 +19,14 @@ from .base import Calibrator
 
 
 class CrossConformal(Calibrator):
-    """Every sample is scored by a model that did not see its fold; every fold's model then speaks for new samples.
+    """Every sample is scored by a model that did not see its fold; all models score new samples.
 
-    A value belongs to the set if fewer than k of the n calibration scores are smaller than its own, each compared
-    with the score by that fold's model; k is :func:`~conformodal.conformal_rank`. With one fold this is split
-    conformal prediction.
+    A value belongs to the set if fewer than k of the n calibration scores are smaller than its own score by the model
+    of the same fold; k is :func:`~conformodal.conformal_rank`. With one fold this is split conformal prediction.
 
-    With exchangeable samples and folds of equal size drawn at random, coverage is proven to be at least
-    ``1 - 2 alpha`` less a term that falls with n (Barber et al., theorem 4), and is about ``1 - alpha`` in practice.
-    Folds that are contiguous blocks of a recording measure how models do on stretches they have not seen; nothing is
-    proven for them, as blocks are not exchangeable. The bins must not depend on the samples in any other way than
-    through their set as a whole: fit them once.
+    With exchangeable samples and random folds of equal size, coverage is at least ``1 - 2 alpha`` less a term that
+    falls with n (Barber et al., theorem 4), and about ``1 - alpha`` in practice. For folds that are contiguous blocks
+    of a recording nothing is proven, as blocks are not exchangeable. Fit the bins once, on all samples.
 
     Parameters
     ----------
@@ -56,20 +53,8 @@ class CrossConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
         """Score all samples out of fold.
 
-        Parameters
-        ----------
-        proba
-            (n, d, K), or a list of d arrays: row i by the model that was fitted without the samples of `folds[i]`.
-        y
-            (n, d) true values, or (n,) for one target.
-        folds
-            (n,) labels, see :func:`~conformodal.conformal.grouping.as_groups`.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, a missing label,
-            or no samples.
+        Row i of `proba`, (n, d, K) or a list of d arrays, is by the model that was fitted without the samples of fold
+        ``folds[i]``; `y` are (n, d) true values, or (n,) for one target; `folds` are (n,) labels.
         """
         if self.joint == "max":
             raise ConformalError('joint="max" has no cross-conformal form here; use "none" or "bonferroni"')
@@ -87,21 +72,8 @@ class CrossConformal(Calibrator):
         return conformal_rank(sum(s.shape[0] for s in self._calibrated().values()), self.alpha_per_target)
 
     def predict(self, proba: Mapping[Hashable, Probabilities]) -> Regions:
-        """Regions of new samples.
-
-        Parameters
-        ----------
-        proba
-            For every fold, the probabilities that its model (fitted without it) gives the new samples.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            If folds are missing, or on probabilities that are no probabilities or do not fit the bins.
-        """
-        calibrated = self._calibrated()
+        """Regions of new samples; `proba` maps every fold to the probabilities by its model, fitted without it."""
+        calibrated: dict[Hashable, RealArray] = self._calibrated()
         names = sorted(map(str, calibrated))
         if not isinstance(proba, Mapping):
             raise ConformalError(f"proba must be a mapping from the folds {names}, got {type(proba).__name__}")
@@ -129,8 +101,3 @@ class CrossConformal(Calibrator):
         finite = sum(np.isfinite(s).sum(axis=0) for s in calibrated.values())
         unbounded = np.broadcast_to(finite < self.rank, (n, self.bins.n_targets)).copy()
         return Regions(self.cells, masks, unbounded)
-
-    def _calibrated(self) -> dict[Hashable, RealArray]:
-        if not hasattr(self, "scores_"):
-            raise NotCalibratedError("CrossConformal is not calibrated yet: call calibrate(proba, y, folds) first")
-        return self.scores_

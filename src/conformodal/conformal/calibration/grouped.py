@@ -1,4 +1,4 @@
-"""A threshold from whole groups of scores, such as recordings, whose members are not exchangeable with each other.
+"""Thresholds from whole groups of scores, such as recordings, whose members are not exchangeable with each other.
 
 Lee, Barber and Willett 2023, "Distribution-free inference with hierarchical data".
 """
@@ -22,9 +22,9 @@ from conformodal.core.arrays import FloatArray
 def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Sequence[int] | None = None) -> float:
     """Threshold that a member of a new group, drawn at random, exceeds with probability at most `alpha`.
 
-    Every group weighs the same, whatever its size, and shares its weight among its members; the new group stands at
-    ``+inf``. If groups are exchangeable (their members need not be), the guarantee holds in a new group, on average
-    over its members. Sums are exact. With groups of one this is :func:`~conformodal.conformal_quantile`.
+    Every group has the same weight, shared by its members; the new group counts as ``+inf``. If groups are exchangeable
+    (their members need not be), coverage is guaranteed in a new group, on average over its members. Sums are exact.
+    With groups of one this is :func:`~conformodal.conformal_quantile`.
 
     Parameters
     ----------
@@ -33,10 +33,9 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
     alpha
         Miscoverage rate in (0, 1).
     sizes
-        (K,) members of each whole group, where only those of one category are given: each member then keeps its weight
-        in the whole group, a new group weighs as much as a whole one, and a member of a new group is of the category
-        and beyond the threshold with probability at most `alpha` times the weight of the category. By default all
-        members are given.
+        (K,) sizes of the whole groups if only members of one category are given: each member keeps its weight in the
+        whole group, and a member of a new group is of the category and beyond the threshold with probability at most
+        `alpha` times the weight of the category. By default all members are given.
 
     Returns
     -------
@@ -46,7 +45,7 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
     Raises
     ------
     ConformalError
-        If a group is empty or no vector, scores hold NaN, or `alpha` is outside (0, 1).
+        If a group is empty or not a vector, scores hold NaN, or `alpha` is outside (0, 1).
 
     Examples
     --------
@@ -75,7 +74,7 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
 
 
 def grouped_maximum_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
-    """Threshold that a new group keeps below in all its members with probability at least ``1 - alpha``.
+    """Threshold that all members of a new group keep below with probability at least ``1 - alpha``.
 
     The conformal quantile of the groups' maxima; parameters, result and errors as for :func:`grouped_quantile`.
 
@@ -91,7 +90,7 @@ def _as_groups(groups: Sequence[npt.ArrayLike]) -> list[FloatArray]:
     try:
         arrays = [as_doubles(as_scores(group, f"group {i}"), f"group {i}") for i, group in enumerate(groups)]
     except TypeError:
-        raise ConformalError(f"groups must hold one vector of scores a group, got {type(groups).__name__}") from None
+        raise ConformalError(f"groups must hold one vector of scores per group, got {type(groups).__name__}") from None
     for i, array in enumerate(arrays):
         if array.ndim != 1 or array.size == 0:
             raise ConformalError(f"group {i} must be a vector of at least one score, got shape {array.shape}")

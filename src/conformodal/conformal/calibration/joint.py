@@ -1,4 +1,4 @@
-"""Whether coverage is guaranteed for each of several targets alone, or for all at once."""
+"""Coverage of several targets, each alone or all together."""
 
 from __future__ import annotations
 
@@ -21,22 +21,16 @@ _MOST_SEEN = 0.8
 
 
 def as_joint(joint: str) -> Joint:
-    """Check the name of a kind of joint coverage.
-
-    Raises
-    ------
-    ConformalError
-        If it is unknown.
-    """
+    """Check the name of a kind of joint coverage."""
     as_choice(joint, Joint, "joint")
     return cast(Joint, joint)
 
 
 class JointRule:
-    """Maps scores of d targets to the columns that are calibrated, and their thresholds back to the targets.
+    """Maps scores of d targets to the calibrated columns, and their thresholds back to the targets.
 
     ``none`` and ``bonferroni`` calibrate d columns; ``max`` calibrates one, the largest of the targets' scores after
-    each was shifted and scaled by what :meth:`fit_scale` saw.
+    the shift and scale of :meth:`fit_scale`.
     """
 
     loc_: FloatArray
@@ -48,15 +42,15 @@ class JointRule:
         self.n_targets = n_targets
 
     def alpha_per_column(self, alpha: Alpha) -> Fraction:
-        """The rate at which every column is calibrated, an exact fraction."""
+        """The exact rate at which every column is calibrated."""
         rate = as_alpha(alpha)
         return rate / self.n_targets if self.joint == "bonferroni" else rate
 
     def fit_scale(self, scores: RealArray, alpha: Alpha) -> None:
         """Take shift and scale of every target's scores (n, d) from data that is not the calibration data.
 
-        The shift is the median; the scale the way from there to the rank of alpha / d: with equal upper tails, every
-        target gives up its share.
+        The shift is the median; the scale is the distance from there to the rank of alpha / d, so that targets with
+        equal upper tails contribute equally.
         """
         half, tail = Fraction(1, 2), as_alpha(alpha) / self.n_targets
         self.seen_ = _single(scores)
@@ -70,17 +64,11 @@ class JointRule:
             self.scale_[j] = reach if reach > 0 else float(finite.std()) or 1.0
 
     def keep_scale(self) -> None:
-        """Leave the targets' scores unscaled: they are comparable as they are."""
+        """Leave the scores of all targets unscaled, because they are comparable."""
         self.loc_, self.scale_ = np.zeros(self.n_targets), np.ones(self.n_targets)
 
     def calibration_columns(self, scores: RealArray) -> RealArray:
-        """:meth:`columns` of calibration scores.
-
-        Raises
-        ------
-        ConformalError
-            If :meth:`fit_scale` saw most of the rows: with several targets the guarantee would be broken.
-        """
+        """:meth:`columns` of calibration scores; rows that :meth:`fit_scale` saw would break the guarantee."""
         if self.joint == "max" and self.n_targets > 1 and len(scores) and hasattr(self, "seen_"):
             shared = int(np.isin(_single(scores), self.seen_).sum())
             if shared > _MOST_SEEN * len(scores):
@@ -101,8 +89,8 @@ class JointRule:
     def per_target(self, thresholds: RealArray) -> RealArray:
         """Thresholds of the targets' own scores, (..., d), from those of the columns.
 
-        For ``max`` each is the largest number whose shifted and scaled value is at most the threshold, so that
-        membership and score agree to the last bit.
+        For ``max`` each is the largest float whose scaled value is at most the threshold, so that membership and score
+        agree to the last bit.
         """
         if self.joint != "max":
             return thresholds
@@ -117,15 +105,15 @@ class JointRule:
 
 
 def _single(scores: RealArray) -> FloatArray:
-    """A number for every row of scores (n, d) that occurs once."""
+    """One number per row of scores (n, d), for the rows that occur once."""
     found, counts = np.unique(row_uniforms(scores), return_counts=True)
     return np.asarray(found[counts == 1])
 
 
 def highest_float(holds: Callable[[FloatArray], BoolArray], shape: tuple[int, ...]) -> FloatArray:
-    """Largest finite number for which `holds`, entry by entry, or ``-inf``; `holds` must not turn true as it grows.
+    """Largest finite float for which `holds`, entry by entry, or ``-inf``; `holds` must not turn true as it grows.
 
-    Found by bisection over the floating numbers themselves, which whole numbers count in their order.
+    Found by bisection over the floats, in the order of their integer representation.
     """
     top = int(np.array(np.finfo(np.float64).max).view(np.int64))
     # places -top - 1 (nothing holds) to top; 0 stands for both zeros

@@ -1,4 +1,4 @@
-"""A threshold for every group, so that the guarantee holds within each (Vovk et al. 2003)."""
+"""One threshold per group, so that coverage is guaranteed within each (Vovk et al. 2003)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Fallback = Literal["whole", "pooled"]
 class MondrianConformal(Calibrator):
     """Mondrian (group-conditional) conformal sets.
 
-    If the calibration samples of a group and a new sample of that group are exchangeable, the guarantee holds within
+    If the calibration samples of a group and a new sample of that group are exchangeable, coverage is guaranteed within
     the group, not only on average over groups.
 
     Parameters
@@ -35,11 +35,10 @@ class MondrianConformal(Calibrator):
     bins, alpha, score, joint, empty
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     min_group
-        Groups with fewer calibration samples fall back. By default those too small for any finite threshold do.
+        Groups with fewer calibration samples fall back; by default those too small for a finite threshold.
     fallback
-        For groups that are too small or were never seen. ``"whole"``: an unbounded set, which keeps the guarantee.
-        ``"pooled"``: the threshold of all calibration samples together; for such a group the guarantee is then an
-        average over everyone's, no longer its own.
+        For groups that are too small or new. ``"whole"``: an unbounded set, which keeps the guarantee. ``"pooled"``:
+        the threshold of all calibration samples, with a guarantee on average over all groups only.
 
     Attributes
     ----------
@@ -80,14 +79,7 @@ class MondrianConformal(Calibrator):
         self.fallback: Fallback = fallback
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
-        """Set a threshold for each of the `groups`, (n,) labels; see :func:`~conformodal.conformal.grouping.as_groups`.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or a missing
-            label.
-        """
+        """Set one threshold per group; `groups` are (n,) labels."""
         scores = self.rule.calibration_columns(self.score_samples(proba, y))
         labels = as_groups(groups, scores.shape[0])
         alpha = self.alpha_per_target
@@ -111,15 +103,7 @@ class MondrianConformal(Calibrator):
         return [g for g, n in self.sizes_.items() if n < self.min_group or conformal_rank(n, alpha) > n]
 
     def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
-        """Regions of new samples, each by its group's threshold.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities, or shapes that do not fit each other or the bins.
-        """
+        """Regions of new samples, each by its group's threshold."""
         self._calibrated()
         parts, whole = as_table(proba, self.bins.sizes, check=False)
         n = parts[0].shape[0]

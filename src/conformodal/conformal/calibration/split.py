@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_array, as_scores
-from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
@@ -25,13 +25,12 @@ from .grouped import grouped_quantile
 class SplitConformal(Calibrator):
     """Split conformal prediction sets over bins.
 
-    If the calibration samples and a new sample are exchangeable (drawn together and split at random, say), and
-    neither was used to fit the probabilities or the bins, then per target ``P(y in region) >= 1 - alpha``; with
-    ``joint="bonferroni"`` or ``"max"`` all targets hold at once with that probability.
+    If the calibration samples and a new sample are exchangeable (drawn together and split at random, say), and neither
+    was used to fit the probabilities or the bins, then ``P(y in region) >= 1 - alpha`` per target, or with
+    ``joint="bonferroni"`` or ``"max"`` for all targets together.
 
-    With ``groups``, such as stretches of a video or whole recordings, the groups are exchangeable, their members need
-    not be, and the guarantee is that of a sample drawn at random from a new group (Dunn, Wasserman and Ramdas 2023;
-    Lee, Barber and Willett 2023).
+    With ``groups``, such as parts of a video or whole recordings, only the groups need to be exchangeable, and coverage
+    is guaranteed for a random sample of a new group (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023).
 
     Parameters
     ----------
@@ -41,8 +40,8 @@ class SplitConformal(Calibrator):
     Attributes
     ----------
     scores_ : (n, d) calibration scores of the true bins, ``+inf`` for values outside the edges
-    groups_ : (n,) labels of the calibration samples, or None where each stands for itself
-    group_sizes_ : (n,) members of each sample's whole group, of which only one category may be here; or None
+    groups_ : (n,) labels of the calibration samples, or None
+    group_sizes_ : (n,) size of each sample's whole group, if only one category of its members is here, or None
     thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
 
     Examples
@@ -64,7 +63,7 @@ class SplitConformal(Calibrator):
 
     @property
     def rank(self) -> int:
-        """Rank k of the threshold among as many exchangeable units; one more than these means an unbounded set."""
+        """Rank k of the threshold among the exchangeable units; n_units + 1 means an unbounded set."""
         return conformal_rank(self.n_units, self.alpha_per_target)
 
     @property
@@ -75,7 +74,7 @@ class SplitConformal(Calibrator):
 
     @property
     def weights(self) -> list[Fraction]:
-        """Weight of each calibration sample, in exchangeable units: 1, or its share of its whole group."""
+        """Weight of each calibration sample in exchangeable units: 1, or one over the size of its group."""
         n = len(self._calibrated())
         if self.groups_ is None:
             return [Fraction(1)] * n
@@ -98,16 +97,7 @@ class SplitConformal(Calibrator):
         y
             (n, d) true values, or (n,) for one target. Values outside the edges score ``+inf``.
         groups
-            (n,) labels of what is exchangeable, see :func:`~conformodal.conformal.grouping.as_groups`; None where every
-            sample is.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, shapes that do not fit each other or the bins, or, with
-            ``joint="max"`` and several targets, rows that :meth:`fit_scale` saw.
-        NotCalibratedError
-            With ``joint="max"`` before :meth:`fit_scale`, unless the score is normalised.
+            (n,) labels, see :func:`~conformodal.conformal.grouping.as_groups`; None if samples are exchangeable.
         """
         self.calibrate_scores(self.score_samples(proba, y), groups)
         self.warn_of_whole_range(self.thresholds_)
@@ -119,23 +109,10 @@ class SplitConformal(Calibrator):
         groups: npt.ArrayLike | None = None,
         group_sizes: IntArray | None = None,
     ) -> Self:
-        """Set the thresholds from calibration scores that are there already, (n, d).
+        """Set the thresholds from calibration scores (n, d) of :meth:`score_samples`.
 
-        Parameters
-        ----------
-        scores
-            See :meth:`score_samples`.
-        groups
-            As for :meth:`calibrate`.
-        group_sizes
-            (n,) members of each sample's whole group, where only those of one category are given, see
-            :func:`~conformodal.conformal.grouped_quantile`; None where all are.
-
-        Raises
-        ------
-        ConformalError
-            On NaN, shapes that do not fit, missing labels, sizes that differ within a group, or, with ``joint="max"``
-            and several targets, rows that :meth:`fit_scale` saw.
+        `group_sizes` (n,) are the sizes of the whole groups if only members of one category are given, see
+        :func:`~conformodal.conformal.grouped_quantile`.
         """
         scores = as_scores(scores)
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
@@ -158,15 +135,7 @@ class SplitConformal(Calibrator):
         return self
 
     def predict(self, proba: Probabilities) -> Regions:
-        """Regions of new samples: every bin whose score is at most the threshold.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities or do not fit the bins.
-        """
+        """Regions of new samples: every bin whose score is at most the threshold."""
         self._calibrated()
         return self.regions_at(proba, self.thresholds_)
 
@@ -183,8 +152,8 @@ class SplitConformal(Calibrator):
         """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.
 
         ``(1 + number of calibration scores at least as large) / (n + 1)``; with groups, ``(1 + sum over groups of the
-        share of their scores that are) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its
-        p-value exceeds alpha.
+        share of such scores) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its p-value
+        exceeds alpha.
         """
         calibration = self.rule.columns(self._calibrated())
         new = self.rule.columns(self.score_samples(proba, y))
@@ -201,11 +170,6 @@ class SplitConformal(Calibrator):
             reached = below[np.searchsorted(scores[order], column, side="left")]
             found[:, j] = (total - reached) / total
         return found
-
-    def _calibrated(self) -> RealArray:
-        if not hasattr(self, "scores_"):
-            raise NotCalibratedError("SplitConformal is not calibrated yet: call calibrate(proba, y) first")
-        return self.scores_
 
 
 def _as_sizes(group_sizes: Any, codes: IntArray) -> IntArray:

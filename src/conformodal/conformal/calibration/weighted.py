@@ -1,4 +1,4 @@
-"""Calibration under covariate shift, with likelihood ratios given (Tibshirani, Barber, Candes and Ramdas 2019)."""
+"""Calibration under covariate shift with known likelihood ratios (Tibshirani, Barber, Candes and Ramdas 2019)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
-from conformodal.conformal.errors import ConformalError, NotCalibratedError
+from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray, RealArray
 
@@ -24,8 +24,8 @@ def weighted_quantile(
 ) -> RealArray:
     """Threshold for each new sample: the smallest score that carries ``1 - alpha`` of the weight.
 
-    The total weight is that of the calibration samples and the new sample's own, which stands at ``+inf``. Weights
-    are added and compared in exact arithmetic; equal weights give :func:`~conformodal.conformal_quantile`.
+    The total weight includes the new sample's own, at a score of ``+inf``. Sums are exact; equal weights give
+    :func:`~conformodal.conformal_quantile`.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ def weighted_quantile(
     Examples
     --------
     >>> from conformodal.conformal import weighted_quantile
-    >>> weighted_quantile([0.1, 0.2, 0.3], [1, 1, 2], new_weights=[1, 9], alpha=0.5)  # the second stands far off
+    >>> weighted_quantile([0.1, 0.2, 0.3], [1, 1, 2], new_weights=[1, 9], alpha=0.5)
     array([0.3, inf])
     """
     scores, own = as_scores(scores), _as_weights(weights, "weights")
     new = _as_weights(new_weights, "new_weights")
     if scores.shape != own.shape:
-        raise ConformalError(f"weights must have one entry a score, shape {scores.shape}, got {own.shape}")
+        raise ConformalError(f"weights must have one entry per score, shape {scores.shape}, got {own.shape}")
     order = np.argsort(scores, kind="stable")
     ranked = np.append(scores[order], np.inf).astype(scores.dtype)
     distinct, which = np.unique(new, return_inverse=True)
@@ -65,7 +65,7 @@ def weighted_quantile(
 
 
 class WeightedRanks:
-    """Exact sums of the weights of n scores, in the order of the scores, and of each new sample's own."""
+    """Exact sums of the weights of n ranked scores, and of each new sample's own weight."""
 
     def __init__(self, weights: Sequence[float], new_weights: Sequence[float]) -> None:
         # Floats are fractions over powers of two: over their common denominator the sums are whole numbers.
@@ -84,13 +84,7 @@ class WeightedRanks:
 
 
 def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
-    """Return weights as a float64 vector.
-
-    Raises
-    ------
-    ConformalError
-        If they are negative, not finite, or no vector.
-    """
+    """Weights as a float64 vector."""
     arr = as_doubles(weights, name)
     if arr.ndim != 1:
         raise ConformalError(f"{name} must be a vector, got shape {arr.shape}")
@@ -104,8 +98,8 @@ def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
 class WeightedConformal(Calibrator):
     """Weighted conformal sets: calibration data from one distribution of inputs, new samples from another.
 
-    If calibration samples are drawn independently from P(x) P(y | x) and the new one from Q(x) P(y | x), the
-    promise holds with weights proportional to dQ/dP at each sample. With estimated ratios it holds approximately.
+    If calibration samples are drawn independently from P(x) P(y | x) and the new one from Q(x) P(y | x), coverage is
+    guaranteed with weights proportional to dQ/dP at each sample; with estimated ratios it holds approximately.
 
     Parameters
     ----------
@@ -128,13 +122,7 @@ class WeightedConformal(Calibrator):
     weights_: FloatArray
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
-        """Score the calibration samples; `weights` (n,) are their likelihood ratios, on any common scale.
-
-        Raises
-        ------
-        ConformalError
-            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
-        """
+        """Score the calibration samples; `weights` (n,) are likelihood ratios, on any common scale."""
         scores = self.rule.calibration_columns(self.score_samples(proba, y))
         checked = _as_weights(weights, "weights")
         if checked.shape != (scores.shape[0],):
@@ -144,24 +132,14 @@ class WeightedConformal(Calibrator):
 
     def thresholds(self, weights: npt.ArrayLike) -> RealArray:
         """Thresholds of new samples with the given likelihood ratios, (m, d)."""
-        if not hasattr(self, "scores_"):
-            raise NotCalibratedError("WeightedConformal is not calibrated: call calibrate(proba, y, weights) first")
-        alpha = self.alpha_per_target
-        columns = [weighted_quantile(column, self.weights_, weights, alpha) for column in self.scores_.T]
+        scores, alpha = self._calibrated(), self.alpha_per_target
+        columns = [weighted_quantile(column, self.weights_, weights, alpha) for column in scores.T]
         return self.rule.per_target(np.stack(columns, axis=1))
 
     def predict(self, proba: Probabilities, weights: npt.ArrayLike) -> Regions:
-        """Regions of new samples; `weights` (m,) are their likelihood ratios.
-
-        Raises
-        ------
-        NotCalibratedError
-            Before :meth:`calibrate`.
-        ConformalError
-            On probabilities that are no probabilities, negative weights, or shapes that do not fit.
-        """
+        """Regions of new samples; `weights` (m,) are their likelihood ratios."""
         parts, whole = as_table(proba, self.bins.sizes, check=False)
         limits = self.thresholds(weights)
         if len(limits) != len(parts[0]):
-            raise ConformalError(f"weights must have one entry a row of proba ({len(parts[0])}), got {len(limits)}")
+            raise ConformalError(f"weights must have one entry per row of proba ({len(parts[0])}), got {len(limits)}")
         return self.regions_at(parts if whole is None else whole, limits)

@@ -1,10 +1,15 @@
 """Diagnostics of a calibration: coverage, set sizes and p-values, compared with their exact distributions."""
 
-from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
-from .diagnosis import Diagnosis, diagnose
-from .sizes import SizeSummary, summarise_sizes
+from .coverage import (
+    CoverageCheck,
+    check_coverage,
+    coverage_band,
+    coverage_by_group,
+    coverage_by_size,
+    grouped_coverage_band,
+)
+from .diagnosis import Diagnosis, SizeSummary, diagnose, summarise_sizes
 from .slab import SlabCheck, worst_slab
-from .strata import coverage_by_group, coverage_by_size
 from .uniformity import UniformityCheck, check_uniformity
 
 __all__ = [

@@ -1,4 +1,6 @@
-"""Coverage on test samples, compared with the central band of its exact distribution."""
+"""Coverage on test samples, overall, by group and by set size, compared with the central band of its exact
+distribution.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, as_flags
+from conformodal.conformal.checks import Alpha, as_doubles, as_flags
 from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_rank
 from conformodal.conformal.scalars import as_count, as_number
 
 
 @dataclass(frozen=True)
 class CoverageCheck:
-    """Observed coverage and the central band of its exact law.
+    """Observed coverage and the central band of its exact distribution; for an example see :func:`check_coverage`.
 
-    With n calibration samples, rank k and m test samples, all exchangeable and without ties, the number of
-    covered test samples follows BetaBinomial(m, k, n + 1 - k).
-
-    For an example see :func:`check_coverage`.
+    With n calibration samples, rank k and m test samples, all exchangeable and without ties, the number of covered test
+    samples follows BetaBinomial(m, k, n + 1 - k).
 
     Attributes
     ----------
@@ -65,7 +66,7 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     >>> from conformodal.conformal import coverage_band
     >>> coverage_band(n_calibration=1000, n_test=1000, alpha=0.1)
     (0.863, 0.932)
-    >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: the whole space, always right
+    >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: unbounded, always covered
     (1.0, 1.0)
     """
     n_test, level = as_count(n_test, "n_test", 1), _as_level(level)
@@ -80,10 +81,10 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
 
 
 def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level: float = 0.99) -> tuple[float, float]:
-    """Central band of the coverage over the test samples of several groups, each with a threshold of its own.
+    """Central band of the coverage over the test samples of several groups, each with its own threshold.
 
-    Counts of different groups are independent, so that their sum has the convolution of the groups' Beta-binomial laws.
-    With one group it is :func:`coverage_band`.
+    Counts of groups are independent, so that their sum has the convolution of Beta-binomial distributions. With one
+    group it is :func:`coverage_band`.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
 
 
 def _as_level(level: float) -> float:
-    """Return the probability of a band, strictly between 0 and 1."""
+    """The probability of a band, strictly between 0 and 1."""
     return as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
 
 
@@ -141,14 +142,14 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     n_calibration
         Calibration samples behind the threshold.
     alpha
-        The rate this target was calibrated at.
+        Miscoverage rate of the calibration.
     level
         Probability of the central band.
 
     Raises
     ------
     ConformalError
-        If `inside` is no vector of booleans, or is empty.
+        If `inside` is not a vector of booleans, or is empty.
 
     Examples
     --------
@@ -163,3 +164,58 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     low, high = coverage_band(n_calibration, arr.size, alpha, level)
     rank = conformal_rank(n_calibration, alpha)
     return CoverageCheck(int(arr.sum()), arr.size, n_calibration, rank, low, high, level)
+
+
+def coverage_by_group(
+    inside: npt.ArrayLike, groups: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99
+) -> dict[str, CoverageCheck]:
+    """Coverage of every group of test samples, for (n_test,) labels `groups`; the rest as in :func:`check_coverage`.
+
+    Split conformal prediction guarantees nothing for a group alone. The band is that of a group chosen in advance whose
+    scores are distributed like all others: coverage outside it shows that the group differs. Of G groups about
+    ``G (1 - level)`` fall outside by chance.
+    """
+    held = as_flags(inside, "inside", 1)
+    labels, codes = factorise(as_groups(groups, held.size))
+    names = [str(label) for label in labels]
+    if len(set(names)) < len(names):  # 1 and "1"
+        names = [repr(label) for label in labels]
+    return {name: check_coverage(held[codes == k], n_calibration, alpha, level) for k, name in enumerate(names)}
+
+
+def coverage_by_size(
+    inside: npt.ArrayLike,
+    sizes: npt.ArrayLike,
+    n_calibration: int,
+    alpha: Alpha,
+    strata: int = 5,
+    level: float = 0.99,
+) -> dict[str, CoverageCheck]:
+    """Coverage by set size, in strata of about equal numbers of samples.
+
+    `sizes` (n_test,) are lengths or volumes; the rest is as in :func:`check_coverage`, and the band as in
+    :func:`coverage_by_group`. Sets that are too small show as strata below their bands. Equal sizes share a stratum, so
+    there may be fewer than `strata`.
+
+    Source: Angelopoulos, Bates, Malik and Jordan (2021), size-stratified coverage.
+    """
+    held, values = as_flags(inside, "inside", 1), as_doubles(sizes, "sizes")
+    if values.shape != held.shape:
+        raise ConformalError(f"sizes must have shape {held.shape}, one per sample, got {values.shape}")
+    if np.isnan(values).any():
+        raise ConformalError("sizes must not hold NaN")
+    strata = as_count(strata, "strata", 1)
+    values = np.array([float(f"{v:.12g}") for v in values])  # sums of the same widths in another order are one size
+    ranked = np.sort(values)
+    strata = min(strata, max(values.size, 1))
+    cuts = np.unique(ranked[(np.arange(1, strata) * values.size) // strata])
+    stratum = np.searchsorted(cuts, values, side="right")
+    found = {}
+    for s in np.unique(stratum):
+        own = stratum == s
+        low, high = values[own].min(), values[own].max()
+        name = f"{low:.4g} to {high:.4g}" if low < high else f"{low:.4g}"
+        found[name if name not in found else f"{low!r} to {high!r}"] = check_coverage(
+            held[own], n_calibration, alpha, level
+        )
+    return found

@@ -1,9 +1,9 @@
-"""All checks of one calibration on test samples, in one call; printed, they are a report."""
+"""All checks of one calibration on test samples; printed, they are a report."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +15,10 @@ from conformodal.conformal.calibration.joint import Joint
 from conformodal.conformal.checks import Alpha, Probabilities, as_targets
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
-from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
-from .coverage import CoverageCheck, check_coverage
-from .sizes import SizeSummary, summarise_sizes
+from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage_by_size
 from .slab import SlabCheck, worst_slab
-from .strata import coverage_by_group, coverage_by_size
 from .uniformity import UniformityCheck, check_uniformity
 
 _ASSUMPTION = (
@@ -34,40 +31,48 @@ _ASSUMPTION = (
 )
 
 
-def describe_assumption(level: float, n_bands: int) -> str:
-    """What the bands of all samples, of probability `level`, say and do not say, in words."""
-    chance = 1 - level
-    of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * chance):.2g})" if n_bands > 1 else ""
-    return _ASSUMPTION.format(level=f"{100 * level:g} %", chance=f"{chance:.2g}", of_any=of_any)
+@dataclass(frozen=True)
+class SizeSummary:
+    """Sizes of one target's sets."""
+
+    mean: float  # length in the target's unit, inf if a set is unbounded
+    median: float
+    q90: float
+    intervals: float  # mean number of disjoint intervals
+    split: float  # share of the sets with more than one interval
+    empty: float
+    unbounded: float
+
+
+def summarise_sizes(regions: Regions) -> list[SizeSummary]:
+    """One summary per target."""
+    if len(regions) == 0:
+        raise ConformalError("regions must hold at least one sample to be summarised")
+    counts = regions.n_intervals
+    found = []
+    for length, count, whole in zip(regions.length.T, counts.T, regions.unbounded.T, strict=True):
+        ranked = np.sort(length)
+        at = [int(np.ceil(q * length.size)) - 1 for q in (0.5, 0.9)]
+        shares = (float((count > 1).mean()), float((count == 0).mean()), float(whole.mean()))
+        found.append(
+            SizeSummary(float(length.mean()), float(ranked[at[0]]), float(ranked[at[1]]), float(count.mean()), *shares)
+        )
+    return found
 
 
 @dataclass(frozen=True)
 class ColumnDiagnosis:
-    """Checks of one coverage guarantee: of one target, or with ``joint="max"`` of all together.
+    """Checks of one coverage guarantee: of one target, or with ``joint="max"`` of all together."""
 
-    Attributes
-    ----------
-    name
-        The target's, or ``"all targets"``.
-    coverage
-        Over all test samples.
-    by_size, by_group
-        Coverage of strata; the second is empty if no groups were given.
-    slab
-        Worst-slab coverage; None if no inputs were given.
-    uniformity
-        Of the p-values.
-    """
-
-    name: str
-    coverage: CoverageCheck
+    name: str  # of the target, or "all targets"
+    coverage: CoverageCheck  # of all test samples
     by_size: dict[str, CoverageCheck]
-    by_group: dict[str, CoverageCheck]
-    slab: SlabCheck | None
+    by_group: dict[str, CoverageCheck]  # empty without groups
+    slab: SlabCheck | None  # None without inputs
     uniformity: UniformityCheck
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
-        """All coverages of this guarantee, each with its label."""
+        """All coverages, each with its label."""
         found = [("all samples", self.coverage)]
         found += [(f"size {name}", check) for name, check in self.by_size.items()]
         found += [(f"group {name}", check) for name, check in self.by_group.items()]
@@ -78,9 +83,7 @@ class ColumnDiagnosis:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What :func:`diagnose` found. ``print`` it for the report, or see its attributes.
-
-    For an example see :func:`diagnose`.
+    """Result of :func:`diagnose`; ``print`` it for the report.
 
     Attributes
     ----------
@@ -89,7 +92,7 @@ class Diagnosis:
     names, sizes
         The targets' names and the sizes of their sets.
     joint_coverage
-        Share of test samples all of whose targets are held at once.
+        Share of test samples whose targets are all in their sets.
     alpha, joint, score, n_calibration, n_test
         Of the calibration and the test.
 
@@ -133,7 +136,9 @@ class Diagnosis:
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
             least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
-        assumption = describe_assumption(self.columns[0].coverage.level, len(self.columns))
+        level, n_bands = self.columns[0].coverage.level, len(self.columns)
+        of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else ""
+        assumption = _ASSUMPTION.format(level=f"{100 * level:g} %", chance=f"{1 - level:.2g}", of_any=of_any)
         return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
 
 
@@ -206,70 +211,29 @@ def diagnose(
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if values.shape[0] == 0:
         raise ConformalError("y must hold at least one test sample")
-    inside = regions.contains(values)
-    targets = _named(names, inside.shape[1])
+    inside, given = regions.contains(values), names
+    if given is None:
+        given = [f"target {j}" for j in range(inside.shape[1])]
+    targets = tuple(map(str, given if isinstance(given, Iterable) else []))
+    if len(targets) != inside.shape[1]:
+        raise ConformalError(f"names must hold one name per target ({inside.shape[1]}), got {len(targets)}")
+    guarantees = zip(targets, inside.T, regions.length.T, strict=True)
+    if calibrator.joint == "max":
+        guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)
     scores = calibrator.scores_, calibrator.score_samples(proba, values)
     calibration, test = map(calibrator.rule.columns, scores)
-    law = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
+    law: Any = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
     columns = tuple(
-        _column(*guarantee, X, groups, (calibration[:, j], test[:, j]), law, random_state)
-        for j, guarantee in enumerate(_guarantees(calibrator.joint, targets, inside, regions))
+        ColumnDiagnosis(
+            name,
+            check_coverage(held, **law),
+            coverage_by_size(held, size, **law),
+            {} if groups is None else coverage_by_group(held, groups, **law),
+            None if X is None or len(held) < 2 else worst_slab(held, X, **law, random_state=random_state),
+            check_uniformity(calibration[:, j], test[:, j], random_state=random_state),
+        )
+        for j, (name, held, size) in enumerate(guarantees)
     )
-    sizes, held = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
+    sizes, together = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
     about = calibrator.alpha, calibrator.joint, calibrator.score.name
-    return Diagnosis(columns, targets, sizes, held, *about, len(scores[0]), len(values))
-
-
-def _named(names: Sequence[str] | None, n_targets: int) -> tuple[str, ...]:
-    """Names of the targets: those given, or their numbers."""
-    given: Any = map("target {}".format, range(n_targets)) if names is None else names
-    targets = tuple(map(str, given if isinstance(given, Iterable) else []))
-    if len(targets) != n_targets:
-        raise ConformalError(f"names must hold one name a target ({n_targets}), got {len(targets)}")
-    return targets
-
-
-def _guarantees(
-    joint: Joint, targets: Sequence[str], inside: BoolArray, regions: Regions
-) -> list[tuple[str, BoolArray, FloatArray]]:
-    """Of each coverage guarantee its name, whether it held for each sample (n,), and the sizes of the sets (n,)."""
-    if joint == "max":
-        return [("all targets", np.asarray(inside.all(axis=1)), regions.volume)]
-    length = regions.length
-    return [(name, inside[:, j], length[:, j]) for j, name in enumerate(targets)]
-
-
-def _column(
-    name: str,
-    held: BoolArray,
-    size: FloatArray,
-    X: npt.ArrayLike | None,
-    groups: npt.ArrayLike | None,
-    scores: tuple[RealArray, RealArray],
-    law: Mapping[str, Any],
-    random_state: Any,
-) -> ColumnDiagnosis:
-    """All checks of one coverage guarantee.
-
-    Parameters
-    ----------
-    name, held, size
-        See :func:`_guarantees`.
-    X, groups, random_state
-        As for :func:`diagnose`.
-    scores
-        Of the calibration samples and of the test samples.
-    law
-        What the band of a coverage depends on: ``n_calibration``, ``alpha`` and ``level``.
-    """
-    slab = None
-    if X is not None and len(held) > 1:
-        slab = worst_slab(held, X, **law, random_state=random_state)
-    return ColumnDiagnosis(
-        name,
-        check_coverage(held, **law),
-        coverage_by_size(held, size, **law),
-        {} if groups is None else coverage_by_group(held, groups, **law),
-        slab,
-        check_uniformity(*scores, random_state=random_state),
-    )
+    return Diagnosis(columns, targets, sizes, together, *about, len(scores[0]), len(values))

@@ -1,4 +1,4 @@
-"""Worst-slab coverage: the strip of the inputs, in any direction, in which fewest values were held."""
+"""Worst-slab coverage: the strip of the inputs, in any direction, with the lowest coverage."""
 
 from __future__ import annotations
 
@@ -21,22 +21,12 @@ _MOST_CHOOSE = 2000
 
 @dataclass(frozen=True)
 class SlabCheck:
-    """A slab ``low <= direction . x <= high``, found on some test samples and judged on the others.
+    """A slab ``low <= direction . x <= high``, chosen on some test samples and checked on the others."""
 
-    Attributes
-    ----------
-    direction
-        (p,) weights of the inputs, each input divided by its standard deviation.
-    low, high
-        Ends of the slab.
-    coverage
-        Of the other samples in the slab; None if none is.
-    """
-
-    direction: FloatArray
+    direction: FloatArray  # (p,) weights of the inputs, each divided by its standard deviation
     low: float
     high: float
-    coverage: CoverageCheck | None
+    coverage: CoverageCheck | None  # of the other samples in the slab; None if none is
 
 
 def worst_slab(
@@ -49,12 +39,11 @@ def worst_slab(
     level: float = 0.99,
     random_state: Any = 0,
 ) -> SlabCheck:
-    """Search random directions for the slab with the lowest coverage on half of the samples; judge it on the other.
+    """Search random directions for the slab with the lowest coverage on half of the samples; check it on the others.
 
-    The halves matter: the minimum over many slabs lies far below any one's coverage, whatever the sets are. What the
-    second half gives is free of that choice; its band is that of a slab named in advance
-    (:func:`coverage_by_group`). The inputs' own axes are among the directions. Of more than 4000 samples 2000 choose,
-    and all others judge.
+    The minimum over many slabs is far below the coverage of any one. The second half is independent of that choice, so
+    its band is that of a slab chosen in advance (:func:`coverage_by_group`). The axes are among the directions. Of more
+    than 4000 samples 2000 choose.
 
     Source: Cauchois, Gupta and Duchi (2021); split in two as by Romano, Sesia and Candes (2020).
 
@@ -72,11 +61,6 @@ def worst_slab(
         Number of random directions.
     random_state
         Seed of directions and halves.
-
-    Raises
-    ------
-    ConformalError
-        If `X` does not fit, there are fewer than two samples, or `mass` is no share.
     """
     inside, inputs = as_flags(inside, "inside", 1), as_doubles(X, "X")
     if inputs.ndim != 2 or inputs.shape[0] != inside.size or not inputs.shape[1] or not np.isfinite(inputs).all():
@@ -112,7 +96,7 @@ def _scaled(inputs: FloatArray) -> FloatArray:
 
 
 def _lowest_slab(inside: BoolArray, at: FloatArray, least: int) -> tuple[float, float, float]:
-    """Coverage and ends of the slab with the lowest coverage along one direction, on which samples lie at `at`."""
+    """Coverage and ends of the slab with the lowest coverage along one direction, from the samples' places `at`."""
     ranked = np.argsort(at, kind="stable")
     start, stop = lowest_run(inside[ranked], least)
     return float(inside[ranked][start:stop].mean()), float(at[ranked[start]]), float(at[ranked[stop - 1]])

@@ -1,4 +1,4 @@
-"""Whether p-values are as uniform as exchangeable samples make them."""
+"""Whether p-values are as uniform as those of exchangeable samples."""
 
 from __future__ import annotations
 
@@ -19,54 +19,26 @@ _MOST_TESTED = 2000
 
 @dataclass(frozen=True)
 class UniformityCheck:
-    """Largest distance of the test ranks' distribution from the uniform one, and how often chance gives as much.
+    """Distance of the test p-values from uniformity, and the probability of as much by chance."""
 
-    Attributes
-    ----------
-    distance
-        Between the distribution function of the test p-values and that of the uniform distribution.
-    p_value
-        Of the hypothesis that calibration and test samples are exchangeable.
-    p_values
-        (n_test,) conformal p-values, ties broken at random, sorted.
-    n_calibration, n_test
-        Samples that `distance` and `p_value` are of: all, or 2000 of either kind, drawn at random.
-    """
-
-    distance: float
-    p_value: float
-    p_values: FloatArray
-    n_calibration: int
+    distance: float  # between the distribution functions of the p-values and of the uniform distribution
+    p_value: float  # of the hypothesis that calibration and test samples are exchangeable
+    p_values: FloatArray  # (n_test,) conformal p-values, ties broken at random, sorted
+    n_calibration: int  # samples behind `distance` and `p_value`: at most 2000 each, drawn at random
     n_test: int
 
 
 def check_uniformity(
     calibration_scores: npt.ArrayLike, test_scores: npt.ArrayLike, repeats: int = 999, random_state: Any = 0
 ) -> UniformityCheck:
-    """Test whether test scores rank among calibration scores as exchangeable samples would.
+    """Test whether test scores (m,) rank among calibration scores (n,) as exchangeable samples would.
 
-    All test samples share one calibration set, so their p-values depend on each other and the usual tests of
-    uniformity reject too often. Exchangeable samples without ties fall in every order equally often; the law of the
-    distance is simulated from that, and the p-value is exact for any number of repeats. Ties are broken at random. Of
-    more than 2000 calibration or test samples as many are drawn at random, for which the p-value is as exact.
+    All test samples share one calibration set, so that their p-values are dependent and the usual tests of uniformity
+    reject too often. Exchangeable samples without ties are in every order equally often; the distance is simulated from
+    that in `repeats` random orders, and the p-value is exact. Ties are broken at random. Of more than 2000 calibration
+    or test samples 2000 are drawn.
 
     Source: Bates, Candes, Lei, Romano and Sesia (2023) on the dependence; Dwass (1957) on Monte Carlo p-values.
-
-    Parameters
-    ----------
-    calibration_scores
-        (n,) scores of the calibration samples; ``+inf`` is allowed.
-    test_scores
-        (m,) scores of samples that were not calibrated on.
-    repeats
-        Simulated orders.
-    random_state
-        Seed of ties and orders.
-
-    Raises
-    ------
-    ConformalError
-        If either is no vector, is empty, or holds NaN.
     """
     known, new = as_doubles(calibration_scores, "calibration_scores"), as_doubles(test_scores, "test_scores")
     for name, scores in (("calibration_scores", known), ("test_scores", new)):

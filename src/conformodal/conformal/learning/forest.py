@@ -1,34 +1,29 @@
-"""A forest as a conditional distribution: every sample weighs the training values that share its leaves.
+"""Forests as conditional distributions: training values are weighted by how often they share leaves with a sample.
 
-Source: Meinshausen (2006). Unlike there, trees are split on the first cosines of the values' ranks, not on the values
-alone, so that a split also answers a change of spread or of the number of modes while the mean stays.
+Source: Meinshausen (2006). Unlike there, trees are split on the first cosines of the values' ranks, so that splits
+respond to changes of the spread or of the number of modes, not only of the mean.
 """
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from scipy import sparse
 from scipy.stats import rankdata
-from sklearn.ensemble import RandomForestRegressor
+from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 # Values are gathered into at most this many groups of neighbours, which is all the detail a weight can have.
 _GROUPS = 256
 _COSINES = 4
+# the group (n,) that every training value is in, and the number of groups
+Grouping: TypeAlias = tuple[IntArray, int]
 
 
 class LeafForest:
     """Weights over groups of training values.
-
-    Parameters
-    ----------
-    min_samples_leaf
-        Fewest samples in a leaf.
-    n_trees, random_state, n_jobs
-        Of the forest.
 
     Attributes
     ----------
@@ -74,8 +69,92 @@ class LeafForest:
         return total / len(self.tables_)
 
 
+class SharedForest:
+    """Weights over several groupings of training values, from extremely randomised trees on bootstrap samples.
+
+    Faster than :class:`LeafForest`: trees are split at random cuts, groupings share the trees, and out-of-bag weights
+    are computed for requested rows only.
+
+    Source: Geurts, Ernst and Wehenkel (2006); Meinshausen (2006).
+
+    Attributes
+    ----------
+    out_of_bag_ : one (m, G) per grouping: weights of the requested rows by trees that did not see them; rows sum to one
+    out_of_bag_mean_ : (n,) mean of the values by trees that did not see the row
+    """
+
+    out_of_bag_: list[FloatArray]
+    out_of_bag_mean_: FloatArray
+
+    def __init__(self, n_trees: int, min_samples_leaf: int, random_state: int, n_jobs: int | None) -> None:
+        self.forest = ExtraTreesRegressor(
+            n_trees,
+            min_samples_leaf=min_samples_leaf,
+            max_features=0.5,
+            bootstrap=True,
+            random_state=random_state,
+            n_jobs=n_jobs,
+        )
+
+    def fit(
+        self,
+        X: FloatArray,
+        targets: FloatArray,
+        values: FloatArray,
+        weight: FloatArray,
+        groupings: list[Grouping],
+        rows: IntArray,
+    ) -> Self:
+        """Fit on features (n, p) and split targets (n, c); average `values` and `groupings` in the leaves."""
+        n = values.size
+        self.forest.fit(X, targets)  # what it does with weights differs between versions: here leaves are weighted
+        nodes = [tree.tree_.node_count for tree in self.forest.estimators_]
+        self._first = np.concatenate(([0], np.cumsum(nodes)))
+        leaves = self.apply(X)
+        times = np.column_stack([np.bincount(drawn, minlength=n) for drawn in self.forest.estimators_samples_])
+        row, tree = np.nonzero(times)
+        parts = (times * weight[:, None])[row, tree], (leaves[row, tree], row)
+        drawn = sparse.csr_array(parts, (int(self._first[-1]), n))
+        share = 1 / np.maximum(np.asarray(drawn.sum(axis=1)).ravel(), 1e-300)
+        drawn = sparse.csr_array(sparse.diags_array(np.where(share < 1e300, share, 0.0)) @ drawn)
+        self._means = np.asarray(drawn @ values)
+        self._tables: list[Any] = []
+        for groups, size in groupings:
+            member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, size))
+            self._tables.append(sparse.csr_array(drawn @ member))
+
+        out = times == 0
+        count = out.sum(axis=1)
+        total = np.where(out, self._means[leaves], 0.0).sum(axis=1)
+        self.out_of_bag_mean_ = np.where(count > 0, total / np.maximum(count, 1), np.average(values, weights=weight))
+        query = self._query(leaves[rows], out[rows])
+        self.out_of_bag_ = []
+        for table, (groups, size) in zip(self._tables, groupings, strict=True):
+            pooled = np.bincount(groups, weight, minlength=size) / weight.sum()
+            self.out_of_bag_.append(np.where(count[rows, None] > 0, (query @ table).toarray(), pooled))
+        return self
+
+    def apply(self, X: FloatArray) -> IntArray:
+        """Leaves (n, t) of samples, numbered over all trees."""
+        return np.asarray(self.forest.apply(X) + self._first[:-1], dtype=np.int64)
+
+    def means(self, leaves: IntArray) -> FloatArray:
+        """Means (n,) of the training values in `leaves`."""
+        return np.asarray(self._means[leaves].mean(axis=1))
+
+    def weights(self, leaves: IntArray) -> list[FloatArray]:
+        """Weights (n, G) of the groups in `leaves`, one array per grouping; rows sum to one."""
+        query = self._query(leaves, np.ones(leaves.shape, dtype=np.bool_))
+        return [np.asarray((query @ table).toarray()) for table in self._tables]
+
+    def _query(self, leaves: IntArray, counted: BoolArray) -> Any:
+        row, tree = np.nonzero(counted)
+        share = 1 / np.maximum(counted.sum(axis=1), 1)
+        return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))
+
+
 def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Group (n,) of every value among at most 256 groups of equal size, and the groups' means (G,)."""
+    """Group (n,) of every value among at most 256 groups of equal size, and the means of the groups (G,)."""
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _GROUPS + 1)[1:-1]))
     raw = np.searchsorted(cuts, values, side="right")
     _, groups = np.unique(raw, return_inverse=True)
@@ -84,6 +163,6 @@ def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def rank_cosines(values: FloatArray, n_cosines: int) -> FloatArray:
-    """The first cosines (n, c) of the values' ranks: splits on them see spread and modes too, not the mean alone."""
+    """The first cosines (n, c) of the ranks of values."""
     ranks = rankdata(values) / (values.size + 1)
     return np.cos(np.pi * ranks[:, None] * np.arange(1, n_cosines + 1))

@@ -1,4 +1,4 @@
-"""From weights over values to probabilities of bins: smoothing, and mixing several answers."""
+"""From weights over values to probabilities of bins: kernel smoothing and mixing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from conformodal.conformal.checks import as_doubles
 from conformodal.core.arrays import FloatArray, IntArray
 
-# what a density is at least, relative to 1 / range, when its logarithm is taken
+# least density, relative to 1 / range, for logarithms
 _FLOOR = 1e-6
 _ITERATIONS = 200
 
@@ -30,7 +30,7 @@ def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatA
 
 
 def kernel_masses(centers: FloatArray, values: FloatArray, edges: FloatArray, factor: float) -> FloatArray:
-    """Mass that a kernel at each of `centers` puts in each bin, (G, K); what lies beyond goes to the outer bins."""
+    """Mass that a kernel at each of `centers` puts in each bin, (G, K); the outer bins get what lies beyond."""
     centers, edges = as_doubles(centers, "centers"), as_doubles(edges, "edges")
     below = ndtr((edges - centers[:, None]) / bandwidths(centers, values, factor)[:, None])
     below[:, 0], below[:, -1] = 0, 1
@@ -59,11 +59,9 @@ def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> Float
 
 
 def mixture_weights(log_densities: FloatArray, weight: FloatArray | None = None) -> FloatArray:
-    """Weights (m,) of a mixture that make the samples' densities (n, m) likeliest, by expectation-maximisation.
+    """Weights (m,) of a mixture that maximise the likelihood of densities (n, m), by expectation-maximisation.
 
-    `weight` (n,) says how much each sample counts; None: all the same.
-
-    Source: the stacking of densities of Smyth and Wolpert (1999).
+    `weight` (n,) are sample weights. Source: the stacking of densities of Smyth and Wolpert (1999).
     """
     log_densities = as_doubles(log_densities, "log_densities")
     relative = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))

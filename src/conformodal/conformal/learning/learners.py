@@ -1,4 +1,4 @@
-"""Learners by name, fitted on one target; how long that will take, and how far it has come."""
+"""Estimators by name, fitted on one target; the expected time and the progress of a fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from conformodal.core.progress import Progress
 from conformodal.core.words import counted
 
 from .quick import QuickDensity
-from .smoothing import SmoothedClassifier, fit_classifier, proba_of_bins, smoothing_of
+from .smoothing import BinSmoothing, SmoothedClassifier, bin_codes, fit_classifier, proba_of_bins
 from .stacked import StackedDensity
 
 LearnerName = Literal["quick", "stack"]
@@ -33,13 +33,7 @@ _SLOW_S = 10.0
 
 
 def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
-    """The learner that `estimator` names or is, and whether it learns densities over bins.
-
-    Raises
-    ------
-    ConformalError
-        If it is neither None, a name, nor an object with the methods of a classifier or a density.
-    """
+    """The learner that `estimator` names or is, and whether it learns densities over bins."""
     if isinstance(estimator, str) and estimator not in get_args(LearnerName):
         raise ConformalError(
             f"estimator must be one of {list(get_args(LearnerName))}, None or a classifier, got {brief(estimator)}"
@@ -54,7 +48,7 @@ def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
 
 
 def split_off(n: int, share: float, random: np.random.RandomState) -> tuple[IntArray, IntArray]:
-    """Samples held out to calibrate, and the others, of which at least 2 must be left."""
+    """Calibration samples and the others, of which at least 2 must be left."""
     order = random.permutation(n)
     n_held = int(np.ceil(share * n))
     if n - n_held < 2:
@@ -74,16 +68,11 @@ def fit_target(
     out_of_fold: bool,
     progress: Progress | None,
 ) -> tuple[Any, FloatArray | None]:
-    """Clones of the learner, fitted on one target, and what some that have not seen them give the first rows.
+    """Clones of the learner, fitted on one target, and out-of-fold probabilities of the first rows, or None.
 
-    A classifier is fitted five times, on all rows but every fifth: these say how to smooth, and all answer together.
-    A density is fitted once on all rows, and for ``out_of_fold=True`` once more without the first fifth. Of fewer than
-    20 rows none is left out, and nothing is known out of fold: None. Rows must be in random order.
-
-    Raises
-    ------
-    ConformalError
-        If it refuses the data, or takes no weights and is given some.
+    A classifier is fitted five times without every fifth row, which tunes the smoothing; the five are averaged. A
+    density is fitted on all rows, and for ``out_of_fold=True`` again without the first fifth. With fewer than 20 rows,
+    none is left out. Rows must be in random order.
     """
 
     def fitted(rows: Any, progress: Progress | None = None) -> Any:
@@ -96,13 +85,15 @@ def fit_target(
         if not (enough and out_of_fold):
             return model, None
         return model, proba_of_bins(fitted(slice(n_first, None)), X[:n_first], n_bins)
+    codes = bin_codes(y, edges)
+    smoothing = BinSmoothing(codes, y, weight, n_bins)
     if not enough:
-        return SmoothedClassifier([fitted(slice(None))], smoothing_of(y, edges, weight, None)), None
+        return SmoothedClassifier([fitted(slice(None))], smoothing), None
     models, left_out = [], np.empty((n, n_bins))
     for k in range(_FOLDS):
         models.append(fitted(fold != k))
         left_out[fold == k] = proba_of_bins(models[-1], X[fold == k], n_bins)
-    smoothing = smoothing_of(y, edges, weight, left_out)
+    smoothing.tune(left_out, codes, np.diff(edges), weight)
     return SmoothedClassifier(models, smoothing), smoothing(left_out)
 
 
@@ -134,9 +125,9 @@ def _fitted(
 
 
 def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int = 1) -> bool:
-    """Warn of `fits` fits that will take more than ten seconds; whether they will."""
-    tell: Callable[[int, int], float] | None = getattr(base, "expected_seconds", None)
-    seconds = 0.0 if tell is None else fits * n_targets * tell(n_rows, n_features)
+    """Warn if `fits` fits will take more than ten seconds; whether they will."""
+    expected: Callable[[int, int], float] | None = getattr(base, "expected_seconds", None)
+    seconds = 0.0 if expected is None else fits * n_targets * expected(n_rows, n_features)
     if seconds <= _SLOW_S:
         return False
     spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
@@ -150,7 +141,7 @@ def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int 
 
 
 def on_stderr(target: int, n_targets: int) -> Progress:
-    """A line on standard error for every part of a fit that is done."""
+    """Print a line on standard error for every finished part of a fit."""
     start = time.monotonic()
 
     def show(done: int, total: int) -> None:

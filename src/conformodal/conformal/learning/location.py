@@ -1,4 +1,4 @@
-"""A stack of regressors whose predictions of the training data are out of fold."""
+"""A stack of regressors with out-of-fold predictions of the training data."""
 
 from __future__ import annotations
 
@@ -37,10 +37,7 @@ class StackedLocation(Location):
         self.n_jobs = n_jobs
 
     def fit(self, X: FloatArray, y: FloatArray, progress: Progress | None = None) -> Self:
-        """Fit on (n, p) features and (n,) values of about unit spread; n is at least 2.
-
-        `progress` is called after every fit of a member.
-        """
+        """Fit on features (n, p) and values (n,) of about unit spread; `progress` is called after every fit."""
         members = self._members(y.size)
         n_folds = min(_FOLDS, y.size)
         total, done = (n_folds + 1) * len(members), 0
@@ -75,7 +72,7 @@ class StackedLocation(Location):
                 alpha=decay,
                 learning_rate_init=rate,
                 max_iter=int(np.clip(_ROWS_SEEN // n, 30, 400)),
-                n_iter_no_change=1000,  # trained to the end: the stack's folds are what guards against overfitting
+                n_iter_no_change=1000,  # no early stopping: the folds of the stack guard against overfitting
                 random_state=seed,
             )
             bag = BaggingRegressor(one, _NETWORKS, bootstrap=False, n_jobs=self.n_jobs, random_state=seed)
@@ -90,7 +87,7 @@ class StackedLocation(Location):
 
 
 class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """Gaussian process with a length scale a feature (Rasmussen and Williams 2006, chapter 5), for small tables."""
+    """Gaussian process with one length scale per feature (Rasmussen and Williams 2006, chapter 5)."""
 
     def fit(self, X: FloatArray, y: FloatArray) -> Self:
         kernel = ConstantKernel(1.0) * Matern(np.ones(X.shape[1]), nu=1.5) + WhiteKernel(0.05)

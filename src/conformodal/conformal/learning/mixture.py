@@ -1,4 +1,4 @@
-"""A density over bins as a mixture of five distributions, smoothed and weighted by held-out likelihood."""
+"""A density over bins as a mixture of five smoothed distributions, weighted by held-out likelihood."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from .standard import Standardised, as_features
 # the group (n,) of every training value, and the groups' means (G,); see group_values
 Groups: TypeAlias = tuple[IntArray, FloatArray]
 
-# for each of the five members, in order: whether it is a distribution of scaled residuals
+# for each of the five components, in order: whether it is a distribution of scaled residuals
 RESIDUAL = (False, True, True, False, False)
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300
-# every member keeps a little weight, so that no density is exactly zero and far values can be told apart
+# least weight of a component, so that no density is exactly zero and far values differ
 _LEAST_WEIGHT = 1e-3
 
 
 class MixtureDensity(BaseEstimator):  # type: ignore[misc]
     """What the quick and the stacked density share: smoothing, mixing and prediction in blocks of rows.
 
-    The members, in order: the marginal distribution of the values, that of the scaled residuals, and three whose
+    The components, in order: the marginal distribution of the values, that of the scaled residuals, and three whose
     weights a forest gives for each sample (one over scaled residuals, two over values).
     """
 
@@ -57,20 +57,10 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         by_forest: list[FloatArray],
         validation: IntArray,
     ) -> None:
-        """Choose every member's bandwidth, then the weights, by the likelihood of held-out values.
+        """Choose every component's bandwidth, then the weights, by the likelihood of held-out values.
 
-        Parameters
-        ----------
-        table
-            What is learnt from.
-        place
-            Location and spread of every row, (n,) each, out of fold.
-        groups
-            Of the values and of the scaled residuals.
-        by_forest
-            Weights (m, G) of the three forests' groups for the judges, out of bag.
-        judges
-            (m,) rows whose likelihood decides.
+        `place` are location and spread (n,) of every row, out of fold; `groups` are of the values and of the scaled
+        residuals; `by_forest` are the out-of-bag weights (m, G) of the three forests for the `validation` rows (m,).
         """
         loc, spread = place
         scaled = (table.z - loc) / spread
@@ -104,12 +94,12 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
 
 
 def least_spread(residual: FloatArray) -> float:
-    """A tenth of the median residual, which keeps one lucky guess from standing for a spread of zero."""
+    """A tenth of the median residual: a lower bound, so that one accurate prediction does not give a spread of zero."""
     return float(0.1 * np.median(np.abs(residual))) or 1e-6
 
 
 def _grid_of(scaled: FloatArray) -> FloatArray:
-    """Cells that hold as many scaled residuals each, and one beyond them at either end."""
+    """Cells with equal numbers of scaled residuals, and one beyond them at either end."""
     reach = (scaled.max() - scaled.min()) or 1.0
     ends = np.quantile(scaled, np.linspace(0, 1, _GRID_CELLS + 1))
     return np.unique(np.concatenate(([ends[0] - reach / 2], ends, [ends[-1] + reach / 2])))

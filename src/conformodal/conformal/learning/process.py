@@ -1,4 +1,4 @@
-"""A Gaussian process with a length scale a feature, on few enough rows to be quick; predictions out of fold."""
+"""A Gaussian process with one length scale per feature, on a subset of rows; predictions out of fold."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _JITTER = 1e-8
 class SparseProcess:
     """Matern 3/2 process (Rasmussen and Williams 2006, chapters 4, 5 and 8.3.1), its scales by marginal likelihood.
 
-    Beyond 1200 rows it is a regression on 600 to 900 rows drawn at random (subset of regressors). A sample's weight
-    divides the variance of its noise, so that a whole-number weight is worth as many repetitions.
+    Beyond 1200 rows it is a regression on 600 to 900 random rows (subset of regressors). A sample's weight divides the
+    variance of its noise, so that an integer weight equals as many repetitions.
 
     Attributes
     ----------
@@ -43,13 +43,7 @@ class SparseProcess:
         self.random_state = random_state
 
     def fit(self, X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds) -> Self:
-        """Fit on (n, p) features, (n,) values of about unit spread and weights of mean one.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the kernel is singular to rounding.
-        """
+        """Fit on features (n, p), values (n,) of about unit spread and weights of mean one."""
         self._center, spread = X.mean(axis=0), X.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
         features = self._features(X)
@@ -126,7 +120,7 @@ def _search(
     usual = np.log(2.0) + 0.5 * np.log(X.shape[1])
     n_lengths = 1 if shared else X.shape[1]
     if start is None:
-        # a search from little noise finds what is smooth; from much it may take the signal for noise
+        # a start with little noise finds smooth functions; one with much noise may explain the signal as noise
         start = np.append(np.full(n_lengths, usual), (0.0, np.log(0.01)))
     bounds = [(-4.0, 8.0)] * n_lengths + [(-4.0, 6.0), (-12.0, 2.0)]
     options: Any = {"maxfun": evaluations, "maxiter": evaluations}

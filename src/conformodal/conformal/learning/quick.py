@@ -11,10 +11,9 @@ from threadpoolctl import threadpool_limits
 from conformodal.conformal.scalars import as_count, as_random
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .forest import group_values, rank_cosines
+from .forest import SharedForest, group_values, rank_cosines
 from .mixture import RESIDUAL, Groups, MixtureDensity, least_spread
 from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
-from .shared_forest import SharedForest
 from .standard import Standardised, standardised
 
 # seconds of a fit, as measured
@@ -23,23 +22,23 @@ _LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
 _TREES = ((3000, 60), (5000, 40))
 _FEWEST_TREES = 30
 # held-out rows that choose bandwidths and weights
-_JUDGES = 1000
+_VALIDATION_ROWS = 1000
 
 
 class QuickDensity(MixtureDensity):
-    """Conditional density of a value over bins in about the time of a few boostings; order-aware.
+    """Conditional density of a value over bins, order-aware, in about the time of a few boostings.
 
     A smaller :class:`~conformodal.conformal.StackedDensity`. Boosted trees, a Gaussian process (up to 10 000 rows)
-    and a forest, predicted out of fold, give every sample a location; boosted trees its spread. Five distributions are
-    mixed by the weights that make held-out values likeliest:
+    and a forest give every sample an out-of-fold location; boosted trees give its spread. Five distributions are mixed
+    by the weights of largest held-out likelihood:
 
     - the marginal distribution of the values;
     - residuals from the location, scaled by the spread, the same for all samples;
-    - scaled residuals, weighted by a forest on features and location (:class:`~.shared_forest.SharedForest`);
+    - scaled residuals, weighted by a forest on features and location (:class:`~.forest.SharedForest`);
     - values, weighted by the same forest;
-    - values, weighted by a forest on the features alone: for values that have no location, being here or there.
+    - values, weighted by a forest on the features alone, for multimodal values, which have no single location.
 
-    Each is smoothed by Gaussian kernels, narrower where values are dense, as wide as held-out likelihood asks.
+    Each is smoothed by Gaussian kernels, narrower where values are dense; held-out likelihood chooses the bandwidth.
 
     Parameters
     ----------
@@ -80,12 +79,6 @@ class QuickDensity(MixtureDensity):
         """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
 
         Rows of weight 0 are left out; bandwidths are chosen as if all others weighed the same.
-
-        Raises
-        ------
-        ConformalError
-            With fewer than two samples, shapes that do not fit, values that are not finite or too large, edges that
-            do not increase, or weights that are not finite numbers of at least 0.
         """
         most = as_count(self.max_rows, "max_rows", 2)
         random = as_random(self.random_state)
@@ -94,8 +87,8 @@ class QuickDensity(MixtureDensity):
         if table.z.size > most:
             kept = random.permutation(table.z.size)[:most]
             table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
-        validation = random.permutation(table.z.size)[:_JUDGES]
-        with threadpool_limits(1):  # threads that wait for each other spin: a core that is busy elsewhere costs minutes
+        validation = random.permutation(table.z.size)[:_VALIDATION_ROWS]
+        with threadpool_limits(1):  # waiting threads spin: on a busy core that costs minutes
             place, groups, by_forest = self._learn(table, validation, seed)
         self._mix(table, place, groups, by_forest, validation)
         return self
@@ -103,7 +96,7 @@ class QuickDensity(MixtureDensity):
     def _learn(
         self, table: Standardised, validation: IntArray, seed: int
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[Groups, Groups], list[FloatArray]]:
-        """Location and spread, groups of values and of scaled residuals, and the judges' weights out of bag."""
+        """Location and spread, groups of values and of scaled residuals, and out-of-bag weights of validation rows."""
         X, z, weight = table.X, table.z, table.weight
         n_trees = next((trees for most, trees in _TREES if z.size <= most), _FEWEST_TREES)
         values, z_at = group_values(z)

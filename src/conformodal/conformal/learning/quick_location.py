@@ -1,4 +1,4 @@
-"""Boosted trees, a Gaussian process and a forest, each out of fold, combined to one prediction of a value."""
+"""Boosted trees, a Gaussian process and a forest, stacked to predict the location of a value."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ _PROCESS_ROWS = 10_000
 
 
 class Location:
-    """Members' predictions of where a value lies, weighted by non-negative least squares.
-
-    Source: Breiman (1996), stacked regressions.
+    """Predictions of the location of a value, weighted by non-negative least squares (Breiman 1996).
 
     Attributes
     ----------
@@ -44,18 +42,18 @@ class Location:
         self.weights_ = weights / weights.sum() if weights.sum() > 0 else np.full(weights.size, 1 / weights.size)
 
     def summary(self, predictions: FloatArray) -> FloatArray:
-        """The weighted mean and the members' spread, (n, 2), from the members' predictions (n, m)."""
+        """The weighted mean and the standard deviation of the predictions (n, m), as (n, 2)."""
         return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
 
 
 class QuickLocation(Location):
-    """Boosting, :class:`~.process.SparseProcess` and a forest's means out of bag."""
+    """Boosting, :class:`~.process.SparseProcess` and out-of-bag means of a forest."""
 
     def __init__(self, random_state: int) -> None:
         self.random_state = random_state
 
     def fit(self, X: FloatArray, y: FloatArray, weight: FloatArray, forest: FloatArray) -> Self:
-        """Fit on (n, p) features, (n,) values of about unit spread, their weights and `forest`, its means (n,)."""
+        """Fit on features (n, p), values (n,) of about unit spread, weights and the means `forest` (n,)."""
         folds = folds_of(y.size, self.random_state)
         out_of_fold, self._models = [], []
         boosters = [boosting(0.15, 150, 15, 5, self.random_state)]
@@ -70,24 +68,24 @@ class QuickLocation(Location):
                 process = SparseProcess(self.random_state).fit(X, y, weight, folds)
                 out_of_fold.append(process.out_of_fold_)
                 self._models.append(process)
-            except np.linalg.LinAlgError:  # the others answer
+            except np.linalg.LinAlgError:  # the others remain
                 pass
         self._weigh(np.column_stack([*out_of_fold, forest]), y, weight)
         return self
 
     def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
-        """Predictions of all members, (n, m); `forest` are its means (n,)."""
+        """Predictions of all members, (n, m); `forest` are the means (n,) of the forest."""
         return np.column_stack([*(model.predict(X) for model in self._models), forest])
 
 
 def folds_of(n: int, random_state: int, most_folds: int = 5) -> Folds:
-    """Folds of `n` rows, at least 2: fewer where rows are many and hold out well enough."""
+    """Folds of `n` rows, at least 2: fewer for many rows."""
     n_folds = next((folds for most, folds in _FOLDS if n <= most), _FEWEST_FOLDS)
     return list(KFold(min(n_folds, most_folds, n), shuffle=True, random_state=random_state).split(np.empty((n, 1))))
 
 
 def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Callable[[], Any]:
-    """A function that makes an untrained boosting of trees."""
+    """A factory of untrained boosted trees."""
 
     def make() -> Any:
         return HistGradientBoostingRegressor(
@@ -107,7 +105,7 @@ def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: in
 def fit_out_of_fold(
     make: Callable[[], Any], X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds
 ) -> tuple[FloatArray, Any]:
-    """Predictions (n,) of every value by a model of the other folds, and a model of all."""
+    """Out-of-fold predictions (n,), and a model of all rows."""
     found = np.empty(y.size)
     # boosting takes several times as long with weights, equal ones too
     some: list[FloatArray | None] = [weight[seen] if np.ptp(weight) else None for seen, _ in folds]

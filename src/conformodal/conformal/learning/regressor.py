@@ -1,4 +1,4 @@
-"""A scikit-learn regressor whose honest answer is a region."""
+"""A scikit-learn regressor that predicts regions."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
 class _ScoreName:
     """Lets the parameter `score` share its name with scikit-learn's method ``score``.
 
-    As in every scikit-learn estimator the parameter lives in the instance's ``__dict__``, where ``get_params`` finds
-    it; the attribute is the method.
+    The parameter lives in the instance's ``__dict__``, where ``get_params`` finds it; the attribute is the method.
     """
 
     def __get__(self, estimator: Any, owner: type) -> Any:
@@ -46,24 +45,22 @@ class _ScoreName:
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """Regression by classification into bins, with calibrated regions that may fall apart.
+    """Regression by classification into bins, with calibrated regions of one or more intervals.
 
-    ``fit`` splits off calibration data, cuts the targets into quantile bins, fits one density or classifier a target
-    and calibrates. If calibration samples and a new sample are exchangeable, ``predict_region`` holds the truth with
-    probability at least ``1 - alpha``, on average over samples: of each target alone, or of all together as `joint`
-    says.
+    ``fit`` splits off calibration data, cuts the targets into quantile bins, fits one density or classifier per target
+    and calibrates. If calibration samples and a new sample are exchangeable, ``predict_region`` contains the truth with
+    probability at least ``1 - alpha``, on average over samples: per target, or of all together with `joint`.
 
     Parameters
     ----------
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
         with shorter sets (``benchmarks/peers/run.py``: 0.81 of the length of the best peer's, in the geometric mean
-        over seven data sets); or any classifier with ``predict_proba``, fitted on
-        bin numbers five times, without every fifth row. The mean of the five is smoothed over bin numbers, mixed with
-        Gaussians around its mean and with the frequencies of the bins, by the shares that make the left-out rows
-        likeliest. Or an object with ``fit_bins(X, y, edges)`` and ``predict_proba``.
+        over seven data sets); any classifier with ``predict_proba``, fitted five times on bin numbers without every
+        fifth row, averaged, and smoothed over bins as the left-out rows require; or an object with
+        ``fit_bins(X, y, edges)`` and ``predict_proba``.
     n_bins
-        Bins a target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
+        Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
         Miscoverage rate in (0, 1).
     score
@@ -72,12 +69,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
         every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
     calibration_size
-        Share of the samples that ``fit`` holds out to calibrate on, in [0, 1). With 0 all are learnt from, and
-        :meth:`conformalize` must follow.
+        Share of the samples that ``fit`` holds out for calibration, in [0, 1). With 0, call :meth:`conformalize` next.
     random_state
         Seed of the split and of a fresh estimator, or None.
     verbose
-        Whether a fit that will take more than ten seconds says on standard error how far it has come. It warns with
+        Whether a fit of more than ten seconds prints its progress on standard error; it warns with
         :class:`SlowFitWarning` in any case.
 
     Attributes
@@ -138,17 +134,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         y
             (n,) or (n, d) values.
         sample_weight
-            (n,) weights of at least 0, for the learner alone; their common factor has no meaning. Samples of weight 0
-            are left out, of calibration too. All others calibrate alike, whatever they weigh: the guarantee holds for a
-            new sample that is exchangeable with the samples of positive weight, each counted once. It says nothing of
-            a population in which samples are as frequent as they weigh; for that, where the ratio of densities is
-            known, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
-
-        Raises
-        ------
-        ConformalError
-            If a parameter cannot be used, weights are not finite numbers of at least 0, the estimator takes none
-            (``"stack"`` does not), or there are too few samples to split.
+            (n,) weights of at least 0, up to a factor, for the learner only (``"stack"`` takes none). Samples of weight
+            0 are left out. All others calibrate alike: coverage is guaranteed for a new sample that is exchangeable
+            with the samples of positive weight, not for a population in which samples are as frequent as they weigh;
+            for that, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
         """
         features, values = self._table(X, y)
         self._one_target = values.ndim == 1
@@ -164,10 +153,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
         self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
         unseen = self.joint == "max"
-        told = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
+        slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
-            progress = on_stderr(j, values.shape[1]) if told and self.verbose else None
+            progress = on_stderr(j, values.shape[1]) if slow and self.verbose else None
             share = None if weight is None else weight[seen]
             table = features[seen], values[seen, j], edges, share
             model, proba = fit_target(base, dense, *table, unseen, progress)
@@ -184,7 +173,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def conformalize(self, X_cal: npt.ArrayLike, y_cal: npt.ArrayLike) -> Self:
-        """Calibrate on data of one's own, none of which was learnt from; replaces the earlier calibration."""
+        """Calibrate on given data, none of which was learnt from; replaces the earlier calibration."""
         check_is_fitted(self, "bins_")
         features, values = self._table(X_cal, y_cal, reset=False)
         self.calibrator_.calibrate(self._proba(features), values)
@@ -202,15 +191,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, X: npt.ArrayLike, region: Literal[True], alpha: Alpha | None = None) -> Regions: ...
 
     def predict(self, X: npt.ArrayLike, region: bool = False, alpha: Alpha | None = None) -> FloatArray | Regions:
-        """Means of the distributions, (n,) or (n, d): what minimises squared error, be it in between two modes.
+        """Means of the distributions, (n,) or (n, d), which minimise the squared error, even between two modes.
 
-        With ``region=True`` it is :meth:`predict_region`, for where scikit-learn knows of ``predict`` only: the regions
+        With ``region=True`` it is :meth:`predict_region`, for scikit-learn, which knows ``predict`` only: the regions
         of a pipeline are ``pipeline.predict(X, region=True)``.
-
-        Raises
-        ------
-        ConformalError
-            If `alpha` is given and `region` is not.
         """
         if region:
             return self.predict_region(X, alpha)
@@ -221,20 +205,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return means[:, 0] if self._one_target else means
 
     def predict_region(self, X: npt.ArrayLike, alpha: Alpha | None = None) -> Regions:
-        """Calibrated regions of new samples.
-
-        Parameters
-        ----------
-        X
-            (n, p) features.
-        alpha
-            Another miscoverage rate than the estimator's, from the same calibration data.
-
-        Raises
-        ------
-        NotCalibratedError
-            If there is no calibration data yet.
-        """
+        """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate."""
         proba = self.predict_bins(X)
         calibrator = self._calibrated()
         return (calibrator if alpha is None else calibrator.at(alpha)).predict(proba)
@@ -249,28 +220,15 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ) -> Diagnosis:
         """Check coverage, sizes and p-values on test samples; print the result for a report.
 
-        Parameters
-        ----------
-        X, y
-            (n, p) features and (n,) or (n, d) values of samples neither learnt from nor calibrated on.
-        groups
-            (n,) labels, to check group by group.
-        level
-            Probability of the bands beside which coverages are set.
-        names
-            Names of the targets, for the report.
-
-        Raises
-        ------
-        NotCalibratedError
-            If there is no calibration data yet.
+        Takes samples neither learnt from nor calibrated on; the other parameters are those of
+        :func:`~conformodal.conformal.diagnose`.
         """
         proba = self.predict_bins(X)
         features, values = self._table(X, y, reset=False)
         return diagnose(self._calibrated(), proba, values, features, groups, names, level)
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[npt.NDArray[Any], FloatArray]:
-        """Features and values, by the checks of scikit-learn and those of this package."""
+        """Features and values, checked by scikit-learn and by this package."""
         needs = {} if y is _NO_TARGETS else {"y": y, "multi_output": True, "y_numeric": True}
         if isinstance(X, np.ndarray) and not X.dtype.isnative:  # in which scikit-learn 1.6 finds no NaN
             X = X.astype(X.dtype.newbyteorder("="))

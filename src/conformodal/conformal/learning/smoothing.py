@@ -1,4 +1,4 @@
-"""Any classifier as a density over bins: its probabilities, smoothed over bin numbers, with no bin left at zero."""
+"""Any classifier as a density over bins: its probabilities, smoothed over bin numbers; none is zero."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 
 from .kernels import log_density, mixture_weights
 
-# standard deviations, in bins, of the Gaussians that the probabilities are smoothed by; 0 leaves them as they are
+# standard deviations, in bins, of the Gaussians that the probabilities are smoothed by; 0 does not smooth
 _SIGMAS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 # (s, f): a Gaussian around the mean, its variance that of s bins and of f times the row's own standard deviation
 _AROUND_MEAN = ((1.0, 0.0), (2.0, 0.0), (4.0, 0.0), (8.0, 0.0), (0.5, 0.25), (0.5, 0.5), (0.5, 1.0))
@@ -29,22 +29,11 @@ _TINY = float(np.finfo(np.float64).tiny)
 class BinSmoothing:
     """A mixture of a classifier's smoothed probabilities, Gaussians around their mean, and the bins' frequencies.
 
-    Gaussians are over bin numbers, of several widths. A bin of one value, repeated so often that it holds several
-    times as much as the bins beside it, exchanges no probability with others: a share of zeros in a continuous target
-    stays where it is. Values on a grid are no such case: their bins are smoothed.
+    Gaussians are over bin numbers, of several widths. A bin of one repeated value, several times as frequent as the
+    bins beside it (such as zeros in a continuous target), exchanges no probability with others. Until :meth:`tune` is
+    called, all components weigh the same.
 
-    Until :meth:`tune` is called every component weighs the same.
-
-    Parameters
-    ----------
-    codes
-        (n,) bins of the training values.
-    y
-        (n,) the training values.
-    weight
-        (n,) their weights, or None.
-    n_bins
-        Number of bins.
+    `codes` (n,) are the bins of the training values `y` (n,), `weight` their weights or None.
     """
 
     def __init__(self, codes: IntArray, y: FloatArray, weight: FloatArray | None, n_bins: int) -> None:
@@ -59,18 +48,10 @@ class BinSmoothing:
         self.weights = np.full(_N_COMPONENTS, 1 / _N_COMPONENTS)
 
     def tune(self, proba: FloatArray, codes: IntArray, widths: FloatArray, weight: FloatArray | None) -> None:
-        """Set the weights of the components to make left-out values likeliest; each keeps a share of one row.
+        """Set the weights of the components by the likelihood of left-out values; each keeps a share of one row.
 
-        Parameters
-        ----------
-        proba
-            (m, K) what a classifier that was not fitted on these rows gives them.
-        codes
-            (m,) bins of their values.
-        widths
-            (K,) widths of the bins.
-        weight
-            (m,) weights of the rows, or None.
+        `proba` (m, K) are out-of-fold probabilities, `codes` (m,) the bins of the values, `widths` (K,) of the bins and
+        `weight` (m,) of the rows, or None.
         """
         found = [log_density(self._component(proba, i), codes, widths) for i in range(self.weights.size)]
         likeliest = mixture_weights(np.column_stack(found), weight)
@@ -116,7 +97,7 @@ def _gaussian(values: FloatArray, sigma: float) -> FloatArray:
 
 
 class SmoothedClassifier:
-    """The mean of fitted classifiers (or numbers of the only bin that they saw), smoothed."""
+    """The smoothed mean of fitted classifiers (or numbers of the only bin that they saw)."""
 
     def __init__(self, classifiers: list[Any], smoothing: BinSmoothing) -> None:
         self.classifiers = classifiers
@@ -128,47 +109,28 @@ class SmoothedClassifier:
         return self.smoothing(np.asarray(np.mean(found, axis=0)))
 
 
-def smoothing_of(
-    y: FloatArray, edges: FloatArray, weight: FloatArray | None, left_out: FloatArray | None
-) -> BinSmoothing:
-    """The smoothing that suits a classifier.
-
-    Parameters
-    ----------
-    y, edges, weight
-        Training values (n,), edges of the bins (K + 1,), and weights (n,) or None.
-    left_out
-        (n, K) probabilities of the training rows by fits that have not seen them; None if there are none.
-    """
-    codes = bin_codes(y, edges)
-    smoothing = BinSmoothing(codes, y, weight, edges.size - 1)
-    if left_out is not None:
-        smoothing.tune(left_out, codes, np.diff(edges), weight)
-    return smoothing
-
-
 def bin_codes(y: FloatArray, edges: FloatArray) -> IntArray:
-    """Bins (n,) of values; those beyond the edges count to the outer bins."""
+    """Bins (n,) of values; values beyond the edges are in the outer bins."""
     return np.searchsorted(edges[1:-1], y, side="right")
 
 
 def fit_classifier(
     model: Any, X: npt.NDArray[Any], y: FloatArray, edges: FloatArray, weight: FloatArray | None = None
 ) -> Any:
-    """Fit a classifier on bin numbers; values in a single bin need none, and give the bin's number."""
+    """Fit a classifier on bin numbers; if all values are in one bin, its number stands for the classifier."""
     codes = bin_codes(y, edges)
     if (codes == codes[0]).all():
         return int(codes[0])
-    with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+    with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn reports overflows
         return model.fit(X, codes, **({} if weight is None else {"sample_weight": weight}))
 
 
 def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:
-    """Probabilities (n, K) of all bins; a bin that no training value fell in has probability 0."""
+    """Probabilities (n, K) of all bins; 0 for bins without training values."""
     if isinstance(model, int):
         return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn tells of its own what overflows
+        with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn reports overflows
             given = model.predict_proba(X)
     except ConformalError:
         raise

@@ -1,4 +1,4 @@
-"""The slow and sharp density: a likelihood-weighted mixture of residual and direct conditional distributions."""
+"""The sharper and slower density: a likelihood-weighted mixture of residual and direct conditional distributions."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _LEAST_SECONDS, _SECONDS_A_ROW, _SECONDS_A_CUBE = 15.0, 4e-3, 1.1e-8
 
 
 class StackedDensity(MixtureDensity):
-    """Conditional density of a value over bins, order-aware: neighbouring bins share their evidence.
+    """Conditional density of a value over bins, order-aware; slower and sharper than :class:`QuickDensity`.
 
-    A stack of regressors (boosted trees, random trees, networks), predicted out of fold, gives every sample a
-    location. Five distributions are then built and mixed by the weights that make held-out values likeliest:
+    A stack of regressors (boosted trees, random trees, networks) gives every sample an out-of-fold location. Five
+    distributions are mixed by the weights of largest held-out likelihood:
 
     - the marginal distribution of the values;
     - residuals from the location, scaled by a predicted spread, the same for all samples;
     - scaled residuals, weighted by a forest on features and location (:class:`~.forest.LeafForest`);
-    - values, weighted by a forest on features and location: sharp where the location is a good guide;
-    - values, weighted by a forest on the features alone: for values that have no location, being here or there.
+    - values, weighted by a forest on features and location;
+    - values, weighted by a forest on the features alone, for multimodal values, which have no single location.
 
-    Each is smoothed by Gaussian kernels, narrower where values are dense, as wide as held-out likelihood asks.
+    Each is smoothed by Gaussian kernels, narrower where values are dense; held-out likelihood chooses the bandwidth.
 
-    ``ConformalRegressor("stack")`` uses it. It is used by itself as :class:`QuickDensity` is, where an example is.
+    ``ConformalRegressor("stack")`` uses it. For an example see :class:`QuickDensity`.
 
     Parameters
     ----------
@@ -69,12 +69,6 @@ class StackedDensity(MixtureDensity):
         """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
 
         `progress` is called with the parts that are done and all parts, nearly all of which are of the location.
-
-        Raises
-        ------
-        ConformalError
-            With fewer than two samples, shapes that do not fit, values that are not finite or too large, or edges that
-            do not increase.
         """
         as_count(self.n_trees, "n_trees", 1)
         table = standardised(X, y, edges)
@@ -123,18 +117,18 @@ class StackedDensity(MixtureDensity):
 
 
 def _oob_mean(truth: FloatArray, predicted: FloatArray) -> float:
-    """A score that is asked for only because the forest then keeps its out-of-bag predictions."""
+    """A dummy score, for which the forest keeps its out-of-bag predictions."""
     return 0.0
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """Out-of-bag predictions; a sample that every tree was grown on has none and gets the mean of the others."""
+    """Out-of-bag predictions; a sample that every tree was grown on gets the mean of the others."""
     return np.where(np.isfinite(values), values, np.nanmean(values) if np.isfinite(values).any() else 0.0)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide expected warnings: networks that stop at their last epoch, samples that every tree was grown on."""
+    """Hide expected warnings of networks that stop at their last epoch and of samples without out-of-bag trees."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")

@@ -1,4 +1,4 @@
-"""What every density learns from: checked features, weights, and values of mean zero and unit spread."""
+"""Checked features and weights, and values of mean zero and unit spread."""
 
 from __future__ import annotations
 
@@ -18,36 +18,27 @@ _LEAST_SPREAD = 1e-150
 
 @dataclass
 class Standardised:
-    """A table with its values, and the edges of their bins, in units of their spread around their mean."""
+    """A table with its values and the edges of their bins, both standardised."""
 
     X: FloatArray
     z: FloatArray
     weight: FloatArray
     edges: FloatArray
     z_edges: FloatArray
-    center: float
-    scale: float
 
     @property
     def codes(self) -> IntArray:
-        """Bin (n,) of every value; what lies beyond the edges counts to the outer bins."""
+        """Bin (n,) of every value; values beyond the edges are in the outer bins."""
         return np.searchsorted(self.z_edges[1:-1], self.z, side="right")
 
 
 def standardised(
     X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
 ) -> Standardised:
-    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out.
-
-    Raises
-    ------
-    ConformalError
-        With fewer than two samples, shapes that do not fit, values that are not finite or too large, edges that do not
-        increase, or weights that :func:`as_sample_weight` refuses.
-    """
+    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out."""
     features, values = as_features(X), as_finite(y, "y", "(n,)")
     if values.shape != features.shape[:1]:
-        raise ConformalError(f"y must have one value a row of X ({features.shape[0]}), got {values.size}")
+        raise ConformalError(f"y must have one value per row of X ({features.shape[0]}), got {values.size}")
     weight = np.ones(values.size) if sample_weight is None else as_sample_weight(sample_weight, values.size)
     kept = weight > 0
     if not kept.all():
@@ -59,18 +50,11 @@ def standardised(
         center, scale = float(values.mean()), float(values.std()) or 1.0
     if not (np.isfinite([center, scale]).all() and scale >= _LEAST_SPREAD):
         raise ConformalError(f"y has a spread that float64 cannot work with, {scale:g} around {center:g}")
-    z, z_edges = (values - center) / scale, (checked - center) / scale
-    return Standardised(features, z, weight, checked, z_edges, center, scale)
+    return Standardised(features, (values - center) / scale, weight, checked, (checked - center) / scale)
 
 
 def as_features(X: npt.ArrayLike) -> FloatArray:
-    """Finite features (n, p) that trees can split.
-
-    Raises
-    ------
-    ConformalError
-        Without a column, or with numbers that float32 cannot hold.
-    """
+    """Finite features (n, p) that float32 can hold, as trees need."""
     features = as_finite(X, "X", "(n, p)")
     most = float(np.finfo(np.float32).max)
     if not features.shape[1] or (features.size and np.abs(features).max() > most):
@@ -79,18 +63,12 @@ def as_features(X: npt.ArrayLike) -> FloatArray:
 
 
 def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
-    """Weights (n,) of samples, scaled so that the positive ones have mean one; their common factor has no meaning.
-
-    Raises
-    ------
-    ConformalError
-        Unless there is one finite number of at least 0 a sample, and one above 0.
-    """
+    """Weights (n,) of samples, scaled so that the positive ones have mean one."""
     given = as_doubles(sample_weight, "sample_weight")
     if given.ndim == 0:
         given = np.full(n, float(given))
     if given.shape != (n,):
-        raise ConformalError(f"sample_weight must have shape ({n},), one weight a row of X, got {given.shape}")
+        raise ConformalError(f"sample_weight must have shape ({n},), one weight per row of X, got {given.shape}")
     bad = np.flatnonzero(~(np.isfinite(given) & (given >= 0)))
     if bad.size:
         raise ConformalError(

@@ -1,4 +1,4 @@
-"""Regions from trackers of scores, one tracker a target."""
+"""Regions from trackers of scores, one tracker per target."""
 
 from __future__ import annotations
 
@@ -17,19 +17,18 @@ from conformodal.conformal.scalars import brief
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import FloatArray, RealArray
 
-from .aci import Aci
-from .pid import ConformalPid
+from .trackers import Aci, ConformalPid
 
 
 class Tracker(Protocol):
-    """What turns a stream of scores into thresholds, one before each score."""
+    """A method that turns a stream of scores into thresholds, one before each score."""
 
     def threshold(self) -> float:
         """Threshold for the next score; ``inf`` for an unbounded set, ``-inf`` for the empty set."""
         ...
 
     def update(self, score: float) -> None:
-        """Learn the score that came."""
+        """Learn the score."""
         ...
 
 
@@ -39,26 +38,25 @@ METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPi
 class OnlineConformal:
     """Regions for a sequence: predict, see the truth, update.
 
-    What is guaranteed for each target is what its tracker guarantees, and it says nothing about any single sample:
+    For any sequence, the share of misses of a target over T samples differs from alpha by at most
 
-    - ``"aci"`` (:class:`Aci`): nothing is assumed about the sequence; over T samples the share of misses differs from
-      alpha by at most ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)``.
-    - ``"pid"`` (:class:`ConformalPid`): nothing is assumed; by at most ``(pi/2 sqrt(T) + 1) / T``.
+    - ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)`` with ``"aci"`` (:class:`Aci`),
+    - ``(pi/2 sqrt(T) + 1) / T`` with ``"pid"`` (:class:`ConformalPid`).
 
-    Bounds say nothing about how large sets are: against an adversary most of them are unbounded.
+    Nothing is guaranteed for a single sample, or for the size of sets: against an adversary most are unbounded.
 
     Parameters
     ----------
     bins
         Fitted bins.
     alpha
-        Miscoverage rate in (0, 1), of each target alone.
+        Miscoverage rate in (0, 1), per target.
     score
         As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
     method
-        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha.
-        ``"aci"`` keeps all past scores, so that memory grows with the stream (about 40 bytes per sample and target);
-        ``lambda alpha: Aci(alpha, window=1000)`` keeps the last thousand, and the bound.
+        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha. ``"aci"``
+        stores all past scores, about 40 bytes per sample and target; ``lambda alpha: Aci(alpha, window=1000)`` stores
+        the last thousand and has the same bound.
     empty
         ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
         but still counts as a miss.
@@ -95,11 +93,11 @@ class OnlineConformal:
 
     @property
     def thresholds(self) -> FloatArray:
-        """Thresholds in force, (d,)."""
+        """Current thresholds, (d,)."""
         return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
 
     def predict(self, proba: Probabilities) -> Regions:
-        """Regions at the thresholds in force, for one or more samples."""
+        """Regions of one or more samples at the current thresholds."""
         return self._sets.regions_at(proba, self.thresholds)
 
     def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:

@@ -1,0 +1,111 @@
+"""The formats of TUM, KITTI and EuRoC, one pose per line.
+
+- TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last.
+- KITTI: the upper 3x4 of ``T_world_cam`` row by row, without timestamps.
+- EuRoC: CSV of ``timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z``; further columns are ignored.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray
+
+from .errors import TrajectoryFileError
+from .text import drop_faults, matrix_faults, number, pose_faults, read_rows, table_of, trajectory_of, whole_number
+from .trajectory import Trajectory
+
+FRAME_RATE_HZ = 10.0  # of KITTI
+_TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
+_EUROC_HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+
+
+def tum_lines(trajectory: Trajectory) -> list[str]:
+    """One line per pose; microseconds and micrometres survive the round trip."""
+    q = trajectory.orientations_quat_wxyz
+    rows = np.column_stack((trajectory.positions_xyz, q[:, 1:], q[:, :1]))
+    stamped = zip(trajectory.timestamps_s.tolist(), rows.tolist(), strict=True)
+    return [f"{time:.6f} {' '.join(f'{value:.9f}' for value in row)}" for time, row in stamped]
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory, see :func:`tum_lines`."""
+    path.write_text("\n".join([_TUM_HEADER, *tum_lines(trajectory)]) + "\n", encoding="utf-8")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory."""
+    return trajectory_of(path, tum_table(path))
+
+
+def tum_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """Rows ``time x y z qw qx qy qz`` (n, 8) of a file; for `damaged` see :func:`~conformodal.poses.text.read_rows`."""
+    expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
+    rows = read_rows(path, lambda line: [number(f) for f in line.replace(",", " ").split()], 8, expected, damaged)
+    rows = rows[:, [0, 1, 2, 3, 7, 4, 5, 6]]
+    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    return rows
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory; timestamps are lost."""
+    np.savetxt(path, trajectory.poses_se3[:, :3].reshape(-1, 12), fmt="%.9e")
+
+
+def read_kitti(path: Path, timestamps_s: npt.ArrayLike | None = None) -> Trajectory:
+    """Read a trajectory.
+
+    Parameters
+    ----------
+    path
+        The file.
+    timestamps_s
+        (n,) seconds, one a line; by default frames at KITTI's 10 Hz.
+    """
+    table = kitti_table(path)
+    times = np.arange(len(table)) / FRAME_RATE_HZ if timestamps_s is None else np.asarray(timestamps_s, dtype=float)
+    if times.shape != (len(table),):
+        raise TrajectoryFileError(f"{path}: holds {len(table)} poses, but {times.size} timestamps are given")
+    return trajectory_of(path, np.column_stack((times, table)))
+
+
+def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of a file, as :func:`tum_table`."""
+    rows = read_rows(path, lambda t: [number(f) for f in t.split()], 12, "twelve numbers", damaged, by_line=True)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows.reshape(-1, 3, 4)
+    drop_faults(poses, matrix_faults(poses), path, damaged)
+    return table_of(poses)
+
+
+def write_euroc(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory; timestamps are rounded to nanoseconds."""
+    lines = [_EUROC_HEADER]
+    rows = zip(trajectory.timestamps_s, trajectory.positions_xyz, trajectory.orientations_quat_wxyz, strict=True)
+    for time_s, p, q in rows:
+        numbers = ",".join(f"{v:.9f}" for v in (*p, *q))
+        lines.append(f"{round(float(time_s) * 1e9)},{numbers}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_euroc(path: Path) -> Trajectory:
+    """Read a trajectory; columns after the eighth (velocity, biases) are left out.
+
+    The poses are those of the body that the file is about, not of a camera on it.
+    """
+    return trajectory_of(path, euroc_table(path))
+
+
+def euroc_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+    """As :func:`tum_table`, of EuRoC's format."""
+    rows = read_rows(path, _parse_euroc, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", damaged)
+    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    return rows
+
+
+def _parse_euroc(line: str) -> list[float]:
+    fields = line.split(",")[:8]
+    return [whole_number(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]
