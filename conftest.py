@@ -24,6 +24,15 @@ def pytest_collection_finish() -> None:  # not before coverage has begun
         limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What needs the small model waits for its training."""
+    for item in items:
+        if "small_world" in getattr(item, "fixturenames", ()):
+            item.add_marker("slow")
+            item.add_marker("trained")
+
+
 DATA = Path(os.environ.get("CONFORMODAL_DATA", Path(__file__).resolve().parents[1] / "shared" / "data"))
 
 
