@@ -433,6 +433,10 @@ def test_counts_too_large_are_refused_before_memory_goes(count):
 
 
 REFUSED = {
+    "edges of inf": (lambda: QuantileBins.from_edges([[0, np.inf]]), "finite"),
+    "one edge": (lambda: QuantileBins.from_edges([[0]]), "at least two"),
+    "weights of inf": (lambda: WeightedConformal(BINS).calibrate(P, Y, W + np.inf), "finite"),
+    "samples of inf": (lambda: NOVELTY.scores(X + np.inf), "finite"),
     "edges too far apart": (lambda: QuantileBins.from_edges([[-1.7e308, 1.7e308]]), "distances"),
     "values too far apart": (lambda: QuantileBins(3).fit([-1.7e308, 1.7e308]), "target 0"),
     "margin too large": (lambda: QuantileBins(3, margin=1e308).fit([0.0, 100.0]), "target 0"),
