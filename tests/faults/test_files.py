@@ -14,7 +14,6 @@ from conformodal.datasets import (
     DatasetWarning,
     ImageError,
     Layout,
-    PixelNoise,
     check_sequence,
     read_sequence,
 )
@@ -562,12 +561,6 @@ def test_folders_of_any_name_are_read(tmp_path, name):
     assert invoke("data", "check", folder).exit_code == 0
     result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-
-
-@pytest.mark.parametrize("settings", [{"sigma": NAN}, {"sigma": -1}, {"sigma": 0.1, "seed": -1}])
-def test_noise_that_is_none_is_refused(settings):
-    with pytest.raises(DatasetError):
-        PixelNoise(**settings)
 
 
 @pytest.mark.parametrize("times", [[0.0, NAN], [0.0, float("inf")], [[0.0], [1.0]]])

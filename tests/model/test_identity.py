@@ -31,9 +31,9 @@ def model(small_world):
 
 
 @pytest.fixture
-def copy(small_world, tmp_path):
+def copy(small_corridor, tmp_path):
     """The small world's files, to be changed."""
-    return shutil.copytree(small_world.folder, tmp_path / "copy")
+    return shutil.copytree(small_corridor, tmp_path / "copy")
 
 
 def frames(folder, pictures, poses=True):
