@@ -298,6 +298,9 @@ BAD = {
 }
 
 
+INNER = ("of_bins", "bandw", "kernel_m")  # their callers have checked the numbers
+
+
 @pytest.mark.parametrize("entry", ENTRIES)
 @pytest.mark.parametrize("damage", BAD)
 def test_what_is_no_array_of_real_numbers_is_refused(entry, damage):
@@ -306,10 +309,8 @@ def test_what_is_no_array_of_real_numbers_is_refused(entry, damage):
         return  # these work along an axis, or element by element
     if (damage, entry) == ("empty list of lists", "conformal_quantile"):
         return  # two scores for none
-    if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith(
-        ("of_bins", "bandw", "kernel_m", "novelty p")
-    ):
-        return  # their callers have checked the numbers
+    if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith((*INNER, "novelty p")):
+        return
     with pytest.raises(ConformalError) as told:
         call(BAD[damage](good))
     assert 0 < len(str(told.value).splitlines()[0]) < 400
@@ -565,6 +566,42 @@ def test_plain_arrays_are_not_copied():
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     MATRIX = np.matrix([[0.5, 0.5]])
+TWO = QuantileBins.from_edges([[0, 1, 3]])
+TWO_CAL = SplitConformal(TWO, 0.3).calibrate(np.tile([0.75, 0.25], (9, 1)), np.tile([0.5, 0.5, 2.0], 3))
+HALVES = np.full((3, 2), 0.5)
+
+
+def calibrate_on(v):
+    try:
+        n = len(v)
+    except TypeError:
+        n = 0
+    cal = SplitConformal(TWO, 0.3, "density").calibrate(np.full((n, 2), 0.5), v)
+    # of n calibration samples, at least k are in their own regions
+    assert cal.predict(np.full((n, 2), 0.5)).contains(v).sum() >= min(cal.rank, n)
+    return [cal.thresholds_]
+
+
+# calls that take arrays so small that what comes by chance fits them
+TINY = {
+    "two bins": lambda v: [TWO_CAL.predict(v).length],
+    "two bins, y": calibrate_on,
+    "two bins, encode": lambda v: [TWO.encode(v), *TWO.soft_targets(v, 0.5)],
+    "groups": lambda v: MondrianConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).thresholds_.values(),
+    "folds": lambda v: CrossConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).scores_.values(),
+    "groups of split": lambda v: [SplitConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).n_units],
+    "novelty of one number": lambda v: [NoveltyTest([[0.0], [1.0]], [0, 1]).scores(v)],
+    "references of two": lambda v: [NoveltyTest(v, [0, 1]).scores_],
+    "three edges": lambda v: QuantileBins.from_edges(v).widths,
+    "weights of two": lambda v: [weighted_quantile([1.0, 2.0], [1.0, 1.0], v, 0.3)],
+    "groups of scores": lambda v: [grouped_quantile(v, 0.3)],
+    "inside": lambda v: [check_coverage(v, 9, 0.1).coverage],
+    "index": lambda v: [REGIONS[v].unbounded],
+    "n_bins": lambda v: [QuantileBins(v).n_bins],
+    "alpha": lambda v: [float(as_alpha(v))],
+    "score of a tracker": lambda v: [Aci(0.1).update(v) is None],
+    "regressor of three": lambda v: [tree().fit(X[:3], v).predict(X[:3])],
+}
 # anything that NumPy or a user may make of an array
 ANYTHING = st.one_of(
     hnp.arrays(
@@ -586,81 +623,18 @@ ANYTHING = st.one_of(
     st.sampled_from([MATRIX, sparse.eye_array(2), torch.eye(2), torch.eye(2, requires_grad=True),
                      Frame(np.eye(2)), range(3), {0.5}, b"ab", np.eye(2)[::-1], np.eye(2, dtype=np.float16)]),
 )  # fmt: skip
-TWO = QuantileBins.from_edges([[0, 1, 3]])
-TWO_CAL = SplitConformal(TWO, 0.3).calibrate(np.tile([0.75, 0.25], (9, 1)), np.tile([0.5, 0.5, 2.0], 3))
-
-
-def _predict(v):
-    regions = TWO_CAL.predict(v)
-    assert not np.isnan(regions.length).any()
-    assert regions.unbounded.shape == (len(regions), 1)
-
-
-def _calibrate_y(v):
-    try:
-        n = len(v)
-    except TypeError:
-        n = 0
-    proba = np.full((n, 2), 0.5)
-    cal = SplitConformal(TWO, 0.3, "density").calibrate(proba, v)
-    assert not np.isnan(cal.thresholds_).any()
-    regions = cal.predict(proba)
-    # of n calibration samples, at least k are in their own regions
-    assert regions.contains(v).sum() >= min(cal.rank, n)
-
-
-def _fit(v):
-    bins = QuantileBins(3).fit(v)
-    assert all(np.isfinite(e).all() and (np.diff(e) > 0).all() for e in bins.edges_)
-
-
-def _edges(v):
-    assert all(np.isfinite(w).all() and (w > 0).all() for w in QuantileBins.from_edges(v).widths)
-
-
-def _finite(call):
-    def check(v):
-        assert not np.isnan(np.asarray(call(v), dtype=np.float64)).any()
-
-    return check
-
-
-FUZZED = {
-    "predict": _predict,
-    "calibrate y": _calibrate_y,
-    "fit": _fit,
-    "from_edges": _edges,
-    "encode": _finite(TWO.encode),
-    "soft_targets": _finite(lambda v: TWO.soft_targets(v, 0.5)[0]),
-    "conformal_quantile": _finite(lambda v: conformal_quantile(v, 0.3)),
-    "weighted_quantile": _finite(lambda v: weighted_quantile([1.0, 2.0], [1.0, 1.0], v, 0.3)),
-    "grouped_quantile": _finite(lambda v: grouped_quantile(v, 0.3)),
-    "groups": lambda v: MondrianConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v),
-    "folds": lambda v: CrossConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v),
-    "groups of split": lambda v: SplitConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v).n_units,
-    "novelty": _finite(lambda v: NoveltyTest([[0.0], [1.0]], [0, 1]).scores(v)),
-    "p_values": _finite(lambda v: NoveltyTest([[0.0], [1.0]], [0, 1]).p_values(v)),
-    "references": _finite(lambda v: NoveltyTest(v, [0, 1]).scores_),
-    "uniformity": _finite(lambda v: check_uniformity(v, [0.5], 3).p_values),
-    "check_coverage": lambda v: check_coverage(v, 9, 0.1),
-    "contains": REGIONS[:2].contains,
-    "index": lambda v: REGIONS[v],
-    "n_bins": QuantileBins,
-    "alpha": as_alpha,
-    "update": lambda v: Aci(0.1).update(v),
-    "regressor y": lambda v: tree().fit(X[:3], v),
-    "regressor predict": _finite(FITTED.predict),
-}
 
 
 @pytest.mark.filterwarnings("ignore:Warning. converting a masked element")
-@pytest.mark.parametrize("entry", FUZZED)
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@pytest.mark.parametrize("entry", [*(name for name in ENTRIES if not name.startswith(INNER)), *TINY])
+@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(value=ANYTHING)
 @example(value=[[1e308], [-1e308]])
 @example(value=[0.0, 5e-324, 1.0])
 @example(value=[[0.5, 0.5]])
 @example(value=np.ma.array([0.5, 0.5], mask=[True, False]))
-def test_whatever_comes_in_the_answer_is_valid_or_a_typed_error(entry, value):
+def test_whatever_comes_in_the_answer_is_a_number_or_a_typed_error(entry, value):
+    call = TINY[entry] if entry in TINY else ENTRIES[entry][1]
     with suppress(ConformalError):
-        FUZZED[entry](value)
+        for found in call(value):
+            assert np.asarray(found).dtype.kind != "f" or not np.isnan(found).any()
