@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import typer
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
 from conformodal.cli.main import app
@@ -22,10 +21,7 @@ from conformodal.poses import Trajectory, read_tum, write_tum
 from conformodal.running.estimates import Estimate
 from conformodal.running.results.parquet import read_region_parquet
 from conformodal.running.results.records import read_region_records
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+from tests.helpers import invoke
 
 
 @pytest.fixture(scope="module")

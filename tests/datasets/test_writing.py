@@ -6,20 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.datasets import DatasetWarning, Layout, check_sequence, read_sequence
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import VideoStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import Trajectory, write_tum
+from tests.helpers import invoke
 
 NOTES = {"gap": "gap in time", "picture": "the same picture", "scaled": "intrinsics were scaled"}
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def scene(folder, n=6, lens=True):

@@ -55,8 +55,7 @@ from conformodal.conformal.diagnostics.strata import coverage_by_group, coverage
 from conformodal.conformal.diagnostics.uniformity import check_uniformity
 from conformodal.conformal.learning.kernels import bandwidths, kernel_masses
 from conformodal.conformal.scores import SCORES
-
-from .inputs import Missing
+from tests.helpers import Missing
 
 RNG = np.random.default_rng(0)
 N, D, K = 80, 2, 8

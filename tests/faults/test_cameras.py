@@ -13,8 +13,7 @@ from conformodal.datasets.streams.frames import SourceError
 from conformodal.poses import PinholeCamera, PoseError
 from tests.datasets.streams import test_streams
 from tests.datasets.test_layouts import SIZE, WRITERS
-
-from .inputs import invoke
+from tests.helpers import invoke
 
 LENS = (-0.1, 0.02, 0.001, 0.002)
 MATRIX = (Layout.SEVENSCENES, Layout.RGBD_SCENES, Layout.TUM, Layout.IMAGES)

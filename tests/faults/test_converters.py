@@ -25,8 +25,7 @@ from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.model.identity import identify
 from conformodal.poses import PinholeCamera, Trajectory
 from tests.datasets.test_layouts import PLACES, WRITERS, N
-
-from .inputs import contents, fill, invoke
+from tests.helpers import contents, fill, invoke
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
 

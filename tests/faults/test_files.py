@@ -24,8 +24,7 @@ from conformodal.running.paths import METHODS
 from conformodal.running.results.runs import write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from tests.datasets.test_layouts import WRITERS, N
-
-from .inputs import contents, fill, invoke
+from tests.helpers import contents, fill, invoke
 
 NAN = float("nan")
 LISTS = {Layout.TUM: "rgb.txt", Layout.EUROC: "mav0/cam0/data.csv"}

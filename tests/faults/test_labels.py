@@ -25,8 +25,7 @@ from conformodal.conformal import (
 )
 from conformodal.conformal.diagnostics.strata import coverage_by_group
 from conformodal.conformal.grouping import as_groups, as_label, factorise
-
-from .inputs import Missing
+from tests.helpers import Missing
 
 N = 60
 RNG = np.random.default_rng(0)

@@ -22,8 +22,7 @@ from conformodal.core.ranges import RANGES, Range
 from conformodal.datasets import make_split
 from conformodal.model.config import ModelConfig
 from conformodal.vision.settings import TrainingConfig
-
-from .inputs import invoke
+from tests.helpers import invoke
 
 SHARE = Range(0, 1, low_open=True, high_open=True)
 

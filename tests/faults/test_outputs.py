@@ -23,8 +23,7 @@ from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from tests.datasets.test_layouts import write_sevenscenes
-
-from .inputs import contents, fill, invoke
+from tests.helpers import contents, fill, invoke
 
 # files of a folder, and the commands that may write in it
 ANY = {"train", "run", "demo", "reproduce", "evaluate"}

@@ -6,10 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from conformodal.cli.console import PlainConsole, plain, print_errors
-from conformodal.cli.main import app
 from conformodal.core.files import write_whole
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
@@ -17,6 +15,7 @@ from conformodal.report.viewer import json_in_script, make_viewer
 from conformodal.running.results.parquet import read_region_parquet, write_region_parquet
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.writer import ResultsWriter
+from tests.helpers import invoke
 
 NAMES = {
     "markup": "x[final]",
@@ -80,7 +79,7 @@ def test_tables_show_names_as_they_are(name, monkeypatch):
 def test_an_error_is_one_line_whatever_it_names(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     argument = name.replace("/", "_") or "x"
-    result = CliRunner().invoke(app, ["train", "--out", "out", "--cache", "c", "--", argument])
+    result = invoke("train", "--out", "out", "--cache", "c", "--", argument)
     assert result.exit_code in (2, 4), result.output
     assert len(result.stderr.splitlines()) == 1
     assert "Traceback" not in result.output

@@ -1,13 +1,13 @@
-"""What tests of faults share: a command run in this process, what a folder holds, and values that are missing."""
+"""What tests share: a command run in this process, what a folder holds, and values that are missing."""
 
 from pathlib import Path
 
-from typer.testing import CliRunner, Result
 
-from conformodal.cli.main import app
+def invoke(*arguments):
+    from typer.testing import CliRunner  # not before a test of the command line runs
 
+    from conformodal.cli.main import app
 
-def invoke(*arguments) -> Result:
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
