@@ -11,20 +11,24 @@ OLDEST := .venv-oldest
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH ?= torch==2.13.0
 
-.PHONY: demo test coverage test-oldest lint check docs setup clean
+.PHONY: demo test test-slow coverage test-oldest lint check docs setup clean
 
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
 
 test: $(DEV)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-# the same with the lines that no test reaches; measuring them takes the tests much longer
+# trainings and whole commands; tests of one file share what they made
+test-slow: $(DEV)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+
+# all tests, with the lines that none reaches; measuring them takes the tests much longer
 coverage: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 
-# quick tests with the oldest version of each package that pyproject.toml allows, in an environment of its own. Python
-# 3.11, for which all of them have wheels. Without the extra view: its package needs NumPy 2. Without an index of CPU
+# quick tests, and those with the small trained model, with the oldest version of each package that pyproject.toml
+# allows, in an environment of its own. Python 3.11, for which all of them have wheels. Without the extra view: its package needs NumPy 2. Without an index of CPU
 # builds, torch brings gigabytes of CUDA.
 test-oldest:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { echo "the oldest versions have wheels for Python 3.11; found $$($(PYTHON) --version). Set PYTHON=..."; exit 1; }
@@ -32,7 +36,7 @@ test-oldest:
 	$(OLDEST)/bin/python scripts/oldest.py > $(OLDEST)/oldest.txt
 	$(OLDEST)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(OLDEST)/bin/python -m pip install --quiet --constraint $(OLDEST)/oldest.txt --editable '.[train,arrow,hub,networks,ray,ros]' --group dev --retries 1 --extra-index-url $(TORCH_INDEX)
-	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile -m "not slow or trained"
 
 lint: $(DEV)
 	$(BIN)/ruff check .
@@ -40,7 +44,7 @@ lint: $(DEV)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-check: test lint
+check: test test-slow lint
 
 # the site, in site/; a warning is an error
 docs: $(DOCS)

@@ -24,6 +24,15 @@ def pytest_collection_finish() -> None:  # not before coverage has begun
         limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What needs the small model waits for its training."""
+    for item in items:
+        if "small_world" in getattr(item, "fixturenames", ()):
+            item.add_marker("slow")
+            item.add_marker("trained")
+
+
 DATA = Path(os.environ.get("CONFORMODAL_DATA", Path(__file__).resolve().parents[1] / "shared" / "data"))
 
 
@@ -53,16 +62,24 @@ class SmallWorld:
 
 
 @pytest.fixture(scope="session")
-def small_world(tmp_path_factory: pytest.TempPathFactory) -> SmallWorld:
-    """A corridor of three modules flown once, and a model trained on it through the command line."""
+def small_corridor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A corridor of three modules flown once."""
+    from conformodal.datasets.corridor import write_corridor
+
+    folder = tmp_path_factory.mktemp("small") / "corridor"
+    write_corridor(folder, n_modules=3, n_laps=1, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def small_world(small_corridor: Path) -> SmallWorld:
+    """The small corridor and a model trained on it through the command line."""
     from typer.testing import CliRunner
 
     from conformodal.cli.main import app
-    from conformodal.datasets.corridor import write_corridor
 
-    root = tmp_path_factory.mktemp("small")
-    write_corridor(root / "corridor", n_modules=3, n_laps=1, seed=3)
-    arguments = ["train", root / "corridor", "--out", root / "model", "--cache", root / "cache"]
+    root = small_corridor.parent
+    arguments = ["train", small_corridor, "--out", root / "model", "--cache", root / "cache"]
     result = CliRunner().invoke(app, [str(a) for a in arguments] + ["--epochs", "25", "--alpha", "0.2"])
     assert result.exit_code == 0, result.output
-    return SmallWorld(root / "corridor", root / "cache", root / "model")
+    return SmallWorld(small_corridor, root / "cache", root / "model")

@@ -3,15 +3,14 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
+from tests import helpers
 
 pytestmark = pytest.mark.slow
 
 
 def invoke(*arguments):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = helpers.invoke(*arguments)
     assert result.exit_code == 0, result.output
     return result
 

@@ -4,17 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.model.store import load_model, save_model
 from conformodal.networks import TorchBackbone
 from conformodal.vision.onnx_backbone import OnnxBackbone
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+from tests.helpers import invoke
 
 
 def size_of(folder):

@@ -4,16 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.poses import read_tum
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+from tests.helpers import invoke
 
 
 @pytest.fixture(scope="module")

@@ -5,15 +5,10 @@ import shutil
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.datasets import read_sevenscenes
 from conformodal.model.store import load_model
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+from tests.helpers import invoke
 
 
 def quality_of(folder):

@@ -13,10 +13,7 @@ from conformodal.cli.main import app
 from conformodal.cli.verbs import VERBS
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+from tests.helpers import invoke
 
 
 @pytest.mark.parametrize("name", VERBS)

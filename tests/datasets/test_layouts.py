@@ -250,19 +250,13 @@ def break_file(name, content):
     ("layout", "spoil", "match"),
     [
         (Layout.KITTI, break_file("calib.txt", "P1: 1\n"), r"calib\.txt: has no line P0"),
-        (Layout.KITTI, break_file("calib.txt", "P0: 1 2\n"), r"calib\.txt: P0 must be twelve"),
         (Layout.KITTI, break_file("times.txt", "0 1\n"), r"times\.txt: holds 2 times for 5 images"),
         (Layout.KITTI, break_file("07.txt", "1 2 3\n"), r"07\.txt, line 1"),
         (Layout.KITTI, break_file("07.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), r"07\.txt.*1 poses, but there are 5"),
-        (Layout.TUM, break_file("rgb.txt", "now rgb/0.png\n"), r"rgb\.txt, line 1"),
         (Layout.TUM, break_file("rgb.txt", "# nothing\n"), r"rgb\.txt: lists no image"),
-        (Layout.TUM, break_file("rgb.txt", "2 rgb/0.png\n1 rgb/1.png\n"), "groundtruth|increase"),
-        (Layout.TUM, break_file("camera-intrinsics.txt", "1 2 3\n"), "expected 9"),
         (Layout.TUM, lambda r: next(r.rglob("camera-intrinsics.txt")).unlink(), "no camera is known for 64x48"),
         (Layout.EUROC, break_file("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml: is no EuRoC"),
-        (Layout.EUROC, break_file("sensor.yaml", "{"), r"sensor\.yaml: is no EuRoC"),
         (Layout.RGBD_SCENES, break_file("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose: holds 1 poses.*image 4"),
-        (Layout.RGBD_SCENES, break_file("02.pose", "1 0 0\n"), r"02\.pose, line 1"),
         (Layout.RGBD_SCENES, break_file("02.pose", "0 0 0 0 1 1 1\n"), r"02\.pose: pose 0 .*no direction"),
     ],
 )
@@ -271,14 +265,6 @@ def test_damaged_data_sets_are_refused_by_name(tmp_path, layout, spoil, match):
     spoil(tmp_path)
     with pytest.raises(DatasetError, match=match):
         read_sequence(folder, layout)
-
-
-def test_another_camera_model_is_refused(tmp_path):
-    write_euroc(tmp_path)
-    path = next(tmp_path.rglob("sensor.yaml"))
-    path.write_text(path.read_text().replace("radial-tangential", "equidistant"))
-    with pytest.raises(DatasetError, match="equidistant; expected pinhole"):
-        read_sequence(tmp_path)
 
 
 def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
@@ -319,20 +305,11 @@ def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
 @pytest.mark.parametrize(
     ("layout", "file", "change", "match"),
     [
-        (Layout.COLMAP, "sparse/0/cameras.txt", lambda t: t.replace("OPENCV", "FOV"), "FOV is none of"),
-        (Layout.COLMAP, "sparse/0/cameras.txt", lambda t: t.replace("48 40", "48 -40"), "line 2: camera has fx = -40"),
         (Layout.COLMAP, "sparse/0/images.txt", lambda t: t.replace(" 3 0002", " 4 0002"), r"uses cameras \[3, 4\]"),
-        (Layout.COLMAP, "sparse/0/images.txt", lambda t: t.replace(" 3 0002.png", ""), "expected 'id qw"),
         (Layout.COLMAP, "sparse/0/images.txt", lambda _: "# nothing\n", "holds no image"),
         (Layout.NERF, "transforms.json", lambda t: t[:-20], "is no NeRF file"),
         (Layout.NERF, "transforms.json", lambda t: t.replace("camera_angle_x", "angle"), "says no camera"),
         (Layout.NERF, "transforms.json", lambda t: t.replace("/00", "/01"), "no such image"),
-        (
-            Layout.NERF,
-            "transforms.json",
-            lambda t: t.replace('"file_path": "./images/0001"', '"fl_x": 3, "file_path": "./images/0001"'),
-            "camera of its own",
-        ),
         (Layout.NERF, "transforms.json", lambda t: t.replace("1.0]]", "]]", 1), "is no NeRF file"),
         (Layout.IMAGES, "frame-rate.txt", lambda _: "-3", None),
     ],

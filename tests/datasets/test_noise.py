@@ -23,12 +23,17 @@ def test_noise_is_cut_off_at_black_and_white_and_none_changes_nothing():
     assert np.median(noisy) == 0
     assert noisy.max() > 100
     np.testing.assert_array_equal(PixelNoise(0.0).apply(black, "a"), black)
-    with pytest.raises(DatasetError, match="at least 0"):
-        PixelNoise(-0.1)
+    for wrong, named in (
+        ({"sigma": float("nan")}, "nan"),
+        ({"sigma": -0.1}, "-0.1"),
+        ({"sigma": 0.1, "seed": -1}, "seed"),
+    ):
+        with pytest.raises(DatasetError, match=named):
+            PixelNoise(**wrong)
 
 
-def test_a_sequence_is_read_with_its_noise(small_world):
-    sequence = read_sevenscenes(small_world.folder)
+def test_a_sequence_is_read_with_its_noise(small_corridor):
+    sequence = read_sevenscenes(small_corridor)
     noise = PixelNoise(0.05)
     noisy = replace(sequence, noise=noise)
     expected = noise.apply(sequence.image(3), sequence.image_paths[3].name)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.datasets import DatasetError, DatasetWarning, ImageError, read_sevenscenes
+from conformodal.datasets import DatasetError, ImageError, read_sevenscenes
 from conformodal.datasets.sevenscenes import pose_path
 from conformodal.poses import PoseError
 
@@ -41,13 +41,6 @@ def test_scene_of_several_recordings_is_kept_apart(tmp_path):
     assert (np.diff(sequence.timestamps_s) > 0).all()
 
 
-def test_png_wins_where_both_are_there(tmp_path):
-    folder = write_recording(tmp_path / "seq-01")
-    Image.new("RGB", (32, 24)).save(folder / "frame-000001.color.jpg")
-    sequence = read_sevenscenes(folder)
-    assert [p.suffix for p in sequence.image_paths] == [".png"] * 4
-
-
 def test_frames_without_poses_can_be_run_on(tmp_path):
     folder = write_recording(tmp_path / "seq-01")
     for path in folder.glob("*.pose.txt"):
@@ -60,47 +53,18 @@ def test_frames_without_poses_can_be_run_on(tmp_path):
         read_sevenscenes(folder)
 
 
-def spoil(name, text):
-    return lambda folder: (folder / name).write_text(text)
-
-
 IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 
 
 @pytest.mark.parametrize(
     ("damage", "match"),
     [
-        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "nan 0 0 0")), "frame-000002.*NaN"),
-        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "2 0 0 0")), "frame-000002.*not a rotation"),
-        (spoil("frame-000002.pose.txt", IDENTITY.replace("1 0 0 0", "-1 0 0 0")), "frame-000002.*mirror"),
-        (spoil("frame-000002.pose.txt", "1 0 0\n"), "frame-000002.*3 numbers, expected 16"),
-        (spoil("frame-000002.pose.txt", IDENTITY.replace("0 0 0 1\n", "0 0 1 1\n")), "frame-000002.*last row"),
-        (spoil("frame-000002.pose.txt", "one two"), "frame-000002.*cannot be read"),
-        (lambda f: (f / "frame-000002.pose.txt").unlink(), "frame-000002.*missing"),
-        (spoil("frame-000002.color.png", "not an image"), r"frame-000002\.color\.png"),
-    ],
-)
-def test_damage_of_one_frame_costs_that_frame(tmp_path, damage, match):
-    folder = write_recording(tmp_path / "seq-01")
-    damage(folder)
-    with pytest.warns(DatasetWarning, match=match):
-        sequence = read_sevenscenes(folder)
-    np.testing.assert_allclose(sequence.require_truth().positions_xyz[:, 0], [0, 1, 3])
-    np.testing.assert_allclose(sequence.timestamps_s * 30, [0, 1, 3])
-
-
-@pytest.mark.parametrize(
-    ("damage", "match"),
-    [
-        (spoil("camera-intrinsics.txt", "1 2\n"), "camera-intrinsics.*expected 9"),
-        (spoil("camera-intrinsics.txt", "-1 0 1\n0 1 1\n0 0 1\n"), "camera-intrinsics.*positive"),
         (lambda f: (f / "camera-intrinsics.txt").unlink(), "no camera is known for 32x24.*camera-intrinsics"),
-        (spoil("frame-rate.txt", "-3"), "frame-rate.*positive"),
         (shutil.rmtree, "no such folder"),
         (lambda f: [p.unlink() for p in f.glob("frame-0*")], "holds no frame"),
     ],
 )
-def test_damage_is_told_by_file(tmp_path, damage, match):
+def test_what_is_missing_is_told_by_file(tmp_path, damage, match):
     folder = write_recording(tmp_path / "seq-01")
     damage(folder)
     with pytest.raises(DatasetError, match=match):

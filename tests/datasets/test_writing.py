@@ -6,20 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
-from conformodal.datasets import DatasetError, DatasetWarning, Layout, check_sequence, read_sequence
+from conformodal.datasets import DatasetWarning, Layout, check_sequence, read_sequence
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import VideoStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.poses import Trajectory, write_tum
+from tests.helpers import invoke
 
 NOTES = {"gap": "gap in time", "picture": "the same picture", "scaled": "intrinsics were scaled"}
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def scene(folder, n=6, lens=True):
@@ -72,26 +67,6 @@ def test_seven_scenes_says_that_uneven_times_are_lost(tmp_path):
     moved = replace(before, timestamps_s=times, truth=replace(before.truth, timestamps_s=times))
     done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(moved), moved.camera, moved.truth)
     assert done.notes == ["7scenes has no timestamps: they are read back as even, 10.000 Hz"]
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"layout": Layout.KITTI}, "read only"),
-        ({"layout": Layout.EUROC}, "read only"),
-        ({"layout": Layout.NERF}, "read only"),
-        ({"layout": Layout.COLMAP, "poses": None}, "needs poses"),
-        ({"folder": "a"}, "not empty"),
-    ],
-)
-def test_what_cannot_be_written_is_said_before_anything_is(tmp_path, change, match):
-    before = scene(tmp_path / "a")
-    settings = {"folder": "b", "layout": Layout.TUM, "poses": before.truth} | change
-    with pytest.raises(DatasetError, match=match):
-        write_layout(
-            tmp_path / settings["folder"], settings["layout"], SequenceStream(before), before.camera, settings["poses"]
-        )
-    assert not (tmp_path / "b").exists()
 
 
 def test_a_video_becomes_a_data_set(tmp_path):

@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from conformodal.cli.main import app
 from conformodal.conformal import QuantileBins
+from tests.helpers import invoke
 
 ROOT = Path(__file__).parents[2]
 HOW_TO = [
@@ -105,7 +106,6 @@ def test_a_snippet_runs_and_prints_what_the_page_says(given, code, said, tmp_pat
 @pytest.fixture(scope="module")
 def in_world(small_world, tmp_path_factory):
     """A folder in which the names that the pages use are: model, recording, scene, and what a short run has written."""
-    from typer.testing import CliRunner
 
     folder = tmp_path_factory.mktemp("world")
     for name, target in (
@@ -116,7 +116,7 @@ def in_world(small_world, tmp_path_factory):
         (folder / name).symlink_to(target, target_is_directory=True)
     arguments = ["run", folder / "model", folder / "recording", "--out", folder / "out", "--limit", 20]
     arguments += ["--save", folder / "out.mcap"] if find_spec("rosbags") else []
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     return folder
 

@@ -55,6 +55,7 @@ from conformodal.conformal.diagnostics.slab import worst_slab
 from conformodal.conformal.diagnostics.uniformity import check_uniformity
 from conformodal.conformal.learning.kernels import bandwidths, kernel_masses
 from conformodal.conformal.scores import SCORES
+from tests.helpers import Missing
 
 RNG = np.random.default_rng(0)
 N, D, K = 80, 2, 8
@@ -91,6 +92,8 @@ MONDRIAN = MondrianConformal(BINS, 0.2).calibrate(P, Y, G)
 WEIGHTED = WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
 CROSS = CrossConformal(BINS, 0.2).calibrate(P, Y, G)
 REGIONS = SPLIT["lac"].predict(P)
+ONLINE = OnlineConformal(BINS, 0.2)
+ONLINE.update(P, Y)
 
 # one argument of a public function: good values for it, and what the function makes of them
 ENTRIES = {
@@ -157,19 +160,6 @@ class Frame:
 
     def __array__(self, dtype=None, copy=None):
         return np.array(self.values, dtype=dtype)
-
-
-class Missing:
-    """Stands for ``pandas.NA``: compares to nothing, and is no truth value."""
-
-    def __ne__(self, other):
-        return self
-
-    __eq__ = __ne__
-    __hash__ = object.__hash__
-
-    def __bool__(self):
-        raise TypeError("boolean value of NA is ambiguous")
 
 
 class Units(np.ndarray):
@@ -274,7 +264,6 @@ ENDLESS = []
 ENDLESS.append(ENDLESS)
 BAD = {
     "complex": lambda a: a + 1j,
-    "complex of no imaginary part": lambda a: a.astype(complex),
     "text": lambda a: a.astype(str),
     "bytes": lambda a: a.astype(bytes),
     "dates": lambda a: (a * 64).astype("M8[D]"),
@@ -282,10 +271,8 @@ BAD = {
     "records": lambda a: np.zeros(a.shape, [("a", float)]),
     "masked": masked,
     "masked rows in a list": lambda a: list(masked(a)),
-    "masked constant in a list": lambda a: [*a.tolist()[:-1], np.ma.masked],
     "None": replaced(None),
     "NA": replaced(Missing()),
-    "word among numbers": replaced("0.5"),
     "complex among numbers": replaced(1j),
     "integer too large": replaced(10**400),
     "decimal sNaN": replaced(Decimal("sNaN")),
@@ -293,15 +280,10 @@ BAD = {
     "array among numbers": lambda a: replaced(a)(a),
     "longdouble too large": lambda a: with_float(np.longdouble("1e4000"))(a.astype(np.longdouble)),
     "NaN": with_float(np.nan),
-    "big-endian NaN": lambda a: with_float(np.nan)(a.astype(">f8")),
-    "half NaN": lambda a: with_float(np.nan)(a.astype(np.float16)),
     "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]],
     "generator": lambda a: (row for row in a),
-    "iterator": lambda a: iter(a.tolist()),
     "dict": lambda a: dict(enumerate(a.tolist())),
-    "set": lambda a: {0.5},
     "None alone": lambda a: None,
-    "word": lambda a: "abc",
     "number": lambda a: 0.5,
     "0-d": lambda a: np.array(0.5),
     "empty list of lists": lambda a: [[], []],
@@ -311,9 +293,11 @@ BAD = {
     "complex tensor": lambda a: torch.from_numpy(a + 0j),
     "sparse tensor": lambda a: torch.from_numpy(a.copy()).to_sparse(),
     "meta tensor": lambda a: torch.empty(a.shape, device="meta"),
-    "class": lambda a: float,
     "self-holding list": lambda a: ENDLESS,
 }
+
+
+INNER = ("of_bins", "bandw", "kernel_m")  # their callers have checked the numbers
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
@@ -324,41 +308,34 @@ def test_what_is_no_array_of_real_numbers_is_refused(entry, damage):
         return  # these work along an axis, or element by element
     if (damage, entry) == ("empty list of lists", "conformal_quantile"):
         return  # two scores for none
-    if damage in ("NaN", "half NaN", "big-endian NaN", "empty list of lists", "0-d", "number") and entry.startswith(
-        ("of_bins", "bandw", "kernel_m", "novelty p")
-    ):
-        return  # their callers have checked the numbers
+    if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith((*INNER, "novelty p")):
+        return
     with pytest.raises(ConformalError) as told:
         call(BAD[damage](good))
     assert 0 < len(str(told.value).splitlines()[0]) < 400
 
 
 # nested lists whose first two sizes agree: what NumPy makes of them, samples first
-@pytest.mark.parametrize("make", [SplitConformal, OnlineConformal, MondrianConformal])
-@pytest.mark.parametrize("nest", [np.ndarray.tolist, lambda p: tuple(map(tuple, p.tolist()))], ids=["lists", "tuples"])
-def test_lists_of_as_many_samples_as_targets_are_samples_first(make, nest):
-    cal, extra = make(BINS, 0.2), ()
-    if make is SplitConformal:
-        cal.calibrate(P, Y)
-    elif make is OnlineConformal:
-        cal.update(P, Y)
-    else:
-        cal, extra = cal.calibrate(P, Y, G), ([0, 1],)
+@pytest.mark.parametrize(
+    ("cal", "extra"),
+    [(SPLIT["lac"], ()), (ONLINE, ()), (MONDRIAN, ([0, 1],))],
+)
+def test_lists_of_as_many_samples_as_targets_are_samples_first(cal, extra):
     rows = P[:D]
-    for a, b in zip(seen(cal.predict(rows, *extra)), seen(cal.predict(nest(rows), *extra)), strict=True):
-        np.testing.assert_array_equal(a, b)
-    # arrays in a list are one a target, as documented, and so are lists that can be nothing else
-    for form in ([rows[:, 0], rows[:, 1]], (rows[:, 0], rows[:, 1])):
-        np.testing.assert_array_equal(seen(cal.predict(form, *extra))[0], seen(cal.predict(rows, *extra))[0])
+    expected = seen(cal.predict(rows, *extra))
+    for nested in (rows.tolist(), tuple(map(tuple, rows.tolist()))):
+        for a, b in zip(expected, seen(cal.predict(nested, *extra)), strict=True):
+            np.testing.assert_array_equal(a, b)
+    # arrays in a list are one per target, as documented, and so are lists that can be nothing else
+    np.testing.assert_array_equal(seen(cal.predict([rows[:, 0], rows[:, 1]], *extra))[0], expected[0])
 
 
-def test_lists_of_other_sizes_are_one_a_target():
+def test_lists_of_other_sizes_are_one_per_target():
     forms = [P[:5, 0].tolist(), P[:5, 1].tolist()]
     np.testing.assert_array_equal(seen(SPLIT["lac"].predict(forms))[0], seen(SPLIT["lac"].predict(P[:5]))[0])
     bins = QuantileBins.from_edges([np.arange(3.0), np.arange(4.0)])
     cal = SplitConformal(bins).calibrate([np.full((9, 2), 0.5), np.full((9, 3), 1 / 3)], np.full((9, 2), 0.5))
-    forms = [[[0.5, 0.5], [1, 0]], [[0, 0, 1], [1, 0, 0]]]  # two samples, two targets
-    assert cal.predict(forms).masks[1].shape == (2, 3)
+    assert cal.predict([[[0.5, 0.5], [1, 0]], [[0, 0, 1], [1, 0, 0]]]).masks[1].shape == (2, 3)
 
 
 NARROW = [1e-3, 1e-30, 1e-39, 1e-45, 1e-300, 1e-310, 5e-324]
@@ -383,43 +360,15 @@ def test_narrow_bins_give_no_infinite_density(score, width, dtype):
     assert not np.isnan(cal.predict(proba).length).any()
 
 
-RATES = {
-    "np.float64": (np.float64(0.1), True),
-    "np.float32": (np.float32(0.1), True),
-    "np.float16": (np.float16(0.1), True),
-    "np.longdouble": (np.longdouble("0.1"), True),
-    "0-d": (np.array(0.1), True),
-    "0-d, big-endian": (np.array(0.1, ">f4"), True),
-    "text": ("0.1", True),
-    "fraction text": ("1/10", True),
-    "Decimal": (Decimal("0.1"), True),
-    "Fraction": (Fraction(1, 10), True),
-    "exponent": ("1e-1", True),
-    "bool": (True, False),
-    "np.bool": (np.True_, False),
-    "0-d bool": (np.array(True), False),
-    "complex": (0.1 + 0j, False),
-    "np.complex": (np.complex64(0.1), False),
-    "vector": ([0.1], False),
-    "array": (np.array([0.1]), False),
-    "None": (None, False),
-    "bytes": (b"0.1", False),
-    "masked": (np.ma.masked, False),
-    "NaN": (float("nan"), False),
-    "inf": (float("inf"), False),
-    "Decimal NaN": (Decimal("NaN"), False),
-    "Decimal sNaN": (Decimal("sNaN"), False),
-    "zero": (0, False),
-    "one": (1.0, False),
-    "percent": (10, False),
-    "negative": (-0.1, False),
-    "over zero": ("1/0", False),
-    "endless": ("1e-999999999", False),
-    "endless Decimal": (Decimal("1e-999999999"), False),
-    "word": ("ten percent", False),
-    "object": (object(), False),
-    "date": (np.datetime64("2020-01-01"), False),
-}
+RATES = [
+    np.float64(0.1), np.float32(0.1), np.float16(0.1), np.longdouble("0.1"), np.array(0.1), np.array(0.1, ">f4"),
+    "0.1", "1/10", "1e-1", Decimal("0.1"), Fraction(1, 10),
+]  # fmt: skip
+NO_RATES = [
+    True, np.array(True), 0.1 + 0j, np.complex64(0.1), [0.1], np.array([0.1]), None, b"0.1", np.ma.masked,
+    float("nan"), float("inf"), Decimal("NaN"), Decimal("sNaN"), 0, 1.0, 10, -0.1, "1/0", "1e-999999999",
+    Decimal("1e-999999999"), "ten percent", object(), np.datetime64("2020-01-01"),
+]  # fmt: skip
 TAKES_RATE = [
     as_alpha,
     lambda a: SplitConformal(BINS, a),
@@ -433,38 +382,27 @@ TAKES_RATE = [
 ]
 
 
-@pytest.mark.parametrize("rate", RATES)
-def test_rates(rate):
-    value, good = RATES[rate]
-    for take in TAKES_RATE:
-        if good:
-            take(value)
-        else:
-            with pytest.raises(ConformalError, match="alpha"):
-                take(value)
-    assert not good or as_alpha(value) == Fraction(1, 10)
+@pytest.mark.parametrize("take", TAKES_RATE)
+def test_rates_are_read_as_the_decimal_they_are_written_as_or_refused(take):
+    for rate in RATES:
+        take(rate)
+        assert as_alpha(rate) == Fraction(1, 10)
+    for rate in NO_RATES:
+        with pytest.raises(ConformalError, match="alpha"):
+            take(rate)
 
 
-NO_COUNTS = [True, 2.0, "3", None, -1, 0, [3], float("nan"), 1j, np.array([3]), np.ma.masked, 3 * 10**9]
+NO_COUNTS = [True, 2.0, "3", None, -1, 0, [3], float("nan"), 1j, np.array([3]), np.ma.masked]
+NO_NUMBERS = [None, "0.1", 1j, float("nan"), [0.1], True, np.array([0.1]), np.ma.masked, -1.0, float("inf")]
 COUNTS = {
     "n_bins": lambda v: QuantileBins(v).fit(Y),
     "n_bins of a regressor": lambda v: tree().set_params(n_bins=v).fit(X, Y) if v is not None else QuantileBins(v),
     "refine": BINS.refine,
-    "strata": lambda v: coverage_by_size(HELD, W, 99, 0.1, strata=v if v != 3 * 10**9 else -1),
-    "repeats": lambda v: check_uniformity(W, W, v if v != 3 * 10**9 else -1),
+    "strata": lambda v: coverage_by_size(HELD, W, 99, 0.1, strata=v),
+    "repeats": lambda v: check_uniformity(W, W, v),
     "cells": lambda v: SplitConformal(BINS, 0.1, LinearDensity(v)),
-    "n_test": lambda v: coverage_band(9, v if v != 3 * 10**9 else -1, 0.1),
+    "n_test": lambda v: coverage_band(9, v, 0.1),
 }
-
-
-@pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("value", NO_COUNTS, ids=repr)
-def test_what_is_no_count_is_refused_before_memory_goes(count, value):
-    with pytest.raises(ConformalError, match="whole number"):
-        COUNTS[count](value)
-
-
-NO_NUMBERS = [None, "0.1", 1j, float("nan"), [0.1], True, np.array([0.1]), np.ma.masked, -1.0, float("inf")]
 NUMBERS = {
     "margin": lambda v: QuantileBins(3, margin=v),
     "sigma_bins": lambda v: BINS.soft_targets(Y, v),
@@ -477,40 +415,36 @@ NUMBERS = {
     "own_share": lambda v: Aps(own_share=v),
     "calibration_size": lambda v: tree().set_params(calibration_size=v).fit(X, Y),
 }
+SCALARS = [(call, "whole number", NO_COUNTS) for call in COUNTS.values()]
+SCALARS += [(call, name, NO_NUMBERS) for name, call in NUMBERS.items()]
 
 
-@pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize("value", NO_NUMBERS, ids=repr)
-def test_what_is_no_number_is_refused(number, value):
-    with pytest.raises(ConformalError, match=number):
-        NUMBERS[number](value)
+@pytest.mark.parametrize(("call", "says", "wrong"), SCALARS, ids=[*COUNTS, *NUMBERS])
+def test_what_is_no_count_or_number_is_refused_by_name(call, says, wrong):
+    for value in wrong:
+        with pytest.raises(ConformalError, match=says):
+            call(value)
+
+
+@pytest.mark.parametrize("count", ["n_bins", "n_bins of a regressor", "refine", "cells"])
+def test_counts_too_large_are_refused_before_memory_goes(count):
+    with pytest.raises(ConformalError, match="whole number"):
+        COUNTS[count](3 * 10**9)
 
 
 REFUSED = {
-    "edges that fall": (lambda: QuantileBins.from_edges([[1, 0]]), "increasing"),
-    "edges that stand": (lambda: QuantileBins.from_edges([[0, 0, 1]]), "increasing"),
-    "edges of NaN": (lambda: QuantileBins.from_edges([[0, np.nan, 1]]), "finite"),
     "edges of inf": (lambda: QuantileBins.from_edges([[0, np.inf]]), "finite"),
-    "masked edges": (lambda: QuantileBins.from_edges([np.ma.array([0, 5, 9], mask=[0, 1, 0])]), "masked"),
-    "edges too far apart": (lambda: QuantileBins.from_edges([[-1.7e308, 1.7e308]]), "distances"),
     "one edge": (lambda: QuantileBins.from_edges([[0]]), "at least two"),
-    "no edges": (lambda: QuantileBins.from_edges([]), "at least one"),
-    "edges that are a number": (lambda: QuantileBins.from_edges(5), "vector per target"),
-    "edges that are a word": (lambda: QuantileBins.from_edges("ab"), "numeric"),
-    "edges of rows": (lambda: QuantileBins.from_edges([[[0, 1], [1, 2]]]), "vector"),
+    "weights of inf": (lambda: WeightedConformal(BINS).calibrate(P, Y, W + np.inf), "finite"),
+    "samples of inf": (lambda: NOVELTY.scores(X + np.inf), "finite"),
+    "edges too far apart": (lambda: QuantileBins.from_edges([[-1.7e308, 1.7e308]]), "distances"),
     "values too far apart": (lambda: QuantileBins(3).fit([-1.7e308, 1.7e308]), "target 0"),
     "margin too large": (lambda: QuantileBins(3, margin=1e308).fit([0.0, 100.0]), "target 0"),
-    "n_bins of a billion": (lambda: QuantileBins(10**9), "at most 100000"),
-    "cells of a billion": (lambda: SplitConformal(BINS, 0.1, LinearDensity(10**9)), "at most"),
-    "empty y": (lambda: QuantileBins(3).fit([]), "at least one"),
     "y without columns": (lambda: QuantileBins(3).fit(np.empty((3, 0))), "d >= 1"),
     "weights below zero": (lambda: WeightedConformal(BINS).calibrate(P, Y, -W), "at least 0"),
-    "weights of inf": (lambda: WeightedConformal(BINS).calibrate(P, Y, W + np.inf), "finite"),
     "weights of another length": (lambda: WeightedConformal(BINS).calibrate(P, Y, W[:3]), "shape"),
-    "weights of rows": (lambda: WeightedConformal(BINS).calibrate(P, Y, W[:, None]), "vector"),
-    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
+    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry a row"),
     "bins that are none": (lambda: SplitConformal([0, 1]), "QuantileBins"),
-    "score that is none": (lambda: SplitConformal(BINS, 0.1, 5), "score"),
     "score that is a class": (lambda: SplitConformal(BINS, 0.1, Lac), "score"),
     "diagnosis of another calibrator": (lambda: diagnose(MONDRIAN, P, Y), "SplitConformal"),
     "joint that is a list": (lambda: SplitConformal(BINS, 0.1, joint=["none"]), "joint"),
@@ -518,14 +452,11 @@ REFUSED = {
     "method that is a number": (lambda: OnlineConformal(BINS, method=5), "method"),
     "method that makes no tracker": (lambda: OnlineConformal(BINS, method=lambda a: 5), "Tracker"),
     "thresholds of NaN": (lambda: SPLIT["lac"].regions_at(P, [np.nan, 0.5]), "NaN"),
-    "proba for other folds": (lambda: CROSS.predict({0: P}), "folds"),
     "proba that is no mapping": (lambda: CROSS.predict(P), "mapping"),
     "no samples to cross": (lambda: CrossConformal(BINS).calibrate(P[:0], Y[:0], []), "at least one"),
     "masks of numbers": (lambda: Regions(ONE, [np.ones((2, K))], np.zeros((2, 1), bool)), "boolean"),
     "masks that are masked": (lambda: Regions(ONE, [masked(np.ones((2, K), bool))], np.zeros((2, 1), bool)), "masked"),
-    "unbounded that is a list of words": (lambda: Regions(ONE, [np.ones((2, K), bool)], [["a"], ["b"]]), "boolean"),
     "a sample too far": (lambda: REGIONS.intervals(N), "sample"),
-    "runs of a sample too far": (lambda: REGIONS.runs(N), "sample"),
     "a sample that is a float": (lambda: REGIONS.intervals(1.0), "sample"),
     "a target too far": (lambda: REGIONS.flat_intervals(7), "target"),
     "positions too far": (lambda: REGIONS[[0, N]], "index"),
@@ -535,26 +466,18 @@ REFUSED = {
     "X to predict too large for a tree": (lambda: FITTED.predict(X * 1e39), "cannot predict"),
     "names that are a number": (lambda: diagnose(SPLIT["lac"], P, Y, names=5), "name per target"),
     "an intersection with a number": (lambda: REGIONS.intersection(5), "combined"),
-    "parts that are a number": (lambda: Regions.concatenate(5), "Regions"),
     "parts that are none": (lambda: Regions.concatenate([1, 2]), "Regions"),
     "inside of numbers": (lambda: check_coverage([0.0, np.nan], 9, 0.1), "boolean"),
-    "inside that is masked": (lambda: check_coverage(np.ma.array([True], mask=[True]), 9, 0.1), "masked"),
     "inside of words": (lambda: coverage_by_group(["no"], ["a"], 9, 0.1), "boolean"),
     "sizes that are floats": (lambda: grouped_quantile([[1.0]], 0.1, [2.7]), "whole number"),
-    "sizes that are NaN": (lambda: grouped_quantile([[1.0]], 0.1, [np.nan]), "whole number"),
     "groups that are a number": (lambda: grouped_quantile(5, 0.1), "vector of scores"),
     "pairs that are none": (lambda: grouped_coverage_band([1, 2], 0.1), "pairs"),
     "axis too far": (lambda: conformal_quantile([1.0], 0.1, axis=3), "axis"),
     "seed that is a word": (lambda: check_uniformity(W, W, 9, "x"), "random_state"),
-    "references too large": (lambda: NoveltyTest(X * 1e200, G), "1e150"),
     "samples too large": (lambda: NOVELTY.scores(X * 1e200), "1e150"),
-    "samples of inf": (lambda: NOVELTY.scores(X + np.inf), "finite"),
     "X too large for trees": (lambda: StackedDensity().fit_bins(X * 1e39, W, [0, 1]), "float32"),
     "y too large for a density": (lambda: StackedDensity().fit_bins(X, W * 1e300, [0, 1]), "spread"),
     "y of another length": (lambda: StackedDensity().fit_bins(X, W[:5], [0, 1]), "row of X"),
-    "complex X of a density": (lambda: StackedDensity().fit_bins(X + 0j, W, [0, 1]), "numeric"),
-    "masked y of a density": (lambda: StackedDensity().fit_bins(X, masked(W), [0, 1]), "masked"),
-    "edges of a density": (lambda: StackedDensity().fit_bins(X, W, [1, 0]), "increasing"),
     "estimator that is a number": (lambda: ConformalRegressor(5).fit(X, Y), "estimator"),
     "estimator that is a class": (lambda: ConformalRegressor(DecisionTreeClassifier).fit(X, Y), "estimator"),
     "window of a float": (lambda: Aci(window=2.5), "window"),
@@ -572,23 +495,20 @@ def test_refused(case):
         call()
 
 
-SCORES_OF_TRACKERS = [np.nan, None, "1", 1j, [1.0], np.array([1.0]), np.ma.masked, Missing(), 10**400, True]
-
-
 @pytest.mark.parametrize("make", [Aci, ConformalPid])
-@pytest.mark.parametrize("score", SCORES_OF_TRACKERS, ids=lambda s: type(s).__name__)
-def test_trackers_learn_nothing_from_what_is_no_score(make, score):
+def test_trackers_learn_nothing_from_what_is_no_score(make):
     tracker = make(0.1)
     for s in (0.5, 0.7, np.float32(0.6), np.array(0.4), Fraction(1, 2)):
         tracker.update(s)
     before = tracker.threshold()
-    with pytest.raises(ConformalError, match="score"):
-        tracker.update(score)
+    for score in (np.nan, None, "1", 1j, [1.0], np.array([1.0]), np.ma.masked, Missing(), 10**400, True):
+        with pytest.raises(ConformalError, match="score"):
+            tracker.update(score)
     assert tracker.threshold() == before
     assert len(tracker.past) == 5
 
 
-def test_all_zero_weights_promise_nothing_and_give_the_whole_space():
+def test_all_zero_weights_give_unbounded_regions():
     assert WeightedConformal(BINS).calibrate(P, Y, 0 * W).predict(P, 0 * W).unbounded.all()
 
 
@@ -645,6 +565,42 @@ def test_plain_arrays_are_not_copied():
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     MATRIX = np.matrix([[0.5, 0.5]])
+TWO = QuantileBins.from_edges([[0, 1, 3]])
+TWO_CAL = SplitConformal(TWO, 0.3).calibrate(np.tile([0.75, 0.25], (9, 1)), np.tile([0.5, 0.5, 2.0], 3))
+HALVES = np.full((3, 2), 0.5)
+
+
+def calibrate_on(v):
+    try:
+        n = len(v)
+    except TypeError:
+        n = 0
+    cal = SplitConformal(TWO, 0.3, "density").calibrate(np.full((n, 2), 0.5), v)
+    # of n calibration samples, at least k are in their own regions
+    assert cal.predict(np.full((n, 2), 0.5)).contains(v).sum() >= min(cal.rank, n)
+    return [cal.thresholds_]
+
+
+# calls that take arrays so small that what comes by chance fits them
+TINY = {
+    "two bins": lambda v: [TWO_CAL.predict(v).length],
+    "two bins, y": calibrate_on,
+    "two bins, encode": lambda v: [TWO.encode(v), *TWO.soft_targets(v, 0.5)],
+    "groups": lambda v: MondrianConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).thresholds_.values(),
+    "folds": lambda v: CrossConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).scores_.values(),
+    "groups of split": lambda v: [SplitConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).n_units],
+    "novelty of one number": lambda v: [NoveltyTest([[0.0], [1.0]], [0, 1]).scores(v)],
+    "references of two": lambda v: [NoveltyTest(v, [0, 1]).scores_],
+    "three edges": lambda v: QuantileBins.from_edges(v).widths,
+    "weights of two": lambda v: [weighted_quantile([1.0, 2.0], [1.0, 1.0], v, 0.3)],
+    "groups of scores": lambda v: [grouped_quantile(v, 0.3)],
+    "inside": lambda v: [check_coverage(v, 9, 0.1).coverage],
+    "index": lambda v: [REGIONS[v].unbounded],
+    "n_bins": lambda v: [QuantileBins(v).n_bins],
+    "alpha": lambda v: [float(as_alpha(v))],
+    "score of a tracker": lambda v: [Aci(0.1).update(v) is None],
+    "regressor of three": lambda v: [tree().fit(X[:3], v).predict(X[:3])],
+}
 # anything that NumPy or a user may make of an array
 ANYTHING = st.one_of(
     hnp.arrays(
@@ -666,81 +622,18 @@ ANYTHING = st.one_of(
     st.sampled_from([MATRIX, sparse.eye_array(2), torch.eye(2), torch.eye(2, requires_grad=True),
                      Frame(np.eye(2)), range(3), {0.5}, b"ab", np.eye(2)[::-1], np.eye(2, dtype=np.float16)]),
 )  # fmt: skip
-TWO = QuantileBins.from_edges([[0, 1, 3]])
-TWO_CAL = SplitConformal(TWO, 0.3).calibrate(np.tile([0.75, 0.25], (9, 1)), np.tile([0.5, 0.5, 2.0], 3))
-
-
-def _predict(v):
-    regions = TWO_CAL.predict(v)
-    assert not np.isnan(regions.length).any()
-    assert regions.unbounded.shape == (len(regions), 1)
-
-
-def _calibrate_y(v):
-    try:
-        n = len(v)
-    except TypeError:
-        n = 0
-    proba = np.full((n, 2), 0.5)
-    cal = SplitConformal(TWO, 0.3, "density").calibrate(proba, v)
-    assert not np.isnan(cal.thresholds_).any()
-    regions = cal.predict(proba)
-    # of n calibration samples, at least k are in their own regions
-    assert regions.contains(v).sum() >= min(cal.rank, n)
-
-
-def _fit(v):
-    bins = QuantileBins(3).fit(v)
-    assert all(np.isfinite(e).all() and (np.diff(e) > 0).all() for e in bins.edges_)
-
-
-def _edges(v):
-    assert all(np.isfinite(w).all() and (w > 0).all() for w in QuantileBins.from_edges(v).widths)
-
-
-def _finite(call):
-    def check(v):
-        assert not np.isnan(np.asarray(call(v), dtype=np.float64)).any()
-
-    return check
-
-
-FUZZED = {
-    "predict": _predict,
-    "calibrate y": _calibrate_y,
-    "fit": _fit,
-    "from_edges": _edges,
-    "encode": _finite(TWO.encode),
-    "soft_targets": _finite(lambda v: TWO.soft_targets(v, 0.5)[0]),
-    "conformal_quantile": _finite(lambda v: conformal_quantile(v, 0.3)),
-    "weighted_quantile": _finite(lambda v: weighted_quantile([1.0, 2.0], [1.0, 1.0], v, 0.3)),
-    "grouped_quantile": _finite(lambda v: grouped_quantile(v, 0.3)),
-    "groups": lambda v: MondrianConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v),
-    "folds": lambda v: CrossConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v),
-    "groups of split": lambda v: SplitConformal(TWO, 0.3).calibrate(np.full((3, 2), 0.5), [0.5] * 3, v).n_units,
-    "novelty": _finite(lambda v: NoveltyTest([[0.0], [1.0]], [0, 1]).scores(v)),
-    "p_values": _finite(lambda v: NoveltyTest([[0.0], [1.0]], [0, 1]).p_values(v)),
-    "references": _finite(lambda v: NoveltyTest(v, [0, 1]).scores_),
-    "uniformity": _finite(lambda v: check_uniformity(v, [0.5], 3).p_values),
-    "check_coverage": lambda v: check_coverage(v, 9, 0.1),
-    "contains": REGIONS[:2].contains,
-    "index": lambda v: REGIONS[v],
-    "n_bins": QuantileBins,
-    "alpha": as_alpha,
-    "update": lambda v: Aci(0.1).update(v),
-    "regressor y": lambda v: tree().fit(X[:3], v),
-    "regressor predict": _finite(FITTED.predict),
-}
 
 
 @pytest.mark.filterwarnings("ignore:Warning. converting a masked element")
-@pytest.mark.parametrize("entry", FUZZED)
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@pytest.mark.parametrize("entry", [*(name for name in ENTRIES if not name.startswith(INNER)), *TINY])
+@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(value=ANYTHING)
 @example(value=[[1e308], [-1e308]])
 @example(value=[0.0, 5e-324, 1.0])
 @example(value=[[0.5, 0.5]])
 @example(value=np.ma.array([0.5, 0.5], mask=[True, False]))
-def test_whatever_comes_in_the_answer_is_valid_or_a_typed_error(entry, value):
+def test_whatever_comes_in_the_answer_is_a_number_or_a_typed_error(entry, value):
+    call = TINY[entry] if entry in TINY else ENTRIES[entry][1]
     with suppress(ConformalError):
-        FUZZED[entry](value)
+        for found in call(value):
+            assert np.asarray(found).dtype.kind != "f" or not np.isnan(found).any()

@@ -1,25 +1,19 @@
 """Cameras that are none are refused by file and field, unlikely ones are told, in every layout."""
 
 import json
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import SourceError
 from conformodal.poses import PinholeCamera, PoseError
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets" / "streams"))
-import test_streams
-from test_layouts import SIZE, WRITERS
+from tests.datasets.streams import test_streams
+from tests.datasets.test_layouts import SIZE, WRITERS
+from tests.helpers import invoke
 
 LENS = (-0.1, 0.02, 0.001, 0.002)
 MATRIX = (Layout.SEVENSCENES, Layout.RGBD_SCENES, Layout.TUM, Layout.IMAGES)
@@ -53,28 +47,27 @@ def write_camera(layout, root, pixels, lens=()):
         path.write_text(f"3 OPENCV {SIZE[0]} {SIZE[1]} {numbers}\n")
     else:
         path = root / "transforms.json"
-        content = json.loads(path.read_text())
-        content |= dict(zip(("fl_x", "fl_y", "cx", "cy"), pixels, strict=True))
-        content |= dict(zip(("k1", "k2", "p1", "p2"), lens, strict=False))
-        path.write_text(json.dumps(content))
+        numbers = dict(zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"), (*pixels, *lens), strict=False))
+        change_json(path, numbers)
     return path.name
+
+
+def change_json(path, changes, frame=None):
+    content = json.loads(path.read_text())
+    (content if frame is None else content["frames"][frame]).update(changes)
+    path.write_text(json.dumps(content))
 
 
 # what: (fx, fy, cx, cy, lens), in images of 64x48
 NO_CAMERA = {
     "fx is NaN": (NAN, 40, 32, 24, ()),
-    "fy is NaN": (40, NAN, 32, 24, ()),
     "fx is infinite": (INF, 40, 32, 24, ()),
-    "fy is infinite": (40, INF, 32, 24, ()),
     "fx is negative": (-40, 40, 32, 24, ()),
-    "fy is negative": (40, -40, 32, 24, ()),
-    "fx is zero": (0, 40, 32, 24, ()),
     "fy is zero": (40, 0, 32, 24, ()),
     "cx is NaN": (40, 40, NAN, 24, ()),
     "cy is infinite": (40, 40, 32, INF, ()),
     "cx is a million millions": (40, 40, 1e12, 24, ()),
     "fx sees 179 degrees": (0.5, 40, 32, 24, ()),
-    "fy sees 179 degrees": (40, 0.3, 32, 24, ()),
     "fx sees a thousandth of a degree": (1e7, 40, 32, 24, ()),
     "fy overflows": (40, 1e400, 32, 24, ()),
     "k1 is 1e9": (40, 40, 32, 24, (1e9, 0, 0, 0)),
@@ -136,19 +129,15 @@ MATRICES = {
     "transposed": ("40 0 0\n0 40 0\n32 24 1\n", "transposed"),
     "identity": ("1 0 0\n0 1 0\n0 0 1\n", "identity"),
     "last row": ("40 0 32\n0 40 24\n0 0 2\n", "expected rows"),
-    "last row of zeros": ("40 0 32\n0 40 24\n0 0 0\n", "expected rows"),
     "all zeros": ("0 0 0\n0 0 0\n0 0 0\n", "expected rows"),
     "inverse": ("0.025 0 -0.8\n0 0.025 -0.6\n0 0 1\n", "field of view"),
     "skew": ("40 5 32\n0 40 24\n0 0 1\n", "expected rows"),
     "turned": ("40 0 32\n7 40 24\n0 0 1\n", "expected rows"),
     "NaN in a place of zero": ("40 nan 32\n0 40 24\n0 0 1\n", "expected rows"),
-    "four numbers": ("40 40 32 24\n", "holds 4 numbers, expected 9"),
-    "sixteen numbers": ("1 0 0 0\n" * 4, "holds 16 numbers"),
+    "four numbers": ("40 40 32 24\n", "4 numbers, expected 9"),
     "words": ("fx 0 cx\n0 fy cy\n0 0 1\n", "cannot be read as numbers"),
     "digits with an underscore": ("4_0 0 32\n0 40 24\n0 0 1\n", "cannot be read as numbers"),
     "digits of another script": ("\u0664\u0660 0 32\n0 40 24\n0 0 1\n", "cannot be read as numbers"),
-    "nothing": ("", "holds 0 numbers"),
-    "bytes": (b"\xff\xfe4\x000\x00", "cannot be read"),
 }
 
 
@@ -158,153 +147,122 @@ def test_matrices_that_are_no_camera_are_refused(tmp_path, layout, what):
     folder = WRITERS[layout](tmp_path)
     content, match = MATRICES[what]
     path = max(tmp_path.rglob("camera-intrinsics.txt"))
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    path.write_text(content)
     with pytest.raises(DatasetError, match=f"camera-intrinsics.*{match}"):
         read_sequence(folder, layout)
     with pytest.raises(DatasetError, match=f"camera-intrinsics.*{match}"):  # as --camera of data convert
         camera_beside(path.parent, SIZE, None)
 
 
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.EUROC, Layout.NERF])
 @pytest.mark.parametrize(
-    ("row", "match"),
+    ("size", "pixels", "scaled"),
     [
-        ("P0: 40 0 0 0 0 40 0 0 32 24 1 0", "transposed"),
-        ("P0: 1 0 0 0 0 1 0 0 0 0 1 0", "identity"),
-        ("P0: 40 0 32 0 0 40 24 0 0 0 0 0", "expected rows"),
-        ("P0: 40 0 32 0 0 40 24 0 0 0 1 nan", "twelve numbers"),
-        ("P0: 40 0 32 0 0 40 24 0 0 0 1 0 0", "twelve numbers"),
+        ((640, 480), (400, 400, 320, 240), True),
+        ((32, 24), (20, 20, 16, 12), True),
+        ((640, 640), (400, 400, 320, 320), False),
+        ((48, 64), (40, 40, 24, 32), False),
+        ((0, 0), (40, 40, 32, 24), False),
     ],
 )
-def test_kitti_projections_that_are_none_are_refused(tmp_path, row, match):
-    folder = WRITERS[Layout.KITTI](tmp_path)
-    (folder / "calib.txt").write_text(row + "\n")
-    with pytest.raises(DatasetError, match=rf"calib\.txt.*P0.*{match}"):
-        read_sequence(folder)
-
-
-def state_size(layout, root, size, pixels):
+def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layout, size, pixels, scaled):
+    folder = WRITERS[layout](tmp_path)
     if layout is Layout.COLMAP:
-        path = next(root.rglob("cameras.txt"))
+        path = next(tmp_path.rglob("cameras.txt"))
         path.write_text(f"3 PINHOLE {size[0]} {size[1]} {' '.join(map(str, pixels))}\n")
     elif layout is Layout.EUROC:
-        path = next(root.rglob("sensor.yaml"))
+        path = next(tmp_path.rglob("sensor.yaml"))
         text = path.read_text().replace("resolution: [64, 48]", f"resolution: {list(size)}")
         path.write_text(text.replace("[40, 40, 32, 24]", str(list(pixels))))
     else:
-        path = root / "transforms.json"
-        content = json.loads(path.read_text()) | {"w": size[0], "h": size[1]}
-        path.write_text(json.dumps(content | dict(zip(("fl_x", "fl_y", "cx", "cy"), pixels, strict=True))))
-
-
-@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.EUROC, Layout.NERF])
-@pytest.mark.parametrize(
-    ("size", "pixels", "match"),
-    [
-        ((640, 480), (400, 400, 320, 240), "scaled from 640x480"),
-        ((32, 24), (20, 20, 16, 12), "scaled from 32x24"),
-        ((640, 640), (400, 400, 320, 320), None),
-        ((48, 64), (40, 40, 24, 32), None),
-        ((0, 0), (40, 40, 32, 24), None),
-    ],
-)
-def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layout, size, pixels, match):
-    folder = WRITERS[layout](tmp_path)
-    state_size(layout, tmp_path, size, pixels)
-    if match is None:
+        numbers = dict(zip(("fl_x", "fl_y", "cx", "cy", "w", "h"), (*pixels, *size), strict=True))
+        change_json(tmp_path / "transforms.json", numbers)
+    if not scaled:
         with pytest.raises(DatasetError, match=f"for {size[0]}x{size[1]} pixels"):
             read_sequence(folder)
         return
-    with pytest.warns(DatasetWarning, match=match):
+    with pytest.warns(DatasetWarning, match=f"scaled from {size[0]}x{size[1]}"):
         camera = read_sequence(folder).camera
     assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
 
 
-COLMAP_MODELS = (
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-    "FOV",
-)
+def of_kitti(row):
+    return Layout.KITTI, lambda root: next(root.rglob("calib.txt")).write_text(f"{row}\n")
 
 
-@pytest.mark.parametrize("model", COLMAP_MODELS)
-def test_colmap_models_without_a_pinhole_say_what_to_do(tmp_path, model):
-    WRITERS[Layout.COLMAP](tmp_path)
-    next(tmp_path.rglob("cameras.txt")).write_text(f"3 {model} 64 48 40 40 32 24 0.1 0.1 0.1 0.1\n")
-    with pytest.raises(DatasetError, match=rf"cameras\.txt, line 1: camera model {model} .* undistort"):
-        read_sequence(tmp_path)
+def of_colmap(camera):
+    return Layout.COLMAP, lambda root: next(root.rglob("cameras.txt")).write_text(f"3 {camera}\n")
 
 
-@pytest.mark.parametrize("k", [4, 5, 6])
-def test_a_rational_lens_of_colmap_says_what_to_do(tmp_path, k):
-    WRITERS[Layout.COLMAP](tmp_path)
-    path, lens = next(tmp_path.rglob("cameras.txt")), [0.1, 0, 0, 0, 0.01, 0, 0, 0]
-    path.write_text(f"3 FULL_OPENCV 64 48 40 40 32 24 {' '.join(map(str, lens))}\n")
-    assert read_sequence(tmp_path).camera.distortion == (0.1, 0, 0, 0, 0.01)
-    lens[k + 1] = 0.1
-    path.write_text(f"3 FULL_OPENCV 64 48 40 40 32 24 {' '.join(map(str, lens))}\n")
-    with pytest.raises(DatasetError, match=r"line 1: camera model FULL_OPENCV has k4, k5 or k6.* undistort"):
-        read_sequence(tmp_path)
+def of_nerf(changes, frame=None):
+    return Layout.NERF, lambda root: change_json(root / "transforms.json", changes, frame)
+
+
+def of_euroc(model):
+    def change(root):
+        path = next(root.rglob("sensor.yaml"))
+        path.write_text(path.read_text().replace("radial-tangential", model))
+
+    return Layout.EUROC, change
+
+
+OTHER_MODELS = [
+    *[
+        (of_colmap(f"{model} 64 48 40 40 32 24 0.1 0.1 0.1 0.1"), rf"cameras\.txt, line 1: .*{model} .*undistort")
+        for model in ("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "FOV")
+    ],
+    *[
+        (of_colmap(f"FULL_OPENCV 64 48 40 40 32 24 0.1 0 0 0 0.01 {lens}"), "line 1: .*FULL_OPENCV .*undistort")
+        for lens in ("0.1 0 0", "0 0.1 0", "0 0 0.1")
+    ],
+    *[
+        (of_colmap(numbers), r"cameras\.txt, line 1: is no camera")
+        for numbers in (
+            "FULL_OPENCV 64 48 40 40 32 24 0 0 0 0 0", "PINHOLE 64 48 40 40 32 24 1", "OPENCV 64 48 40 40 32 24",
+            "RADIAL 64 48 40",
+        )
+    ],
+    *[
+        (of_nerf(changes), r"transforms\.json: .*undistort")
+        for changes in (
+            {"camera_model": "EQUIRECTANGULAR"}, {"camera_model": ["OPENCV"]},
+            {"camera_model": "OPENCV", "is_fisheye": True}, {"k1": 0.1, "k2": 0.1, "k3": 0.1, "k4": 0.1},
+        )
+    ],
+    *[
+        (of_nerf(own, frame=2), r"transforms\.json: \./images/0002 has a camera of its own")
+        for own in ({"k1": 0.5}, {"w": 128}, {"camera_angle_x": 0.5}, {"camera_model": "FISHEYE"})
+    ],
+    *[(of_euroc(m), rf"sensor\.yaml: .*{m}.*undistort") for m in ("equidistant", "none", "kannala-brandt")],
+    (of_kitti("P0: 40 0 0 0 0 40 0 0 32 24 1 0"), r"calib\.txt.*P0.*transposed"),
+    (of_kitti("P0: 1 0 0 0 0 1 0 0 0 0 1 0"), r"calib\.txt.*P0.*identity"),
+    (of_kitti("P0: 40 0 32 0 0 40 24 0 0 0 0 0"), r"calib\.txt.*P0.*expected rows"),
+    (of_kitti("P0: 40 0 32 0 0 40 24 0 0 0 1 nan"), r"calib\.txt.*P0.*twelve numbers"),
+    (of_kitti("P0: 40 0 32 0 0 40 24 0 0 0 1 0 0"), r"calib\.txt.*P0.*twelve numbers"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "match"), OTHER_MODELS)
+def test_cameras_that_are_no_pinhole_are_refused_by_file(tmp_path, change, match):
+    layout, spoil = change
+    folder = WRITERS[layout](tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(DatasetError, match=match):
+        read_sequence(folder)
 
 
 @pytest.mark.parametrize(
-    "model",
+    ("change", "lens"),
     [
-        "FULL_OPENCV 64 48 40 40 32 24 0 0 0 0 0",
-        "PINHOLE 64 48 40 40 32 24 1",
-        "OPENCV 64 48 40 40 32 24",
-        "RADIAL 64 48 40",
+        (of_colmap("FULL_OPENCV 64 48 40 40 32 24 0.1 0 0 0 0.01 0 0 0"), (0.1, 0, 0, 0, 0.01)),
+        (of_nerf({"k1": 0.1, "k3": 0.03}), (0.1, 0.0, 0.0, 0.0, 0.03)),
     ],
 )
-def test_colmap_cameras_with_other_numbers_of_parameters_are_refused(tmp_path, model):
-    WRITERS[Layout.COLMAP](tmp_path)
-    next(tmp_path.rglob("cameras.txt")).write_text(f"3 {model}\n")
-    with pytest.raises(DatasetError, match=r"cameras\.txt, line 1: is no camera"):
-        read_sequence(tmp_path)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"camera_model": "EQUIRECTANGULAR"},
-        {"camera_model": ["OPENCV"]},
-        {"camera_model": "OPENCV", "is_fisheye": True},
-        {"k1": 0.1, "k2": 0.1, "k3": 0.1, "k4": 0.1},
-    ],
-)
-def test_nerf_models_without_a_pinhole_say_what_to_do(tmp_path, change):
-    WRITERS[Layout.NERF](tmp_path)
-    path = tmp_path / "transforms.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(DatasetError, match=r"transforms\.json: .*undistort"):
-        read_sequence(tmp_path)
-
-
-def test_nerf_k3_is_the_fifth_of_the_lens(tmp_path):
-    WRITERS[Layout.NERF](tmp_path)
-    path = tmp_path / "transforms.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"k1": 0.1, "k3": 0.03}))
-    assert read_sequence(tmp_path).camera.distortion == (0.1, 0.0, 0.0, 0.0, 0.03)
-
-
-@pytest.mark.parametrize("own", [{"k1": 0.5}, {"w": 128}, {"camera_angle_x": 0.5}, {"camera_model": "FISHEYE"}])
-def test_a_nerf_frame_with_its_own_camera_is_refused(tmp_path, own):
-    WRITERS[Layout.NERF](tmp_path)
-    path = tmp_path / "transforms.json"
-    content = json.loads(path.read_text())
-    content["frames"][2] |= own
-    path.write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match=r"transforms\.json: \./images/0002 has a camera of its own"):
-        read_sequence(tmp_path)
-
-
-@pytest.mark.parametrize("model", ["equidistant", "none", "kannala-brandt"])
-def test_euroc_models_without_a_pinhole_say_what_to_do(tmp_path, model):
-    WRITERS[Layout.EUROC](tmp_path)
-    path = next(tmp_path.rglob("sensor.yaml"))
-    path.write_text(path.read_text().replace("radial-tangential", model))
-    with pytest.raises(DatasetError, match=rf"sensor\.yaml: .*{model}.*undistort"):
-        read_sequence(tmp_path)
+def test_the_fifth_number_of_a_lens_is_k3(tmp_path, change, lens):
+    layout, write = change
+    WRITERS[layout](tmp_path)
+    write(tmp_path)
+    assert read_sequence(tmp_path).camera.distortion == lens
 
 
 @pytest.mark.parametrize("broken", ["1.0, 0.0, 0.0, 0.1", "2.0, 0, 0, 0", ".nan, 0, 0, 0"])
@@ -341,7 +299,7 @@ def test_bags_with_a_camera_that_is_none_are_refused(tmp_path, monkeypatch, k, m
 
     monkeypatch.setattr(test_streams, "camera_info", info)
     path = test_streams.write_bag(tmp_path / "a", "ros2")
-    with pytest.raises(SourceError, match=f"holds a camera that cannot be used.*{match}"):
+    with pytest.raises(SourceError, match=match):
         BagStream(path)
 
 
@@ -353,14 +311,14 @@ def test_a_camera_refuses_what_is_no_finite_number(field, value):
         PinholeCamera(**(good | {field: value}))
 
 
-@pytest.mark.parametrize(("what", "code"), [("fy is NaN", 2), ("cx is a million millions", 2), (None, 1)])
-@pytest.mark.parametrize("layout", [Layout.TUM, Layout.COLMAP])
-def test_the_command_says_it_in_a_line(tmp_path, layout, what, code):
-    folder = WRITERS[layout](tmp_path)
-    *pixels, _ = NO_CAMERA[what] if what else UNLIKELY["intrinsics of ten times the size"][0]
-    write_camera(layout, tmp_path, pixels)
-    result = CliRunner().invoke(app, ["data", "check", str(folder)])
+@pytest.mark.parametrize(
+    ("pixels", "code", "said"),
+    [((40, 40, 1e12, 24), 2, "error:"), ((400, 400, 320, 240), 1, "camera is unlikely")],
+)
+def test_the_command_says_it_in_a_line(tmp_path, pixels, code, said):
+    folder = WRITERS[Layout.COLMAP](tmp_path)
+    write_camera(Layout.COLMAP, tmp_path, pixels)
+    result = invoke("data", "check", folder)
     assert result.exit_code == code, result.output
-    assert ("error:" in result.output) == (code == 2)
+    assert said in result.output
     assert "nothing is wrong" not in result.output
-    assert code == 2 or "camera is unlikely" in result.output

@@ -7,14 +7,12 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
+from conformodal.cli.sources import open_source
 from conformodal.datasets import DatasetError, Layout, read_sequence
 from conformodal.datasets.corridor.path import drone_path
 from conformodal.datasets.corridor.render import Renderer
@@ -24,16 +22,12 @@ from conformodal.datasets.staging import staged
 from conformodal.datasets.streams.frames import Frame
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.poses import PinholeCamera, Trajectory, write_tum
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
-from test_layouts import PLACES, WRITERS, N
+from conformodal.model.identity import identify
+from conformodal.poses import PinholeCamera, Trajectory
+from tests.datasets.test_layouts import PLACES, WRITERS, N
+from tests.helpers import contents, fill, invoke
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def lose(layout, root, lost):
@@ -51,7 +45,6 @@ def lose(layout, root, lost):
 @pytest.mark.parametrize("to", WRITABLE)
 @pytest.mark.parametrize("lost", [(0, 1), (4,), (2,)])
 def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, to, lost):
-    (tmp_path / "a").mkdir()
     folder = WRITERS[layout](tmp_path / "a")
     names = [path.name for path in read_sequence(folder).image_paths]
     lose(layout, tmp_path / "a", lost)
@@ -82,19 +75,14 @@ def test_poses_of_neighbours_are_not_lent(tmp_path):
     (folder / "poses.txt").write_text("\n".join(rows))
     result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert result.exit_code == 0, result.output
-    assert (
-        "left out 1 frame without a pose, so near to others in time that they would be read back with theirs: 2.png"
-        in (result.output)
-    )
+    assert "left out 1 frame without a pose" in result.output
+    assert "2.png" in result.output
     assert len((tmp_path / "b" / "rgb.txt").read_text().splitlines()) == 1 + 5
     assert len(list((tmp_path / "b" / "rgb").iterdir())) == 5
 
 
 def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
     """A sequence read for training and one read for ``run --part test`` are the same data set."""
-    from conformodal.cli.sources import open_source
-    from conformodal.model.identity import identify
-
     folder = WRITERS[Layout.TUM](tmp_path)
     rng = np.random.default_rng(0)
     for path in (folder / "rgb").iterdir():
@@ -178,28 +166,22 @@ KNOWABLE = {
 @pytest.mark.parametrize("what", KNOWABLE)
 def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
     change, settings, match = KNOWABLE[what]
-    (tmp_path / "a").mkdir()
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine").write_text("mine")
-    (tmp_path / "file").write_text("mine")
-    sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))
-    sequence = change(sequence)
-    settings = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b"} | settings
-    before = sorted(tmp_path.rglob("*"))
-    progress = []
+    fill(tmp_path, {"full/mine": "mine", "file": "mine"})
+    sequence = change(read_sequence(WRITERS[Layout.TUM](tmp_path / "a")))
+    given = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b", "binary": False} | settings
+    before, progress = [contents(tmp_path), sorted(tmp_path.rglob("*"))], []
     with pytest.raises(DatasetError, match=match):
         write_layout(
-            tmp_path / settings["out"],
-            settings["layout"],
+            tmp_path / given["out"],
+            given["layout"],
             SequenceStream(sequence),
             sequence.camera,
-            settings["poses"],
+            given["poses"],
             progress.append,
-            binary=settings.get("binary", False),
+            binary=given["binary"],
         )
     assert progress == []
-    assert sorted(tmp_path.rglob("*")) == before
-    assert (tmp_path / "full" / "mine").read_text() == (tmp_path / "file").read_text() == "mine"
+    assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before
 
 
 @pytest.mark.parametrize("to", [layout for layout in WRITABLE if layout is not Layout.SEVENSCENES])
@@ -214,18 +196,14 @@ def test_several_recordings_where_one_has_a_place_are_refused_before_the_first_f
 
 @pytest.mark.parametrize("layout", WRITABLE)
 def test_a_lens_of_five_numbers_is_kept(tmp_path, layout):
-    (tmp_path / "a").mkdir()
     sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))
     camera = replace(sequence.camera, distortion=(-0.1, 0.02, 0.001, 0.002, 0.003))
     write_layout(tmp_path / "b", layout, SequenceStream(sequence), camera, sequence.truth)
     assert read_sequence(tmp_path / "b", layout).camera == camera
 
 
-@pytest.mark.parametrize(
-    "content", ["", "lost\n", "0 0 0\n", "nan 0 0 0 0 0 0 1\n", "0 0 0 0 0 0 0 0\n", "1 1e400 0 0 0 0 0 1\n", None]
-)
+@pytest.mark.parametrize("content", ["", "lost\n", "nan 0 0 0 0 0 0 1\n", None])
 def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content):
-    (tmp_path / "a").mkdir()
     folder = WRITERS[Layout.TUM](tmp_path / "a")
     if content is not None:
         (tmp_path / "p.tum").write_text(content)
@@ -237,7 +215,6 @@ def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content
 
 
 def test_an_unlikely_camera_is_told_by_convert_too(tmp_path):
-    (tmp_path / "a").mkdir()
     folder = WRITERS[Layout.IMAGES](tmp_path / "a")
     (folder / "camera-intrinsics.txt").write_text("400 0 320\n0 400 240\n0 0 1\n")
     result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
@@ -261,7 +238,6 @@ write_layout(Path(sys.argv[2]), "tum", SequenceStream(sequence), sequence.camera
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path, how):
-    (tmp_path / "a").mkdir()
     folder = WRITERS[Layout.TUM](tmp_path / "a")
     process = subprocess.Popen(
         [sys.executable, "-c", SCRIPT, str(folder), str(tmp_path / "b")],
@@ -300,15 +276,6 @@ def test_a_flight_that_fails_leaves_nothing(tmp_path, error):
     assert len(read_sequence(tmp_path / "w")) == 3
     with pytest.raises(DatasetError, match="not empty"):
         write_flight(tmp_path / "w" / "seq-01", renderer, poses)
-
-
-def test_truth_of_a_video_outside_its_time_is_told(tmp_path):
-    stream = Failing(None)
-    late = replace(poses_for(), timestamps_s=5 + np.arange(9.0))
-    write_tum(tmp_path / "p.tum", late)
-    with pytest.raises(DatasetError, match="nothing to write"):
-        write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, late)
-    assert not (tmp_path / "out").exists()
 
 
 def test_two_that_write_one_folder_do_not_mix(tmp_path):

@@ -2,48 +2,37 @@
 
 import json
 import os
-import sys
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.datasets import (
     DatasetError,
     DatasetWarning,
     ImageError,
     Layout,
-    PixelNoise,
-    SplitError,
     check_sequence,
-    make_split,
     read_sequence,
 )
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz, read_euroc, read_kitti, read_tum
+from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz
 from conformodal.running.paths import METHODS
 from conformodal.running.results.runs import write_metrics
 from conformodal.running.results.writer import ResultsWriter
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
-from test_layouts import WRITERS, N
+from tests.datasets.test_layouts import WRITERS, N
+from tests.helpers import contents, fill, invoke
 
 NAN = float("nan")
 LISTS = {Layout.TUM: "rgb.txt", Layout.EUROC: "mav0/cam0/data.csv"}
 
 
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 def expect(folder, layout, before, lost, match, *, always=False):
     """One frame is lost to training and named; the others are as before. `always`: to every reading."""
-    kept = [i for i in range(N) if i not in lost]
+    kept = [i for i in range(N) if i != lost]
     with pytest.warns(DatasetWarning, match=match):
         sequence = read_sequence(folder, layout)
     assert sequence.image_paths == tuple(before.image_paths[i] for i in kept)
@@ -59,67 +48,155 @@ def expect(folder, layout, before, lost, match, *, always=False):
     assert "nothing is wrong" not in result.output
 
 
-# Damage to the file of one image
+# Damage to one frame: the file of its image, or its pose
 
 
-def empty(path):
-    path.write_bytes(b"")
+def replaced(make):
+    def change(path):
+        path.unlink()
+        make(path)
+
+    return change
 
 
-def cut(path):
-    path.write_bytes(path.read_bytes()[:60])
-
-
-def a_folder(path):
-    path.unlink()
-    path.mkdir()
-
-
-def broken_link(path):
-    path.unlink()
-    path.symlink_to("nowhere.png")
-
-
-def link_to_itself(path):
-    path.unlink()
-    path.symlink_to(path.name)
-
-
-def a_pipe(path):
-    path.unlink()
-    os.mkfifo(path)
-
-
-def a_device(path):
-    path.unlink()
-    path.symlink_to("/dev/zero")
-
-
-def text(path):
-    path.write_text("404: Not Found")
-
-
-IMAGES = {f.__name__: f for f in (empty, cut, a_folder, broken_link, a_pipe, text)}
+UNREADABLE = {
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:60]),
+    "text": lambda path: path.write_text("404: Not Found"),
+    "a folder": replaced(Path.mkdir),
+    "a pipe": replaced(os.mkfifo),
+    "a broken link": replaced(lambda path: path.symlink_to("nowhere.png")),
+    "a link to itself": replaced(lambda path: path.symlink_to(path.name)),
+    "a device": replaced(lambda path: path.symlink_to("/dev/zero")),
+    "another size": lambda path: Image.new("RGB", (128, 96)).save(path),
+}
 
 
 @pytest.mark.parametrize("layout", WRITERS)
-@pytest.mark.parametrize("damage", IMAGES)
+@pytest.mark.parametrize("damage", UNREADABLE)
 def test_a_bad_image_costs_its_frame(tmp_path, layout, damage):
     folder = WRITERS[layout](tmp_path)
     before = read_sequence(folder)
-    place = (list(WRITERS).index(layout) + list(IMAGES).index(damage)) % 2 * 3  # the first, or one in the middle
-    IMAGES[damage](before.image_paths[place])
-    expect(folder, layout, before, [place], before.image_paths[place].name)
+    place = (list(WRITERS).index(layout) + list(UNREADABLE).index(damage)) % 2 * 3  # the first, or one in the middle
+    UNREADABLE[damage](before.image_paths[place])
+    expect(folder, layout, before, place, before.image_paths[place].name)
     frames = list(SequenceStream(read_sequence(folder, require_poses=False)))
     assert [frame.image is None for frame in frames] == [i == place for i in range(N)]
 
 
-@pytest.mark.parametrize("damage", [link_to_itself, a_device])
-def test_links_to_what_is_no_image(tmp_path, damage):
-    folder = WRITERS[Layout.IMAGES](tmp_path)
+# where the pose of frame 2 is: its file, the separator, the words of the pose, the first number of the position
+LINES = {
+    Layout.TUM: ("groundtruth.txt", " ", slice(1, 8), 0),
+    Layout.IMAGES: ("poses.tum", " ", slice(1, 8), 0),
+    Layout.EUROC: ("state_groundtruth_estimate0/data.csv", ",", slice(1, 8), 0),
+    Layout.RGBD_SCENES: ("02.pose", " ", slice(0, 7), 4),
+    Layout.KITTI: ("07.txt", " ", slice(0, 12), 3),
+    Layout.COLMAP: ("images.txt", " ", slice(1, 8), 4),
+}
+MATRIX = (Layout.KITTI, Layout.SEVENSCENES, Layout.NERF)
+
+
+def file_of(root, name):
+    return max(p for p in root.rglob("*") if str(p).endswith("/" + name))
+
+
+def change_pose(layout, root, change):
+    """Change the words of frame 2's pose, as they are in its file."""
+    if layout is Layout.SEVENSCENES:
+        path = file_of(root, "frame-000002.pose.txt")
+        path.write_text(" ".join(change(path.read_text().split())))
+    elif layout is Layout.NERF:
+        path = root / "transforms.json"
+        content = json.loads(path.read_text())
+        frame = next(f for f in content["frames"] if "0002" in f["file_path"])
+        words = list(map(float, change([str(v) for row in frame["transform_matrix"] for v in row])))
+        frame["transform_matrix"] = [words[k : k + 4] for k in range(0, len(words), 4)]
+        path.write_text(json.dumps(content))
+    else:
+        name, separator, place, _ = LINES[layout]
+        path = file_of(root, name)
+        lines = path.read_text().splitlines()
+        at = [k for k, line in enumerate(lines) if not line.startswith("#")][2]
+        if layout is Layout.COLMAP:
+            at = next(k for k, line in enumerate(lines) if line.endswith("0002.png"))
+        words = lines[at].split(separator)
+        words[place] = change(words[place])
+        lines[at] = separator.join(words)
+        path.write_text("\n".join(lines) + "\n")
+
+
+def position(value):
+    return lambda layout: (
+        lambda words: [value if k == LINES.get(layout, (3,))[-1] else word for k, word in enumerate(words)]
+    )
+
+
+def rotation(layout, value):
+    """The words with all numbers of the rotation replaced, by place."""
+    place = LINES.get(layout, (3,))[-1]
+    held = [place, place + 1, place + 2] if layout not in MATRIX else [3, 7, 11, 12, 13, 14, 15]
+    return lambda words: [word if k in held else value(k, word) for k, word in enumerate(words)]
+
+
+POSES = {
+    **{f"a number is {value!r}": position(value) for value in ("nan", "-inf", "1e400", "1_0", "lost", "1;5", "\u0661")},
+    "a NUL": position("1\0"),
+    "a long word": position("1" * 100_000 + "x"),
+    "far away": position("1e200"),
+    "cut": lambda _: lambda words: words[: len(words) // 3],
+    "no direction": lambda layout: rotation(layout, lambda k, word: "0"),
+    "too large": lambda layout: rotation(layout, lambda k, word: "2.5" if k == 0 else word),
+    "a mirror": lambda layout: rotation(layout, lambda k, word: str(-float(word)) if k % 4 == 0 else word),
+    "a last row": lambda _: lambda words: [*words[:-1], "2.0"],
+}
+NUMBERS = {"far away", "no direction", "too large", "a mirror", "a last row"} | {
+    f"a number is {value!r}" for value in ("nan", "-inf", "1e400")
+}
+ROWS = [
+    (what, layout)
+    for what in POSES
+    for layout in WRITERS
+    if layout in MATRIX or what not in ("too large", "a mirror")  # quaternions are scaled, and have no mirrors
+    if layout in (Layout.SEVENSCENES, Layout.NERF) or what != "a last row"
+    if layout not in (Layout.COLMAP, Layout.NERF) or what in NUMBERS  # what is not a number costs the file
+]
+
+
+@pytest.mark.parametrize(("what", "layout"), ROWS)
+def test_a_bad_pose_costs_its_frame(tmp_path, what, layout):
+    folder = WRITERS[layout](tmp_path)
     before = read_sequence(folder)
-    damage(before.image_paths[0])
-    expect(folder, Layout.IMAGES, before, [0], before.image_paths[0].name)
+    change_pose(layout, tmp_path, POSES[what](layout))
+    expect(folder, layout, before, 2, before.image_paths[2].name)
+
+
+POSE_FILES = {
+    "missing": Path.unlink,
+    "bytes": lambda path: path.write_bytes(b"\xff\xfe\x001\x00"),
+    **{name: change for name, change in UNREADABLE.items() if name in ("empty", "a folder", "a pipe", "a broken link")},
+}
+
+
+@pytest.mark.parametrize("what", POSE_FILES)
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_7_scenes_pose_that_is_no_file_costs_its_frame(tmp_path, what, place):
+    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
+    before = read_sequence(folder)
+    POSE_FILES[what](tmp_path / "seq-01" / f"frame-{place:06d}.pose.txt")
+    expect(folder, Layout.SEVENSCENES, before, place, rf"frame-{place:06d}\.color\.png: .*frame-{place:06d}\.pose")
+    some = read_sequence(folder, require_poses=False)
+    assert some.truth is None
+    assert len(some.known_poses) == N - 1
+
+
+def test_two_poses_for_one_time_are_no_pose(tmp_path):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    before = read_sequence(folder)
+    path = folder / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, " ".join([lines[3].split()[0], "7", *lines[3].split()[2:]])]) + "\n")
+    expect(folder, Layout.TUM, before, 2, "2.png: no pose within")
+    assert "two poses for time" in read_sequence(folder).remarks[0].where
 
 
 @pytest.mark.parametrize("layout", WRITERS)
@@ -134,6 +211,15 @@ def test_a_data_set_without_one_sound_image_is_refused(tmp_path, layout):
 JUNK = ["._{name}", ".DS_Store", "Thumbs.db", "desktop.ini", ".{name}.swp", "{name}.part", ".hidden.png"]
 
 
+def expect_the_same(folder, before):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DatasetWarning)
+        after = read_sequence(folder)
+    assert (after.image_paths, after.camera, after.remarks) == (before.image_paths, before.camera, ())
+    np.testing.assert_array_equal(after.timestamps_s, before.timestamps_s)
+    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
+
+
 @pytest.mark.parametrize("layout", WRITERS)
 @pytest.mark.parametrize("junk", JUNK)
 def test_what_systems_leave_behind_is_no_frame(tmp_path, layout, junk):
@@ -141,177 +227,19 @@ def test_what_systems_leave_behind_is_no_frame(tmp_path, layout, junk):
     before = read_sequence(folder)
     for path in {p.parent for p in tmp_path.rglob("*") if p.is_file()}:
         (path / junk.format(name=before.image_paths[0].name)).write_bytes(b"\0\5\x16\7")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DatasetWarning)
-        after = read_sequence(folder)
-    assert after.image_paths == before.image_paths
-    assert after.remarks == ()
-    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
-
-
-# Damage to one pose
-
-
-def pose_file(layout, root):
-    names = {Layout.KITTI: "poses/07.txt", Layout.RGBD_SCENES: "pc/02.pose", Layout.IMAGES: "poses.tum"}
-    names |= {Layout.EUROC: "mav0/state_groundtruth_estimate0/data.csv"}
-    return root / names[layout] if layout in names else next(root.rglob("groundtruth.txt"))
-
-
-def spoil_line(layout, root, change):
-    """Change the line of frame 2's pose."""
-    path = pose_file(layout, root)
-    lines = path.read_text().splitlines()
-    at = [k for k, line in enumerate(lines) if not line.startswith("#")][2]
-    lines[at] = change(lines[at])
-    path.write_text("\n".join(lines) + "\n")
-
-
-def field(k, value):
-    def change(line):
-        comma = "," in line
-        fields = line.split("," if comma else None)
-        fields[k] = value
-        return ("," if comma else " ").join(fields)
-
-    return change
-
-
-def no_direction(layout):
-    places = {Layout.RGBD_SCENES: slice(0, 4)}
-
-    def change(line):
-        comma = "," in line
-        fields = line.split("," if comma else None)
-        place = places.get(layout, slice(4, 8))
-        fields[place] = ["0"] * 4
-        return ("," if comma else " ").join(fields)
-
-    return change
-
-
-QUATERNIONS = (Layout.TUM, Layout.IMAGES, Layout.EUROC, Layout.RGBD_SCENES)
-POSES = {
-    "NaN": (field(3, "nan"), (*QUATERNIONS, Layout.KITTI)),
-    "infinity": (field(5, "-inf"), (*QUATERNIONS, Layout.KITTI)),
-    "more than a number can be": (field(4, "1e400"), (*QUATERNIONS, Layout.KITTI)),
-    "an underscore": (field(3, "1_0"), (*QUATERNIONS, Layout.KITTI)),
-    "digits of another script": (field(3, "\u0661"), (*QUATERNIONS, Layout.KITTI)),
-    "a word": (field(3, "lost"), (*QUATERNIONS, Layout.KITTI)),
-    "a decimal comma": (field(3, "1;5"), (*QUATERNIONS, Layout.KITTI)),
-    "a line that is cut": (lambda line: line[: len(line) // 3], (*QUATERNIONS, Layout.KITTI)),
-    "a NUL": (lambda line: line[:9] + "\0" + line[9:], (*QUATERNIONS, Layout.KITTI)),
-    "a very long line": (lambda line: line + " 1" * 100_000 + "x", (Layout.TUM, Layout.IMAGES, Layout.KITTI)),
-    "no direction": (None, QUATERNIONS),
-    "far away": (field(3, "1e200"), (Layout.TUM, Layout.IMAGES, Layout.EUROC, Layout.KITTI)),
-    "no rotation": (field(0, "2.5"), (Layout.KITTI,)),
-    "a mirror": (
-        lambda line: " ".join(f"{-float(v)}" if k % 4 == 1 else v for k, v in enumerate(line.split())),
-        (Layout.KITTI,),
-    ),
-}
-
-
-@pytest.mark.parametrize(("what", "layout"), [(w, a) for w, (_, layouts) in POSES.items() for a in layouts])
-def test_a_bad_line_of_poses_costs_its_frame(tmp_path, what, layout):
-    folder = WRITERS[layout](tmp_path)
-    before = read_sequence(folder)
-    spoil_line(layout, tmp_path, POSES[what][0] or no_direction(layout))
-    expect(folder, layout, before, [2], before.image_paths[2].name)
-
-
-POSE_FILES = {
-    "missing": None,
-    "empty": b"",
-    "half": b"1 0 0 0\n0 1 0 0\n",
-    "NaN": b"nan 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
-    "lost tracking": b"-inf -inf -inf -inf\n" * 4,
-    "zeros": b"0 0 0 0\n" * 4,
-    "no rotation": b"2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
-    "a mirror": b"-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
-    "a last row": b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1\n",
-    "transposed": b"1 0 0 0\n0 1 0 0\n0 0 1 0\n5 6 7 1\n",
-    "far away": b"1 0 0 1e300\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
-    "bytes": b"\xff\xfe\x001\x00",
-    "an underscore": b"1_0 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
-}
-
-
-@pytest.mark.parametrize("what", POSE_FILES)
-@pytest.mark.parametrize("place", [0, 3])
-def test_a_bad_7_scenes_pose_costs_its_frame(tmp_path, what, place):
-    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
-    before = read_sequence(folder)
-    path = tmp_path / "seq-01" / f"frame-{place:06d}.pose.txt"
-    path.unlink()
-    if POSE_FILES[what] is not None:
-        path.write_bytes(POSE_FILES[what])
-    expect(folder, Layout.SEVENSCENES, before, [place], rf"frame-{place:06d}\.color\.png: .*frame-{place:06d}\.pose")
-    some = read_sequence(folder, require_poses=False)
-    assert some.truth is None
-    assert len(some.known_poses) == N - 1
-
-
-@pytest.mark.parametrize("damage", [a_folder, broken_link, a_pipe])
-def test_a_7_scenes_pose_that_is_no_file_costs_its_frame(tmp_path, damage):
-    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
-    before = read_sequence(folder)
-    damage(tmp_path / "seq-01" / "frame-000001.pose.txt")
-    expect(folder, Layout.SEVENSCENES, before, [1], "frame-000001")
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        (lambda m: m[0].__setitem__(0, NAN), "NaN"),
-        (lambda m: m[0].__setitem__(3, float("inf")), "NaN or infinity|away"),
-        (lambda m: m[1].__setitem__(3, 1e250), "away"),
-        (lambda m: m[0].__setitem__(0, 7.0), "not a rotation"),
-        (lambda m: [row.__setitem__(0, -row[0]) for row in m], "mirror"),
-        (lambda m: m[3].__setitem__(3, 2.0), "last row"),
-    ],
-)
-def test_a_bad_nerf_pose_costs_its_frame(tmp_path, change, match):
-    folder = WRITERS[Layout.NERF](tmp_path)
-    before = read_sequence(folder)
-    path = tmp_path / "transforms.json"
-    content = json.loads(path.read_text())
-    change(next(f for f in content["frames"] if "0002" in f["file_path"])["transform_matrix"])
-    path.write_text(json.dumps(content))
-    expect(folder, Layout.NERF, before, [2], rf"0002\.png.*{match}")
-
-
-@pytest.mark.parametrize(
-    "numbers", ["nan 0 0 1 0 0 0", "0 0 0 0 1 2 3", "1 0 0 0 inf 0 0", "1 0 0 0 1e200 0 0", "1e400 0 0 0 0 0 0"]
-)
-def test_a_bad_colmap_pose_costs_its_frame(tmp_path, numbers):
-    folder = WRITERS[Layout.COLMAP](tmp_path)
-    before = read_sequence(folder)
-    path = next(tmp_path.rglob("images.txt"))
-    lines = [f"9 {numbers} 3 0002.png" if x.endswith("0002.png") else x for x in path.read_text().splitlines()]
-    path.write_text("\n".join(lines) + "\n")
-    expect(folder, Layout.COLMAP, before, [2], r"0002\.png")
-
-
-def test_two_poses_for_one_time_are_no_pose(tmp_path):
-    folder = WRITERS[Layout.TUM](tmp_path)
-    before = read_sequence(folder)
-    path = pose_file(Layout.TUM, tmp_path)
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines, field(1, "7")(lines[3])]) + "\n")
-    expect(folder, Layout.TUM, before, [2], "2.png: no pose within")
-    assert "two poses for time" in read_sequence(folder).remarks[0].where
+    expect_the_same(folder, before)
 
 
 # Damage to one time
 
+LISTS = {Layout.TUM: "rgb.txt", Layout.EUROC: "mav0/cam0/data.csv"}
 TIMES = {
-    "NaN": "nan",
-    "infinite": "inf",
-    "overflowing": "1e400",
+    "NaN": lambda times: "nan",
+    "infinite": lambda times: "inf",
+    "overflowing": lambda times: "1e400",
     "twice": lambda times: times[1],
     "decreasing": lambda times: times[0],
-    "far ahead": lambda times: f"{9 * float(times[2])}",
+    "far ahead": lambda times: str(9 * int(times[2])) if times[2].isdigit() else f"{9 * float(times[2])}",
 }
 
 
@@ -325,20 +253,11 @@ def test_a_bad_time_costs_its_frame(tmp_path, what, layout):
         (folder / "times.txt").write_text("\n".join(f"{100 + 0.1 * i}" for i in range(N)))
     before = read_sequence(folder)
     path = folder / LISTS.get(layout, "times.txt")
-    lines = path.read_text().splitlines()
-    at = [k for k, line in enumerate(lines) if not line.startswith("#")]
     separator = "," if layout is Layout.EUROC else " "
-    times = [lines[k].split(separator)[0] for k in at]
-    new = TIMES[what](times) if callable(TIMES[what]) else TIMES[what]
-    if layout is Layout.EUROC and what == "far ahead":
-        new = str(9 * int(times[2]))
-    lines[at[2]] = separator.join([new, *lines[at[2]].split(separator)[1:]])
-    path.write_text("\n".join(lines))
-    match = path.name if layout is Layout.EUROC and not callable(TIMES[what]) else rf"{before.image_paths[2].name}|time"
-    lost = [2]
-    if what == "decreasing":  # frame 0 and 2 share a time; the later is told
-        match = "goes back or occurs twice|left out, no pose"
-    expect(folder, layout, before, lost, match, always=True)
+    lines = [line.split(separator) for line in path.read_text().splitlines() if not line.startswith("#")]
+    lines[2][0] = TIMES[what]([line[0] for line in lines])
+    path.write_text("\n".join(map(separator.join, lines)))
+    expect(folder, layout, before, 2, rf"{path.name}|{before.image_paths[2].name}", always=True)
 
 
 def test_times_that_run_backwards_are_refused(tmp_path):
@@ -348,7 +267,7 @@ def test_times_that_run_backwards_are_refused(tmp_path):
         read_sequence(folder)
 
 
-@pytest.mark.parametrize("rate", ["nan", "0", "-3", "inf", "1e400", "1e-300", "1e300", "30 30", "", "3_0", "\u0663"])
+@pytest.mark.parametrize("rate", ["nan", "0", "-3", "inf", "1e-300", "1e300", "30 30", "", "3_0", "\u0663"])
 @pytest.mark.parametrize("layout", [Layout.SEVENSCENES, Layout.COLMAP, Layout.NERF])
 def test_a_frame_rate_that_is_none_is_refused(tmp_path, layout, rate):
     folder = WRITERS[layout](tmp_path)
@@ -376,79 +295,55 @@ def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
     np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
 
 
-def texts(root):
-    return [
-        p for p in root.rglob("*") if p.is_file() and p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")
-    ]
+CHANGES = {
+    "BOM": lambda content: b"\xef\xbb\xbf" + content,
+    "CRLF": lambda content: content.replace(b"\n", b"\r\n"),
+    "BOM and CRLF": lambda content: b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"),
+    "CR": lambda content: content.replace(b"\n", b"\r"),
+    "no last newline": lambda content: content.rstrip(b"\n"),
+    "blank lines at the end": lambda content: content.rstrip(b"\n") + b"\n\n\n",
+}
 
 
 @pytest.mark.parametrize("layout", WRITERS)
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda content: b"\xef\xbb\xbf" + content,
-        lambda content: content.replace(b"\n", b"\r\n"),
-        lambda content: b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"),
-        lambda content: content.replace(b"\n", b"\r"),
-        lambda content: content.rstrip(b"\n"),
-        lambda content: content.rstrip(b"\n") + b"\n\n\n",
-    ],
-    ids=["BOM", "CRLF", "BOM and CRLF", "CR", "no last newline", "blank lines at the end"],
-)
+@pytest.mark.parametrize("change", CHANGES)
 def test_texts_of_other_systems_are_read_the_same(tmp_path, layout, change):
     folder = WRITERS[layout](tmp_path)
     before = read_sequence(folder)
-    for path in texts(tmp_path):
-        path.write_bytes(change(path.read_bytes()))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DatasetWarning)
-        after = read_sequence(folder)
-    assert after.image_paths == before.image_paths
-    assert after.camera == before.camera
-    np.testing.assert_array_equal(after.timestamps_s, before.timestamps_s)
-    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
+    for path in [p for p in tmp_path.rglob("*") if p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")]:
+        path.write_bytes(CHANGES[change](path.read_bytes()))
+    expect_the_same(folder, before)
 
 
-TEXTS = [
-    (layout, name)
-    for layout, names in {
-        Layout.SEVENSCENES: ("camera-intrinsics.txt", "frame-rate.txt"),
-        Layout.RGBD_SCENES: ("02.pose",),
-        Layout.KITTI: ("calib.txt", "times.txt", "07.txt"),
-        Layout.TUM: ("rgb.txt", "groundtruth.txt", "camera-intrinsics.txt"),
-        Layout.EUROC: ("sensor.yaml", "cam0/data.csv", "state_groundtruth_estimate0/data.csv"),
-        Layout.COLMAP: ("cameras.txt", "images.txt", "frame-rate.txt"),
-        Layout.NERF: ("transforms.json", "frame-rate.txt"),
-        Layout.IMAGES: ("poses.tum", "camera-intrinsics.txt"),
-    }.items()
-    for name in names
-]
+TEXTS = {
+    Layout.SEVENSCENES: ("camera-intrinsics.txt", "frame-rate.txt"),
+    Layout.RGBD_SCENES: ("02.pose",),
+    Layout.KITTI: ("calib.txt", "times.txt", "07.txt"),
+    Layout.TUM: ("rgb.txt", "groundtruth.txt", "camera-intrinsics.txt"),
+    Layout.EUROC: ("sensor.yaml", "cam0/data.csv", "state_groundtruth_estimate0/data.csv"),
+    Layout.COLMAP: ("cameras.txt", "images.txt", "frame-rate.txt"),
+    Layout.NERF: ("transforms.json", "frame-rate.txt"),
+    Layout.IMAGES: ("poses.tum", "camera-intrinsics.txt"),
+}
+NO_TEXT = [b"", b"\xff\xfe1\x002\x00", b"caf\xe9 1 2\n", bytes(300), b"\n\n\n", "a folder", "a pipe"]
 
 
-@pytest.mark.parametrize(("layout", "name"), TEXTS)
-@pytest.mark.parametrize(
-    "content", [b"", b"\xff\xfe1\x002\x00", b"caf\xe9 1 2\n", bytes(300), b"\n\n\n", "folder", "pipe"]
-)
+@pytest.mark.parametrize(("layout", "name"), [(layout, name) for layout, names in TEXTS.items() for name in names])
+@pytest.mark.parametrize("content", NO_TEXT)
+@pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
 def test_a_text_that_is_none_is_refused_by_name(tmp_path, layout, name, content):
     folder = WRITERS[layout](tmp_path)
-    path = next(p for p in tmp_path.rglob("*") if str(p).endswith("/" + name))
-    path.unlink()
-    if content == "folder":
-        path.mkdir()
-    elif content == "pipe":
-        os.mkfifo(path)
+    path = file_of(tmp_path, name)
+    if isinstance(content, str):
+        UNREADABLE[content](path)
+        if path.name in ("times.txt", "frame-rate.txt"):  # which may be missing
+            assert len(read_sequence(folder, layout)) == N
+            return
     else:
         path.write_bytes(content)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DatasetWarning)
-            sequence = read_sequence(folder, layout)
-    except DatasetError as exc:
-        assert Path(name).name in str(exc) or "no cameras.txt with images.txt" in str(exc)  # noqa: PT017
-    else:  # what may be missing is missing where it is no file
-        assert content in ("folder", "pipe")
-        assert Path(name).name in ("times.txt", "frame-rate.txt")
-        assert len(sequence) == N
+    named = "no cameras.txt with images.txt" if layout is Layout.COLMAP and isinstance(content, str) else path.name
+    with pytest.raises(DatasetError, match=named):
+        read_sequence(folder, layout)
 
 
 # Names
@@ -466,14 +361,14 @@ def test_a_name_that_is_not_utf_8_costs_its_frame(tmp_path):
     np.testing.assert_allclose(after.truth.positions_xyz, np.delete(before.truth.positions_xyz, 2, axis=0), atol=1e-9)
     result = invoke("data", "check", folder)
     assert result.exit_code == 1, result.output
-    assert r"2\xff.png: its name is not UTF-8" in result.output
+    assert r"2\xff.png" in result.output
 
 
 def test_a_folder_with_such_a_name_is_refused(tmp_path):
     folder = os.fsdecode(os.fsencode(tmp_path) + b"/\xff")
     os.mkdir(folder)
     WRITERS[Layout.IMAGES](Path(folder))
-    with pytest.raises(DatasetError, match=r"\\xff: its name is not UTF-8"):
+    with pytest.raises(DatasetError, match="UTF-8"):
         read_sequence(folder)
 
 
@@ -487,11 +382,6 @@ def test_what_is_no_data_set_is_refused(tmp_path, layout, what):
         path.mkdir()
     with pytest.raises(DatasetError):
         read_sequence(path, layout)
-
-
-def test_a_layout_that_is_none_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match="layout must be one of"):
-        read_sequence(tmp_path, "blender")
 
 
 # Paths that leave the folder
@@ -598,34 +488,32 @@ def test_dots_and_links_inside_the_folder_are_followed(tmp_path, layout):
     assert len(read_sequence(folder)) == N
 
 
-@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "..", "/", "//", "."])
+# the image of frame 2 is named so; without an answer, the frame is lost, or else the file is refused
+NO_FILES = {"a\0b": "no file name", "x" * 5000: None, "..": "outside", "/": "outside", ".": None}
+
+
+@pytest.mark.parametrize("name", NO_FILES)
 @pytest.mark.parametrize("layout", [Layout.TUM, Layout.COLMAP, Layout.NERF])
 def test_names_that_are_no_files(tmp_path, layout, name):
     folder = WRITERS[layout](tmp_path)
     path = next(tmp_path.rglob(NAMED[layout][0]))
     old = NAMED[layout][1]
     path.write_text(path.read_text().replace(old, json.dumps(name)[1:-1] if layout is Layout.NERF else name))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DatasetWarning)
+    match = "expected 'id" if layout is Layout.COLMAP and name in (".", "..") else NO_FILES[name]
+    if match is None:
+        with pytest.warns(DatasetWarning, match="1 x left out"):
             assert len(read_sequence(folder)) == N - 1
-    except DatasetError as exc:
-        assert path.name in str(exc)  # noqa: PT017
+    else:
+        with pytest.raises(DatasetError, match=rf"{path.name}.*{match}"):
+            read_sequence(folder)
 
 
 # What data check says
 
 
-@pytest.mark.parametrize("layout", [Layout.TUM, Layout.SEVENSCENES, Layout.KITTI])
-def test_check_counts_the_poses_there_are(tmp_path, layout):
-    folder = WRITERS[layout](tmp_path)
-    if layout is Layout.SEVENSCENES:
-        (tmp_path / "seq-01" / "frame-000000.pose.txt").unlink()
-    else:
-        path = pose_file(layout, tmp_path)
-        lines = path.read_text().splitlines()
-        del lines[1 if layout is Layout.TUM else 0]
-        path.write_text("\n".join(([] if layout is Layout.TUM else ["nan " * 12]) + lines))
+def test_check_counts_the_poses_there_are(tmp_path):
+    folder = WRITERS[Layout.KITTI](tmp_path)
+    change_pose(Layout.KITTI, tmp_path, lambda words: ["nan"] * 12)
     found = check_sequence(read_sequence(folder, require_poses=False))
     assert found.n_poses == N - 1
     assert any("pose" in finding.what for finding in found.findings)
@@ -633,12 +521,8 @@ def test_check_counts_the_poses_there_are(tmp_path, layout):
 
 
 OUTS = {
-    "another command's metrics": {"metrics.json": '{"command": "run"}'},
-    "metrics without a command": {"metrics.json": "{}"},
-    "metrics that are none": {"metrics.json": "["},
-    "metrics in a list": {"metrics.json": "[1]"},
-    "metrics nested deeply": {"metrics.json": "[" * 100_000},
     "a run": {"metrics.json": '{"command": "run"}', "trajectory.tum": "0 0 0 0 0 0 0 1"},
+    "metrics nested deeply": {"metrics.json": "[" * 100_000},
     "a model": {"model.json": "{}", "model.safetensors": "x"},
     "a check and something else": {"metrics.json": '{"command": "data check"}', "trajectory.tum": ""},
     "notes": {"notes.txt": "mine"},
@@ -647,27 +531,24 @@ OUTS = {
 
 @pytest.mark.parametrize("what", OUTS)
 def test_check_overwrites_nothing_of_another_kind(tmp_path, what):
-    (tmp_path / "a").mkdir()
     folder, out = WRITERS[Layout.TUM](tmp_path / "a"), tmp_path / "out"
-    out.mkdir()
-    for name, content in OUTS[what].items():
-        (out / name).write_text(content)
+    fill(out, OUTS[what])
     result = invoke("data", "check", folder, "--out", out)
     assert result.exit_code == 2
-    assert "holds files of another kind" in result.output
-    assert {p.name: p.read_text() for p in out.iterdir()} == OUTS[what]
+    assert "out" in result.output
+    assert contents(out) == {name: content.encode() for name, content in OUTS[what].items()}
 
 
 def test_check_overwrites_itself_and_no_file(tmp_path):
-    (tmp_path / "a").mkdir()
     folder, out = WRITERS[Layout.TUM](tmp_path / "a"), tmp_path / "out"
     for _ in range(2):
         assert invoke("data", "check", folder, "--out", out).exit_code == 0
     assert json.loads((out / "metrics.json").read_text())["command"] == "data check"
     (tmp_path / "file").write_text("mine")
-    assert invoke("data", "check", folder, "--out", tmp_path / "file").exit_code == 2
-    assert (tmp_path / "file").read_text() == "mine"
-    assert invoke("data", "check", folder, "--out", folder).exit_code == 2
+    for other in (tmp_path / "file", folder):
+        before = contents(tmp_path)
+        assert invoke("data", "check", folder, "--out", other).exit_code == 2
+        assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("name", ["[red]a[/b]", "[/]", "a b", "-a", "\u00fc\u4e2d", "%s {} $(ls)", "a\nb"])
@@ -679,39 +560,6 @@ def test_folders_of_any_name_are_read(tmp_path, name):
     assert invoke("data", "check", folder).exit_code == 0
     result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{"seed": -1}, {"seed": 0.5}, {"n_blocks": 0}, {"n_blocks": -3}, {"test": NAN}, {"calibration": 0}, {"used": NAN}],
-)
-def test_splits_that_are_none_are_refused(settings):
-    with pytest.raises(SplitError):
-        make_split(np.zeros(50, dtype=np.int64), "blocks", **settings)
-
-
-@pytest.mark.parametrize("settings", [{"sigma": NAN}, {"sigma": -1}, {"sigma": 0.1, "seed": -1}])
-def test_noise_that_is_none_is_refused(settings):
-    with pytest.raises(DatasetError):
-        PixelNoise(**settings)
-
-
-# Trajectories by themselves stay strict
-
-
-@pytest.mark.parametrize("read", [read_tum, read_kitti, read_euroc])
-@pytest.mark.parametrize("content", [b"", b"\xff\n", b"1 2 3\n", b"nan " * 12, b"1e400 " * 8, b"1_0 " * 8, bytes(99)])
-def test_a_trajectory_that_is_none_is_refused_whole(tmp_path, read, content):
-    (tmp_path / "t.txt").write_bytes(content)
-    with pytest.raises(PoseError, match=r"t\.txt"):
-        read(tmp_path / "t.txt")
-
-
-@pytest.mark.parametrize("line", ["2 0 0 0 0 0 0 0", "2 nan 0 0 0 0 0 1", "2 0 0", "2 1e99 0 0 0 0 0 1"])
-def test_one_bad_pose_of_a_trajectory_refuses_it(tmp_path, line):
-    (tmp_path / "t.txt").write_text(f"1 0 0 0 0 0 0 1\n{line}\n")
-    with pytest.raises(PoseError, match=r"t\.txt"):
-        read_tum(tmp_path / "t.txt")
 
 
 @pytest.mark.parametrize("times", [[0.0, NAN], [0.0, float("inf")], [[0.0], [1.0]]])

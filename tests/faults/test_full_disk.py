@@ -4,10 +4,9 @@ import shutil
 import subprocess
 
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.core import files
+from tests.helpers import contents, invoke
 
 
 @pytest.fixture
@@ -29,15 +28,11 @@ def leave(place, kilobytes):
     (place / "ballast").write_bytes(bytes(max(free, 0)))
 
 
-def contents(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
 @pytest.fixture(scope="module")
 def results(small_world, tmp_path_factory):
     out = tmp_path_factory.mktemp("full") / "out"
     arguments = ["run", small_world.model, small_world.folder, "--part", "test", "--out", out]
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     return out
 
@@ -68,7 +63,7 @@ def test_a_disk_that_fills_up_is_refused_and_earlier_results_stay(
         shutil.copytree(results, out)
     before = contents(disk)
     leave(disk, kilobytes)
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = invoke(*arguments)
     (disk / "ballast").unlink()
     assert "Traceback" not in result.output
     assert result.exit_code in (2, 4), result.output

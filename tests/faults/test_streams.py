@@ -57,11 +57,8 @@ def read_only(image):
 
 SAME_IMAGE = {
     "BGR turned to RGB by a view": lambda image: np.ascontiguousarray(image[:, :, ::-1])[:, :, ::-1],
-    "turned by two views": lambda image: np.ascontiguousarray(image[::-1, ::-1])[::-1, ::-1],
-    "mirrored by a view": lambda image: np.ascontiguousarray(image[:, ::-1])[:, ::-1],
     "a view of every second pixel": lambda image: np.repeat(np.repeat(image, 2, 0), 2, 1)[::2, ::2],
     "planes first in memory": lambda image: np.ascontiguousarray(image.transpose(2, 0, 1)).transpose(1, 2, 0),
-    "columns first in memory": np.asfortranarray,
     "colours of four": lambda image: np.dstack((image, image[:, :, :1]))[:, :, :3],
     "read-only": read_only,
     "a Pillow image": Image.fromarray,
@@ -85,29 +82,20 @@ class Broken:
 NO_IMAGE = {
     "none": (None, "no image"),
     "a list": ([[1, 2], [3, 4]], "int64 .2, 2."),
-    "a ragged list": ([[1], [2, 3]], "no array"),
-    "nested lists of the right shape": (np.zeros((H, W, 3), int).tolist(), "int64"),
     "a text": ("frame.png", "image is <U9"),
     "bytes": (b"\x00" * 20, "image is .S"),
     "a number": (3, "int64 ..,"),
     "an empty array": (np.zeros((0, 0, 3), np.uint8), r"uint8 .0, 0, 3."),
     "grey": (np.zeros((H, W), np.uint8), r"uint8 .120, 160."),
-    "grey with one channel": (np.zeros((H, W, 1), np.uint8), "160, 1"),
     "with alpha": (np.zeros((H, W, 4), np.uint8), "160, 4"),
     "planes first": (np.zeros((3, H, W), np.uint8), "3, 120"),
-    "transposed": (np.zeros((W, H, 3), np.uint8), "160, 120"),
     "half the size": (np.zeros((H // 2, W // 2, 3), np.uint8), "60, 80"),
-    "a batch": (np.zeros((1, H, W, 3), np.uint8), "1, 120"),
     "floats": (np.zeros((H, W, 3)), "float64"),
-    "float32 from 0 to 1": (np.ones((H, W, 3), np.float32), "float32"),
-    "NaN": (np.full((H, W, 3), np.nan), "float64"),
     "16 bits": (np.zeros((H, W, 3), np.uint16), "uint16"),
-    "signed": (np.zeros((H, W, 3), np.int8), "int8"),
     "boolean": (np.zeros((H, W, 3), bool), "bool"),
     "objects": (np.full((H, W, 3), None), "object"),
     "masked": (np.ma.masked_equal(np.zeros((H, W, 3), np.uint8), 0), "masked"),
     "what raises": (Broken(), "the camera is gone"),
-    "a grey Pillow image": (Image.new("L", (W, H)), r"120, 160\)"),
     "a Pillow image with a palette": (Image.new("P", (W, H)), r"120, 160\)"),
 }
 
@@ -141,21 +129,16 @@ TIMES = {
 }
 
 
-@pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("what", TIMES)
-def test_a_time_that_is_none_is_an_error_and_changes_nothing(model, images, plain, what, first):
+def test_a_time_that_is_none_is_an_error_and_changes_nothing(model, images, plain, what):
     odometry = VisualOdometry(model)
-    if first:
+    for k in (0, 1):
         with pytest.raises(OdometryError, match="timestamp"):
-            odometry.step(images[0], TIMES[what])
-    same(odometry.step(images[0], 0.0), plain[0])
-    if not first:
-        with pytest.raises(OdometryError, match="timestamp"):
-            odometry.step(images[1], TIMES[what])
-    same(odometry.step(images[1], 0.1), plain[1])
+            odometry.step(images[k], TIMES[what])
+        same(odometry.step(images[k], 0.1 * k), plain[k])
 
 
-@pytest.mark.parametrize("time", [0.1, 0.05, -1.0, 0, False])
+@pytest.mark.parametrize("time", [0.1, 0.05, -1.0, False])
 def test_time_does_not_go_back(model, images, plain, time):
     odometry = VisualOdometry(model)
     for k in (0, 1):
@@ -163,18 +146,10 @@ def test_time_does_not_go_back(model, images, plain, time):
     with pytest.raises(OdometryError, match=r"increase: .* s follows 0\.1 s"):
         odometry.step(images[2], time)
     same(odometry.step(images[2], 0.2), plain[2])
-
-
-@pytest.mark.parametrize("time", [0.2, 0.15, 0.1, -1.0])
-@pytest.mark.parametrize("unusable", [None, np.zeros((3, 3), np.uint8)], ids=["no image", "another size"])
-def test_time_does_not_go_back_after_a_frame_that_could_not_be_used(model, images, plain, unusable, time):
-    odometry = VisualOdometry(model)
-    for k in (0, 1):
-        same(odometry.step(images[k], 0.1 * k), plain[k])
-    assert odometry.step(unusable, 0.2).pose is None
-    with pytest.raises(OdometryError, match=r"increase: .* s follows 0\.2 s"):
-        odometry.step(images[2], time)
-    assert odometry.step(images[2], 0.25).pose is not None
+    assert odometry.step(None, 0.3).pose is None  # a frame that could not be used has a time too
+    with pytest.raises(OdometryError, match=r"increase: .* s follows 0\.3 s"):
+        odometry.step(images[3], 0.2 + time / 2)
+    assert odometry.step(images[3], 0.35).pose is not None
     odometry.reset()
     same(odometry.step(images[0], 0.0), plain[0])
 
@@ -207,23 +182,13 @@ def test_a_blank_first_frame_is_not_reliable_without_the_test_of_novelty(small_w
     assert first.problem == "too_few_corners"
 
 
-FRAMES = {
-    "negative": [-1, 2],
-    "beyond the end": [0, 10**6],
-    "decreasing": [3, 2],
-    "twice": [2, 2],
-    "a mask": np.ones(5, bool),
-    "fractions": [0.5, 1.5],
-    "two dimensions": [[0, 1]],
-    "a text": ["a"],
-    "one number": 3,
-}
+FRAMES = [[-1, 2], [0, 10**6], [3, 2], [2, 2], np.ones(5, bool), [0.5, 1.5], [[0, 1]], ["a"], 3]
 
 
-@pytest.mark.parametrize("what", FRAMES)
-def test_frames_to_answer_are_increasing_indices(model, small_world, what):
+@pytest.mark.parametrize("frames", FRAMES, ids=repr)
+def test_frames_to_answer_are_increasing_indices(model, small_world, frames):
     with pytest.raises(OdometryError, match="frames must"):
-        VisualOdometry(model).process(read_sevenscenes(small_world.folder), FRAMES[what])
+        VisualOdometry(model).process(read_sevenscenes(small_world.folder), frames)
 
 
 @pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.cli.outcome import Part, part_frames
 from conformodal.datasets import Layout, PixelNoise, Sequence, make_split, read_sequence, read_sevenscenes
 from conformodal.datasets.streams.stored import SequenceStream
@@ -21,6 +19,7 @@ from conformodal.model.identity import data_digest, identify
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import PinholeCamera, Trajectory
 from conformodal.running.selection import calibrate_selection
+from tests.helpers import invoke
 
 CAMERA = PinholeCamera(10.0, 10.0, 4.0, 3.0, 8, 6)
 
@@ -31,9 +30,9 @@ def model(small_world):
 
 
 @pytest.fixture
-def copy(small_world, tmp_path):
+def copy(small_corridor, tmp_path):
     """The small world's files, to be changed."""
-    return shutil.copytree(small_world.folder, tmp_path / "copy")
+    return shutil.copytree(small_corridor, tmp_path / "copy")
 
 
 def frames(folder, pictures, poses=True):
@@ -268,7 +267,7 @@ def test_a_part_of_data_whose_first_and_middle_frames_have_no_pose_is_answered(m
     split = make_split(posed.recording, "interleaved", seed=0)
     save_model(replace(model, known_frames=identify(posed), split=split), tmp_path / "model")
     arguments = ["run", tmp_path / "model", there, "--out", tmp_path / "out", "--part", "test"]
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == len(split.test)
@@ -283,7 +282,7 @@ def test_some_frames_of_the_test_part_promise_nothing(small_world, model, copy, 
         if int(path.name[6:12]) not in kept:
             path.unlink()
     arguments = ["run", small_world.model, copy, "--out", tmp_path / "out", "--part", "test"]
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == len(kept)

@@ -141,7 +141,7 @@ import sys
 sys.modules["lightning"] = sys.modules["pytorch_lightning"] = None
 import numpy as np
 from conformodal.networks import fit_head, soft_cross_entropy
-from conformodal.vision import TrainingConfig
+from conformodal.vision.settings import TrainingConfig
 fit_head(np.eye(4, dtype=np.float32), np.eye(4), [4], soft_cross_entropy, TrainingConfig(epochs=1, components=None))
 """
 

@@ -70,6 +70,14 @@ def test_real_kitti_poses_are_read(real_data):
         (read_euroc, "1,0,0,0,inf,0,0,0\n", "line 1.*qw"),
         (read_euroc, "#h\n", "holds no pose"),
         (read_euroc, "1,0,0,0,0,0,0,0\n", "file"),
+        (read_tum, "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 0\n", "file"),
+        (read_tum, "1 0 0 0 0 0 0 1\n2 nan 0 0 0 0 0 1\n", "line 2"),
+        (read_tum, "1 0 0 0 0 0 0 1\n2 1e99 0 0 0 0 0 1\n", "file"),
+        *[
+            (read, content, "file")
+            for read in (read_tum, read_kitti, read_euroc)
+            for content in ("", "1 2 3\n", "nan " * 12, "1e400 " * 8, "1_0 " * 8, "\0" * 99)
+        ],
     ],
 )
 def test_damaged_files_are_named(tmp_path, read, content, match):

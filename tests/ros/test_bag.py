@@ -8,9 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from conformodal.cli.main import app
 from conformodal.core.extras import MissingPackageError
 from conformodal.datasets.streams.frames import Frame
 from conformodal.datasets.streams.opening import open_stream
@@ -21,12 +19,9 @@ from conformodal.ros.conventions import TOPICS, Conventions
 from conformodal.ros.errors import RosError
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
+from tests.helpers import invoke
 
 pytest.importorskip("rosbags")
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def read(path):

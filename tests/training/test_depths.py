@@ -41,13 +41,13 @@ def test_few_frames_say_nothing(redkitchen):
         assert np.isnan(measure_depths(sequence, frames)).all()
 
 
-def test_bad_sequences_are_told(small_world, tmp_path):
+def test_bad_sequences_are_told(small_corridor, tmp_path):
     import shutil
 
-    sequence = read_sevenscenes(small_world.folder)
+    sequence = read_sevenscenes(small_corridor)
     with pytest.raises(PoseError):
         measure_depths(replace(sequence, truth=None), np.arange(50))
-    shutil.copytree(small_world.folder, tmp_path / "copy")
+    shutil.copytree(small_corridor, tmp_path / "copy")
     copy = read_sevenscenes(tmp_path / "copy")
     copy.image_paths[3].write_bytes(b"no image")
     with pytest.raises(ImageError, match="frame-000003"):

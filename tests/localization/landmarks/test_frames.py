@@ -46,6 +46,7 @@ def data_of(poses_se3, camera, depth_m, **settings):
     return SourceData(sequence, np.zeros((N, 1), np.float32), np.zeros((N, 7)), quats[0], depth_m=depth_m, **settings)
 
 
+@pytest.mark.slow
 def test_other_frames_are_not_looked_at_and_their_poses_count_nothing(world, looked_at, stated_camera, depth_m):
     source = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), FRAMES)
     assert looked_at == FRAMES.tolist()
@@ -75,6 +76,7 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
             np.testing.assert_equal(vars(one), vars(other))
 
 
+@pytest.mark.slow
 def test_folds_share_images_and_not_maps(world, looked_at, stated_camera, depth_m):
     """An image of two folds is looked at once; what the first fold knows alone is not in the second's map."""
     told = []

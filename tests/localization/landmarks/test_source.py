@@ -28,6 +28,8 @@ from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.settings import TrainingConfig
 
+pytestmark = pytest.mark.slow  # maps a corridor
+
 
 def data_of(sequence, split, depth_m=None):
     """What the landmarks see, without a network."""

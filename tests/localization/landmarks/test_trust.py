@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.localization.landmarks.mapping import build_map, view_overlap
@@ -48,6 +49,7 @@ def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m)
     assert 1 > shares[2] > shares[3] > 0
 
 
+@pytest.mark.slow
 def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
     world_of, stated_camera, depth_m, monkeypatch
 ):

@@ -1,0 +1,34 @@
+"""What tests share: a command run in this process, what a folder holds, and values that are missing."""
+
+from pathlib import Path
+
+
+def invoke(*arguments):
+    from typer.testing import CliRunner  # not before a test of the command line runs
+
+    from conformodal.cli.main import app
+
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def fill(folder: Path, files) -> None:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+class Missing:
+    """Stands for ``pandas.NA``: compares to nothing, and is no truth value."""
+
+    def __ne__(self, other):
+        return self
+
+    __eq__ = __ne__
+    __hash__ = object.__hash__
+
+    def __bool__(self):
+        raise TypeError("boolean value of NA is ambiguous")
