@@ -443,7 +443,7 @@ REFUSED = {
     "y without columns": (lambda: QuantileBins(3).fit(np.empty((3, 0))), "d >= 1"),
     "weights below zero": (lambda: WeightedConformal(BINS).calibrate(P, Y, -W), "at least 0"),
     "weights of another length": (lambda: WeightedConformal(BINS).calibrate(P, Y, W[:3]), "shape"),
-    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry a row"),
+    "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
     "bins that are none": (lambda: SplitConformal([0, 1]), "QuantileBins"),
     "score that is a class": (lambda: SplitConformal(BINS, 0.1, Lac), "score"),
     "diagnosis of another calibrator": (lambda: diagnose(MONDRIAN, P, Y), "SplitConformal"),
