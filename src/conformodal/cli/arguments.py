@@ -21,13 +21,7 @@ Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conform
 
 
 def cache_folder(cache: Path | None) -> Path:
-    """The cache folder that a user named, or the usual one; it can be written.
-
-    Raises
-    ------
-    FolderError
-        If it cannot be written.
-    """
+    """The cache folder that a user named, or the usual one; it can be written."""
     folder = cache or default_cache_dir()
     check_writable(folder)
     return folder

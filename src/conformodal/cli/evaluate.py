@@ -111,15 +111,7 @@ class Results:
 
 
 def _read_results(out: Path) -> Results:
-    """Read results; of a run that was killed, what is whole: frames that all its files know.
-
-    Raises
-    ------
-    ResultsError, TrajectoryFileError, FolderError
-        If a file is missing, damaged, or belongs to other results.
-    OdometryError
-        If files differ in length though the run came to its end.
-    """
+    """Read results; of a run that was killed, what is whole: frames that all its files know."""
     killed = (out / REGIONS).is_file() and not (out / METRICS).exists()
     metrics = {} if killed else read_metrics(out)
     unfinished = not metrics or bool(metrics.get("unfinished"))

@@ -101,13 +101,7 @@ def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
 
 
 def _check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
-    """Refuse other data than the model was trained on.
-
-    Raises
-    ------
-    OdometryError
-        Naming how many frames differ.
-    """
+    """Refuse other data than the model was trained on."""
     known, here = model.known_frames, identify(sequence, model.known_frames)
     same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
     if same < len(known) or len(here) != len(known):

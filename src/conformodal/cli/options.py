@@ -51,11 +51,6 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
         A command's parameters by name.
     defaults
         Their default values.
-
-    Raises
-    ------
-    OptionError
-        Naming the option, what was found and what was expected.
     """
     for name, value in given.items():
         allowed = range_of(name)

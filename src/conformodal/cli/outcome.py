@@ -56,11 +56,6 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | 
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
-
-    Raises
-    ------
-    OdometryError
-        If the sequence has none of them, or has them with another camera or other poses.
     """
     if part is Part.ALL:
         return None

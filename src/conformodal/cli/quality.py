@@ -42,13 +42,7 @@ def report_quality(found: RecordingQuality, sequence: Sequence) -> None:
 
 
 def require_figures() -> None:
-    """Refuse to begin where what draws the page is not installed.
-
-    Raises
-    ------
-    MissingPackageError
-        Names the extra.
-    """
+    """Refuse to begin where what draws the page is not installed."""
     import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
 
 

@@ -157,11 +157,6 @@ def _stream_through(
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
     Such a region is unbounded in some target, although its image shows a place that is known.
-
-    Raises
-    ------
-    OdometryError
-        If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)

@@ -47,13 +47,7 @@ def _describe_elsewhere() -> Iterator[None]:
 def open_sequence(
     path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, remarks: bool = True
 ) -> Sequence:
-    """Read a data set in a layout; says what was recognised, and the reader's remarks.
-
-    Raises
-    ------
-    DatasetError
-        If it is not there or not in that layout.
-    """
+    """Read a data set in a layout; says what was recognised, and the reader's remarks."""
     if layout is Layout.AUTO:
         layout = recognise(path)
         report_line(f"{path}: {layout} layout")
@@ -76,11 +70,6 @@ def open_source(
     """Open anything that gives frames, see :func:`~conformodal.datasets.streams.opening.open_stream`; says what it is.
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be opened.
     """
     with _describe_elsewhere():
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)

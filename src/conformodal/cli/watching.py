@@ -46,11 +46,6 @@ def frame_sinks(
         File of a recording: ``.rrd`` for Rerun, ``.mcap`` with ROS messages.
     images
         Whether ROS messages hold the images too; Rerun's recordings always do.
-
-    Raises
-    ------
-    LiveViewError, MissingPackageError, RosError
-        If what is needed is not installed, or the file cannot be written.
     """
     ros = save is not None and save.suffix.lower() == ROS_SUFFIX
     rerun = None if ros else save

@@ -48,12 +48,6 @@ def camera_of(
         Width and height that the file gives its numbers for, to which the images may have been scaled.
     remarks
         Takes up what is unlikely.
-
-    Raises
-    ------
-    DatasetError
-        If this is no pinhole camera: numbers that are not positive or finite, a field of view or a distortion that no
-        such camera has, or a stated size of another shape than the images'.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
     said: list[str] = []
@@ -96,12 +90,6 @@ def camera_beside(
         Taken where there is no file; None if the layout has no camera of its own.
     remarks
         Takes up what is unlikely.
-
-    Raises
-    ------
-    DatasetError
-        If the files are damaged or hold no pinhole camera, or there are none and the default is missing or of another
-        image size.
     """
     path = folder / "camera-intrinsics.txt"
     if not path.is_file():
@@ -119,13 +107,7 @@ def camera_beside(
 
 
 def check_matrix(source: Path | str, k: np.ndarray) -> None:
-    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1.
-
-    Raises
-    ------
-    DatasetError
-        Names the source.
-    """
+    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1."""
     least = max(abs(float(k[0, 0])), 1.0)
     upright = np.allclose(k[2], (0, 0, 1), atol=1e-6, rtol=0)
     if not np.isfinite(k).all() or not upright or abs(k[1, 0]) > 1e-3 * least or abs(k[0, 1]) > 1e-2 * least:

@@ -32,25 +32,13 @@ def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height, without decoding the image.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing, no image, or one that cannot be read as RGB of 8 bits.
-    """
+    """Width and height, without decoding the image."""
     with _opened(path, str(path)) as image:
         return int(image.width), int(image.height)
 
 
 def common_size(paths: list[Path]) -> tuple[int, int]:
-    """The size that most of a few images have, spread over all of them; of the first that can be read if those cannot.
-
-    Raises
-    ------
-    ImageError
-        If none can be read; names the first.
-    """
+    """The size that most of a few evenly spread images have; else that of the first image that can be read."""
     found: Counter[tuple[int, int]] = Counter()
     spread = {round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}
     first: ImageError | None = None

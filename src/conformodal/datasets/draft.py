@@ -65,11 +65,6 @@ class FrameTable:
 
         Frames without a time in order, or with a name that is no text, are left out. With `require_poses`, so are
         those without a pose or an image.
-
-        Raises
-        ------
-        DatasetError
-            If no frame is left, or most times go back.
         """
         out = self._without_time()
         posed = np.zeros(len(self.images), dtype=np.bool_)
@@ -166,13 +161,7 @@ def _warn(name: str, remarks: list[Remark]) -> None:
 def listed(
     path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, remarks: list[Remark]
 ) -> tuple[list[Path], FloatArray]:
-    """Images and times of a list with one a line; damaged lines are left out and told.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, lists no image, or no line can be read.
-    """
+    """Images and times of a list with one a line; damaged lines are left out and told."""
     images: list[Path] = []
     stamps: list[float] = []
     faults: list[str] = []
@@ -215,11 +204,6 @@ def paired_by_time(
         Farther poses are none.
     remarks
         Takes up poses that cannot be used.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, or no frame has a pose; names the file.
     """
     damaged: Damaged = {}
     try:
@@ -249,13 +233,7 @@ def paired_by_time(
 
 
 def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
-    """Which line of a file is about which image: all in order, or the one whose number is the image's name.
-
-    Raises
-    ------
-    DatasetError
-        If there are more images than lines, or lines are left over and images are not numbered.
-    """
+    """Which line of a file is about which image: all in order, or the one whose number is the image's name."""
     stems = [image.stem for image in images]
     if all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems):
         numbers = np.array([int(stem) for stem in stems], dtype=np.int64)

@@ -81,11 +81,6 @@ def fisheye_of(
         k1, k2, k3, k4.
     remarks
         Takes up what is unlikely, and how much of the view a pinhole camera keeps.
-
-    Raises
-    ------
-    DatasetError
-        If the pinhole camera is none, or the coefficients are those of no lens.
     """
     k1, k2, k3, k4 = (float(k) for k in coefficients)
     pinhole = camera_of(source, pixels, size, stated=stated, remarks=remarks)
@@ -138,11 +133,6 @@ def undistorted(images: list[Path], lens: Fisheye) -> list[Path]:
     """Undistorted images, files of the same names in the cache, made where they are missing or damaged.
 
     An image that cannot be read, or has another size than the camera's, stays where it is: it is no frame anyway.
-
-    Raises
-    ------
-    DatasetError
-        If the cache cannot be written.
     """
     place = default_cache_dir() / "undistorted"
     try:

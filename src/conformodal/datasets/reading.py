@@ -98,13 +98,7 @@ class PathGuard:
         self._places: dict[str, str] = {}  # where folders really are
 
     def __call__(self, base: Path, name: str) -> Path:
-        """The file of a name, from a base in the folder.
-
-        Raises
-        ------
-        DatasetError
-            If it lies outside the folder, by ``..`` or as an absolute path.
-        """
+        """The file of a name, from a base in the folder."""
         if "\0" in name:
             raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
         path = os.path.join(base, name)
@@ -128,13 +122,7 @@ class PathGuard:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read.
-    """
+    """Lines of a text file."""
     try:
         return text_lines(path)
     except (OSError, ValueError) as exc:
@@ -142,13 +130,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def read_numbers(path: Path) -> FloatArray:
-    """All numbers of a text file, in one vector.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds something else.
-    """
+    """All numbers of a text file, in one vector."""
     try:
         return np.array([number(x) for x in " ".join(read_lines(path)).split()])
     except ValueError as exc:
@@ -156,13 +138,7 @@ def read_numbers(path: Path) -> FloatArray:
 
 
 def frame_times(folder: Path, n_frames: int) -> FloatArray:
-    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds another number of times, or ``frame-rate.txt`` no positive number.
-    """
+    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones."""
     path = folder / "times.txt"
     if not path.is_file():
         return even_times(folder, n_frames)
@@ -173,25 +149,13 @@ def frame_times(folder: Path, n_frames: int) -> FloatArray:
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:
-    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds no positive number.
-    """
+    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz."""
     path = folder / "frame-rate.txt"
     return np.arange(n_frames) / (read_frame_rate(path) if path.is_file() else FRAME_RATE_HZ)
 
 
 def read_frame_rate(path: Path) -> float:
-    """The number of ``frame-rate.txt``, Hz.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds anything but one positive number.
-    """
+    """The number of ``frame-rate.txt``, Hz."""
     rate = read_numbers(path)
     if rate.size != 1 or not _RATES_HZ[0] <= rate[0] <= _RATES_HZ[1]:
         raise DatasetError(

@@ -21,11 +21,6 @@ def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
 
     The first three are x, y and z of the world. The others are small rotations about x, y and z of the world, which do
     not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
-
-    Raises
-    ------
-    RosError
-        If `kind` is not one of :class:`Covariance`.
     """
     kind = as_member(kind, Covariance, "covariance", RosError)
     pose, candidates = estimate.pose, estimate.candidates

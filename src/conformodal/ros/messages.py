@@ -37,13 +37,7 @@ class Time(RosMessage):
 
     @classmethod
     def of(cls, stamp_ns: int) -> Self:
-        """A time in nanoseconds.
-
-        Raises
-        ------
-        RosError
-            If it is negative, or has more seconds than ROS counts.
-        """
+        """A time in nanoseconds."""
         sec, nanosec = divmod(stamp_ns, NANOSECONDS)
         if not 0 <= sec <= _LAST_SECOND:
             raise RosError(f"a time of ROS must lie within 0 and {_LAST_SECOND} s, got {stamp_ns / NANOSECONDS:.9g} s")

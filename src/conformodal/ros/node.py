@@ -167,13 +167,7 @@ class PoseNode:
 
 
 def message_class(kind: str) -> Any:
-    """ROS's own class of a type, such as ``geometry_msgs/msg/Pose``.
-
-    Raises
-    ------
-    MissingPackageError
-        If ROS is not there.
-    """
+    """ROS's own class of a type, such as ``geometry_msgs/msg/Pose``."""
     package, _, name = kind.split("/")
     with _require_ros():
         found = getattr(import_module(f"{package}.msg"), name)
@@ -200,13 +194,7 @@ def _lost(time_s: float, problem: str) -> Estimate:
 
 
 def _parameters_of(node: Any) -> Parameters:
-    """Declare the parameters and read what was given.
-
-    Raises
-    ------
-    RosError
-        If one cannot be used.
-    """
+    """Declare the parameters and read what was given."""
     given = {name: node.declare_parameter(name, value).value for name, value in vars(Parameters()).items()}
     found = Parameters(**given)
     if not found.model:
