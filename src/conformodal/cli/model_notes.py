@@ -8,15 +8,14 @@ import numpy as np
 
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import IntArray
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import Sharing
 from conformodal.poses import PinholeCamera
-from conformodal.quality.advice import WHERE, describe_sharing, describe_units
+from conformodal.quality.advice import WHERE
 from conformodal.quality.guarantee import guarantees
 
 _NEAR_FRAMES = 5
@@ -133,24 +132,3 @@ def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: in
 def _units_needed(alpha: Alpha) -> int:
     """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
-
-
-def describe_unbounded(model: PoseModel) -> list[str]:
-    """Evidence types whose region is unbounded in some target or that share thresholds, with the reason."""
-    said: list[str] = []
-    for guarantee in guarantees(model):
-        where = WHERE[guarantee.evidence]
-        if guarantee.finite:
-            if guarantee.sharing is not Sharing.OWN and describe_sharing(guarantee) not in said:  # once for both types
-                said.append(describe_sharing(guarantee))
-        elif not guarantee.n_frames:
-            said.append(f"no frame calibrates the regions {where}: there the region is unbounded")
-        else:
-            said.append(
-                f"The region is unbounded in some target {where}: {describe_units(guarantee)} "
-                f"{noun_for(guarantee.n_frames, 'calibrates', 'calibrate')} it, too few for alpha = {model.alpha:g} "
-                f"(joint {model.calibration.joint}), which needs a weight of {guarantee.weight_needed:g} of frames "
-                f"within the training range. Take a larger alpha, or more "
-                f"{'frames' if guarantee.by_frame else 'recordings'}."
-            )
-    return said

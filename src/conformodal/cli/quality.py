@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import DatasetCheck, Sequence
+from conformodal.localization.evidence import FrameEvidence
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.model import PoseModel
-from conformodal.quality.advice import describe_quality, record_next
-from conformodal.quality.examining import RecordingQuality, examine, examine_training
-from conformodal.quality.record import names_of, quality_record
+from conformodal.quality.advice import describe_quality, names_of, quality_record, record_next
+from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.running.results.runs import write_metrics
 from conformodal.training.training_data import TrainingData
 from conformodal.vision.features import FeatureCache
@@ -70,7 +71,13 @@ def quality_of_training(data: TrainingData, model: PoseModel, config: ModelConfi
     """Of the recording that a model was just trained on; None for the paper's system, which has no more to say."""
     if config.method is Method.PAPER:
         return None
-    return examine_training(data, model, data.for_sources(config).local_features)
+    local_features = data.for_sources(config).local_features
+
+    def look(frames: IntArray) -> tuple[IntArray, FrameEvidence]:
+        local = local_features(frames) if model.looks_at_local_features else ()
+        return frames, FrameEvidence(data.features[frames], local)
+
+    return examine(data.sequence, model, just_trained=look)
 
 
 def report_briefly(found: RecordingQuality, sequence: Sequence) -> None:

@@ -20,7 +20,8 @@ from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.model.model import PoseModel
 from conformodal.model.store import model_digest, save_model
 from conformodal.networks import NETWORKS, find_network
-from conformodal.quality.record import quality_record
+from conformodal.quality.advice import describe_unbounded, quality_record
+from conformodal.quality.guarantee import guarantees
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
@@ -35,7 +36,6 @@ from .model_notes import (
     describe_distances,
     describe_landmarks,
     describe_repeated,
-    describe_unbounded,
     distances,
 )
 from .options import was_given
@@ -215,7 +215,7 @@ def train_on(
                 "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
                 "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
             )
-    for line in describe_unbounded(model):
+    for line in describe_unbounded(guarantees(model)):
         report_strongly(line)
     if quality is not None:
         report_briefly(quality, sequence)

@@ -12,8 +12,8 @@ from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory, matrix_from_quat_wxyz
+from conformodal.quality.advice import names_of
 from conformodal.quality.examining import RecordingQuality
-from conformodal.quality.record import names_of
 from conformodal.quality.settings import QUALITY
 from conformodal.quality.view_coverage import SparseStretch
 
