@@ -145,7 +145,7 @@ def test_what_systems_leave_behind_is_no_frame(tmp_path, layout, junk):
         warnings.simplefilter("error", DatasetWarning)
         after = read_sequence(folder)
     assert after.image_paths == before.image_paths
-    assert after.remarks == ()
+    assert after.notes == ()
     np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
 
 
@@ -300,7 +300,7 @@ def test_two_poses_for_one_time_are_no_pose(tmp_path):
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, field(1, "7")(lines[3])]) + "\n")
     expect(folder, Layout.TUM, before, [2], "2.png: no pose within")
-    assert "two poses for time" in read_sequence(folder).remarks[0].where
+    assert "two poses for time" in read_sequence(folder).notes[0].where
 
 
 # Damage to one time

@@ -139,13 +139,7 @@ def print_where(folder: Path) -> None:
 
 
 class StatusLine:
-    """One line that changes while a stream runs: frames, frames a second, known place or not, reliable or not.
-
-    Parameters
-    ----------
-    n_frames
-        To come, if known.
-    """
+    """One line that changes while a stream runs: frames, frames per second, known place or not, reliable or not."""
 
     def __init__(self, n_frames: int | None) -> None:
         columns = (

@@ -16,7 +16,7 @@ from conformodal.core.files import LOCK, writing_in
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, Layout, check_sequence
 from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Remark
+from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
@@ -68,7 +68,7 @@ def _check(
     if out is not None:
         _check_out(out)
         require_figures()
-    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
+    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)
@@ -178,8 +178,8 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if first is None:
         raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
     height, width, _ = first.shape
-    remarks: list[Remark] = []
-    camera = camera_beside(folder, (width, height), None, remarks)
-    for what, where in remarks:
+    notes: list[Note] = []
+    camera = camera_beside(folder, (width, height), None, notes)
+    for what, where in notes:
         console.print(f"{what}: {where}", soft_wrap=True, markup=False)
     return camera

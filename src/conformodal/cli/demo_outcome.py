@@ -66,19 +66,7 @@ class DemoResults:
 def answer_test_part(
     model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress
 ) -> Outcome:
-    """Answer the test part by a model, and by a regressor with the same features, epochs and settings.
-
-    Parameters
-    ----------
-    model, config
-        What was trained, and how.
-    out
-        Folder of the demo.
-    sequence
-        The flight.
-    report
-        Told what is being done.
-    """
+    """Answer the test part by a model, and by a regressor with the same features, epochs and settings."""
     frames = part_frames(model, sequence, Part.TEST)
     cache = FeatureCache(out / "cache")
     started = time.perf_counter()

@@ -96,15 +96,7 @@ def count_places(demo: DemoResults, index: int) -> str:
 
 
 def true_place_chosen(chosen: Trajectory, truth: Trajectory, alike: AmbiguityCheck) -> BoolArray:
-    """(n,) whether each chosen pose is nearer to its true place than to any other place with the same view.
-
-    Parameters
-    ----------
-    chosen, truth
-        Of n frames.
-    alike
-        The other places of each frame.
-    """
+    """(n,) whether each chosen pose is nearer to its true place than to any other place with the same view."""
     off = np.linalg.norm(chosen.positions_xyz - truth.positions_xyz, axis=1)
     others = [
         np.linalg.norm(places - place, axis=1).min(initial=np.inf)

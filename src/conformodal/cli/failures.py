@@ -22,13 +22,9 @@ _NO_MEMORY = ("can't allocate memory", "not enough memory", "out of memory", "in
 
 @contextmanager
 def stopping(*, gently: bool = False) -> Iterator[list[int]]:
-    """Treat SIGTERM and SIGHUP like Ctrl-C, and keep the numbers of the signals that come.
+    """Treat SIGTERM and SIGHUP like Ctrl-C, and collect the numbers of the signals that come.
 
-    Parameters
-    ----------
-    gently
-        Whether the first signal is only kept, for work that looks at the list; the second interrupts. Otherwise the
-        first one does.
+    With `gently`, the first signal is only collected, for work that looks at the list; the second one interrupts.
     """
     came: list[int] = []
 

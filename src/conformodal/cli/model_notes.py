@@ -41,15 +41,7 @@ def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) 
 
 
 def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
-    """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
-
-    Parameters
-    ----------
-    split
-        Of n frames.
-    recording
-        (n,) the recording that each frame belongs to.
-    """
+    """Median frames from a test frame to the nearest known one, and the share within five; null if none is known."""
     found = frames_to_known(split, recording)
     median = float(np.median(found))
     return {
@@ -82,17 +74,7 @@ def describe_repeated(n_repeated: int, n_test: int) -> list[str]:
 
 
 def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """Notes on the regions' calibration.
-
-    Parameters
-    ----------
-    model
-        Trained and calibrated.
-    config
-        What was asked for.
-    n_recordings
-        Recordings that training and calibration frames come from.
-    """
+    """Notes on the calibration; `n_recordings` counts those of training and calibration frames."""
     softmax, n_frames = model.calibration, model.n_calibration
     by_frame, n = softmax.groups_ is None, softmax.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")

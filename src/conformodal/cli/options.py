@@ -43,15 +43,7 @@ def was_given(context: typer.Context, name: str) -> bool:
 
 
 def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
-    """Refuse numbers out of range, and options that contradict each other.
-
-    Parameters
-    ----------
-    given
-        A command's parameters by name.
-    defaults
-        Their default values.
-    """
+    """Refuse a command's options that are out of range or contradict each other; an OptionError names the option."""
     for name, value in given.items():
         allowed = range_of(name)
         if allowed is not None and value is not None and not allowed.holds(value):

@@ -103,20 +103,8 @@ def run_metrics(
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
-    Parameters
-    ----------
-    model, part
-        What was run, and on which frames.
-    trajectories
-        By method; may be empty where nothing is known to compare them with.
-    known
-        What errors and coverage need.
-    counts
-        Numbers of frames and seconds.
-    whole
-        Whether every frame of the part was answered, as in calibration: the guarantee holds for these only.
-    matched_all
-        Whether local features were matched in all of them, as when a radius is calibrated.
+    `whole` is whether every frame of the part was answered, and `matched_all` whether local features were matched in
+    all of them, both as in calibration: the guarantee holds for these only.
     """
     metrics: dict[str, Any] = {
         "command": "run",

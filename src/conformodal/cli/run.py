@@ -117,15 +117,7 @@ def run(
 
 @dataclass(frozen=True)
 class _StreamOptions:
-    """How a stream is run.
-
-    Attributes
-    ----------
-    part, pace, limit, match_every
-        As for :func:`run`.
-    digest
-        Of the model, for the record.
-    """
+    """Options of :func:`run`, and the digest of the model."""
 
     part: Part = Part.ALL
     pace: Pace = Pace.FAST

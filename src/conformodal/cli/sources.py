@@ -18,7 +18,7 @@ from conformodal.poses import PinholeCamera
 from .console import report_line
 from .options import OptionError
 
-_MOST_REMARKS = 5
+_MOST_NOTES = 5
 FOLLOW_OUTSIDE = (
     "Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are."
 )
@@ -27,13 +27,13 @@ FOLLOW_OUTSIDE = (
 def _report_warnings(sequence: Sequence) -> None:
     """Name what the reader left out, or found unlikely."""
     counts: dict[str, int] = {}
-    for what, where in sequence.remarks:
+    for what, where in sequence.notes:
         counts[what] = counts.get(what, 0) + 1
-        if counts[what] <= _MOST_REMARKS:
+        if counts[what] <= _MOST_NOTES:
             report_line(f"{what}: {where}")
     for what, count in counts.items():
-        if count > _MOST_REMARKS:
-            report_line(f"{what}: {count - _MOST_REMARKS} more")
+        if count > _MOST_NOTES:
+            report_line(f"{what}: {count - _MOST_NOTES} more")
 
 
 @contextmanager
@@ -45,15 +45,15 @@ def _describe_elsewhere() -> Iterator[None]:
 
 
 def open_sequence(
-    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, remarks: bool = True
+    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, notes: bool = True
 ) -> Sequence:
-    """Read a data set in a layout; says what was recognised, and the reader's remarks."""
+    """Read a data set in a layout; says what was recognised, and the reader's notes."""
     if layout is Layout.AUTO:
         layout = recognise(path)
         report_line(f"{path}: {layout} layout")
     with _describe_elsewhere():
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
-    if remarks:
+    if notes:
         _report_warnings(sequence)
     return sequence
 

@@ -32,21 +32,7 @@ class FrameSink(Protocol):
 def frame_sinks(
     name: str, alpha: object, *, view: bool, save: Path | None, images: bool
 ) -> Iterator[tuple[FrameSink, ...]]:
-    """The views and recordings that the options of a run ask for, closed at the end however it comes.
-
-    Parameters
-    ----------
-    name
-        Of the source.
-    alpha
-        Of the regions.
-    view
-        Open Rerun's window.
-    save
-        File of a recording: ``.rrd`` for Rerun, ``.mcap`` with ROS messages.
-    images
-        Whether ROS messages hold the images too; Rerun's recordings always do.
-    """
+    """The views and recordings that the options of a run ask for; all are closed at the end."""
     ros = save is not None and save.suffix.lower() == ROS_SUFFIX
     rerun = None if ros else save
     found: list[FrameSink] = []

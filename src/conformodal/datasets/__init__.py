@@ -16,7 +16,7 @@ from .kitti import read_kitti_odometry
 from .layouts import Layout, read_sequence, recognise
 from .nerf import read_nerf
 from .noise import PixelNoise
-from .reading import Remark
+from .reading import Note
 from .rgbd_scenes import read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import read_sevenscenes
@@ -32,8 +32,8 @@ __all__ = [
     "Finding",
     "ImageError",
     "Layout",
+    "Note",
     "PixelNoise",
-    "Remark",
     "Sequence",
     "Split",
     "SplitError",

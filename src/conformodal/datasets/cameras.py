@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.poses import PinholeCamera, PoseError
 
 from .errors import DatasetError
-from .reading import Remark, read_numbers
+from .reading import Note, read_numbers
 
 Size = tuple[int, int]
 
@@ -30,24 +30,12 @@ def camera_of(
     lens: tuple[float, ...] = (),
     *,
     stated: Size | None = None,
-    remarks: list[Remark] | None = None,
+    notes: list[Note] | None = None,
 ) -> PinholeCamera:
-    """A camera from the numbers of a file.
+    """A camera from fx, fy, cx, cy and the lens distortion of a file (`source` names file and field).
 
-    Parameters
-    ----------
-    source
-        File and field, for people.
-    pixels
-        fx, fy, cx, cy.
-    size
-        Width and height of the images.
-    lens
-        Distortion.
-    stated
-        Width and height that the file gives its numbers for, to which the images may have been scaled.
-    remarks
-        Takes up what is unlikely.
+    `stated` is the image size that the file gives its numbers for; they are scaled to `size`. Numbers of no pinhole
+    camera raise a DatasetError; unlikely ones are added to `notes`.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
     said: list[str] = []
@@ -69,27 +57,18 @@ def camera_of(
     except PoseError as exc:
         raise DatasetError(f"{source}: {exc}") from exc
     _refuse(source, camera)
-    if remarks is not None:
-        remarks += [Remark(SCALED, f"{source}: {text}") for text in said]
-        remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
+    if notes is not None:
+        notes += [Note(SCALED, f"{source}: {text}") for text in said]
+        notes += [Note("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
     return camera
 
 
 def camera_beside(
-    folder: Path, size: Size, default: PinholeCamera | None, remarks: list[Remark] | None = None
+    folder: Path, size: Size, default: PinholeCamera | None, notes: list[Note] | None = None
 ) -> PinholeCamera:
-    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, or the default.
+    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    Parameters
-    ----------
-    folder
-        Where the files may lie.
-    size
-        Width and height of the images.
-    default
-        Taken where there is no file; None if the layout has no camera of its own.
-    remarks
-        Takes up what is unlikely.
+    The default must be of the images' size.
     """
     path = folder / "camera-intrinsics.txt"
     if not path.is_file():
@@ -103,7 +82,7 @@ def camera_beside(
     if k.size != 9:
         raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3)")
     check_matrix(path, k.reshape(3, 3))
-    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, remarks=remarks)
+    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, notes=notes)
 
 
 def check_matrix(source: Path | str, k: np.ndarray) -> None:

@@ -16,21 +16,7 @@ _CAMERA = 1  # the number of the only one
 
 
 def write_colmap(place: Path, names: list[str], truth: Trajectory, camera: PinholeCamera, *, binary: bool) -> None:
-    """Write a model of one camera.
-
-    Parameters
-    ----------
-    place
-        New folder for the model.
-    names
-        Of the images.
-    truth
-        Their poses, camera to world; COLMAP's are world to camera.
-    camera
-        Intrinsics.
-    binary
-        Whether to write ``.bin`` instead of ``.txt``.
-    """
+    """Write a model of one camera with its images' poses (camera to world) into a new folder."""
     place.mkdir(parents=True)
     model, values = _parameters(camera)
     rows = _world_to_camera(truth).tolist()

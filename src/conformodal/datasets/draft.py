@@ -19,7 +19,7 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFi
 
 from .decoding import image_fault
 from .errors import DatasetError, DatasetWarning
-from .reading import Remark, read_lines, readable, shown
+from .reading import Note, read_lines, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
@@ -46,7 +46,7 @@ class FrameTable:
         (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for a data set without.
     why
         Why a frame has no pose, where more is known than that it is missing.
-    remarks
+    notes
         What was found wrong so far.
     """
 
@@ -56,7 +56,7 @@ class FrameTable:
     recording: IntArray
     poses: FloatArray | None = None
     why: Damaged = field(default_factory=dict)
-    remarks: list[Remark] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
 
     def sequence(
         self, camera: PinholeCamera, *, require_poses: bool, given_test: npt.NDArray[np.bool_] | None = None
@@ -72,20 +72,20 @@ class FrameTable:
             posed |= np.isfinite(self.poses).all(axis=1)
         lacking = {} if self.poses is None else {i: self._pose_fault(i) for i in np.flatnonzero(~posed).tolist()}
         if require_poses:
-            out |= {i: Remark(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
+            out |= {i: Note(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
             size = camera.width, camera.height
             for i in (i for i in range(len(self.images)) if i not in out):
                 fault = image_fault(self.images[i], size)
                 if fault:
-                    out[i] = Remark(_LEFT_OUT + "image cannot be read", fault)
+                    out[i] = Note(_LEFT_OUT + "image cannot be read", fault)
         kept = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
         if not kept.size:
             first = out[min(out)].where if out else f"{self.name}: holds no frame"
             raise DatasetError(f"{first} ({len(out)} of {len(self.images)} frames cannot be used)")
-        remarks = [*self.remarks, *(out[i] for i in sorted(out))]
+        notes = [*self.notes, *(out[i] for i in sorted(out))]
         if not require_poses and posed[kept].any():
-            remarks += [Remark(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
-        _warn(self.name, remarks)
+            notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
+        _warn(self.name, notes)
         with_pose = kept[posed[kept]]
         truth = self._trajectory(with_pose) if with_pose.size else None
         whole = len(with_pose) == len(kept)
@@ -98,7 +98,7 @@ class FrameTable:
             truth=truth if whole else None,
             given_test=None if given_test is None else given_test[kept],
             known_poses=truth,
-            remarks=tuple(remarks),
+            notes=tuple(notes),
         )
 
     def _pose_fault(self, i: int) -> str:
@@ -109,15 +109,15 @@ class FrameTable:
         rows = self.poses[frames]
         return Trajectory(self.times[frames], rows[:, :3], rows[:, 3:])
 
-    def _without_time(self) -> dict[int, Remark]:
+    def _without_time(self) -> dict[int, Note]:
         """Frames that can be used in no way."""
         out = {
-            i: Remark(_LEFT_OUT + "name is not UTF-8", shown(f"{path.name}: its name is not UTF-8; rename it"))
+            i: Note(_LEFT_OUT + "name is not UTF-8", shown(f"{path.name}: its name is not UTF-8; rename it"))
             for i, path in enumerate(self.images)
             if not readable(str(path))
         }
         for i in np.flatnonzero(~np.isfinite(self.times)).tolist():
-            out.setdefault(i, Remark(_LEFT_OUT + "no time", f"{self.images[i].name}: its time is {self.times[i]}"))
+            out.setdefault(i, Note(_LEFT_OUT + "no time", f"{self.images[i].name}: its time is {self.times[i]}"))
         left = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
         back = np.setdiff1d(left, left[_longest_rise(self.times[left])])
         if back.size * 2 > left.size:
@@ -125,7 +125,7 @@ class FrameTable:
             raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.images[i]}) goes back")
         for i in back.tolist():
             what = f"{self.images[i].name}: its time, {self.times[i]:.9g} s, does not lie between its neighbours'"
-            out[i] = Remark(_LEFT_OUT + "time goes back or occurs twice", what)
+            out[i] = Note(_LEFT_OUT + "time goes back or occurs twice", what)
         return out
 
 
@@ -150,16 +150,16 @@ def _longest_rise(times: FloatArray) -> IntArray:
     return np.array(rise[::-1])
 
 
-def _warn(name: str, remarks: list[Remark]) -> None:
+def _warn(name: str, notes: list[Note]) -> None:
     counts: dict[str, list[str]] = {}
-    for remark in remarks:
-        counts.setdefault(remark.what, []).append(remark.where)
+    for note in notes:
+        counts.setdefault(note.what, []).append(note.where)
     for what, places in counts.items():
         warnings.warn(f"{name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=5)
 
 
 def listed(
-    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, remarks: list[Remark]
+    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, notes: list[Note]
 ) -> tuple[list[Path], FloatArray]:
     """Images and times of a list with one a line; damaged lines are left out and told."""
     images: list[Path] = []
@@ -179,7 +179,7 @@ def listed(
         images.append(image)
     if not images:
         raise DatasetError(faults[0] if faults else f"{path}: lists no image")
-    remarks += [Remark(_LEFT_OUT + "line cannot be read", fault) for fault in faults]
+    notes += [Note(_LEFT_OUT + "line cannot be read", fault) for fault in faults]
     return images, np.array(stamps)
 
 
@@ -188,33 +188,22 @@ def paired_by_time(
     path: Path,
     times: FloatArray,
     max_difference_s: float,
-    remarks: list[Remark],
+    notes: list[Note],
 ) -> FloatArray:
-    """Poses (n, 7) of frames: the nearest in time, NaN where none is near.
+    """Poses (n, 7) of frames at `times`: the nearest in time, NaN where none is within `max_difference_s`.
 
-    Parameters
-    ----------
-    read
-        Gives the file's rows ``time x y z qw qx qy qz``, and takes up damaged ones.
-    path
-        The file.
-    times
-        (n,) of the frames; NaN where it is not known.
-    max_difference_s
-        Farther poses are none.
-    remarks
-        Takes up poses that cannot be used.
+    `read` gives the file's rows ``time x y z qw qx qy qz``, and adds damaged ones to its second argument.
     """
     damaged: Damaged = {}
     try:
         rows = read(path, damaged)
-        remarks += [Remark("pose cannot be used", damaged[i]) for i in sorted(damaged)]
+        notes += [Note("pose cannot be used", damaged[i]) for i in sorted(damaged)]
         rows = rows[np.isfinite(rows).all(axis=1)]
         order = np.argsort(rows[:, 0], kind="stable")
         twice = np.flatnonzero((np.diff(rows[order, 0]) == 0) & (np.diff(rows[order], axis=0) != 0).any(axis=1))
         if twice.size:
             ambiguous = np.unique(rows[order[twice], 0])
-            remarks += [Remark("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
+            notes += [Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
             rows = rows[~np.isin(rows[:, 0], ambiguous)]
         asked = np.flatnonzero(np.isfinite(times))
         still = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(asked), 1))

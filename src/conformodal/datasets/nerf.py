@@ -21,7 +21,7 @@ from .decoding import common_size, natural_key
 from .draft import FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
-from .reading import PathGuard, Remark, frame_times, read_lines, reader
+from .reading import Note, PathGuard, frame_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -74,8 +74,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     images = [_image(place, name) for name in names]
     if not any(image.is_file() for image in images):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    remarks: list[Remark] = []
-    camera = _camera(path, content, common_size(images), remarks)
+    notes: list[Note] = []
+    camera = _camera(path, content, common_size(images), notes)
     if isinstance(camera, Fisheye):
         images, camera = undistorted(images, camera), camera.pinhole
     faults = matrix_faults(poses)
@@ -85,7 +85,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     recording = np.zeros(len(frames), dtype=np.int64)
     poses[unknown] = np.nan
     table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    draft = FrameTable(folder.name, images, frame_times(folder, len(frames)), recording, table, why, remarks)
+    draft = FrameTable(folder.name, images, frame_times(folder, len(frames)), recording, table, why, notes)
     return draft.sequence(camera, require_poses=require_poses)
 
 
@@ -111,7 +111,7 @@ def _image(place: PathGuard, name: str) -> Path:
     return place(there.parent, there.name)
 
 
-def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera | Fisheye:
+def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) -> PinholeCamera | Fisheye:
     fisheye = _is_fisheye(path, content)
     try:
         stated = None
@@ -129,9 +129,9 @@ def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remar
         raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {type(exc).__name__}: {exc}") from exc
     source, pixels = f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy)
     if fisheye:
-        return fisheye_of(source, pixels, size, lens, stated=stated, remarks=remarks)
+        return fisheye_of(source, pixels, size, lens, stated=stated, notes=notes)
     lens = lens if lens[4] else lens[:4]
-    return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, remarks=remarks)
+    return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, notes=notes)
 
 
 def _is_fisheye(path: Path, content: dict[str, Any]) -> bool:

@@ -27,7 +27,7 @@ MAX_TIME_DIFFERENCE_S = 0.02
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class Remark(NamedTuple):
+class Note(NamedTuple):
     """Something that a reader found wrong: what it is, and where, file or frame first."""
 
     what: str
@@ -64,32 +64,25 @@ def reader(read: Callable[P, Read]) -> Callable[P, Read]:
     return wrapped
 
 
-def image_files(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
+def image_files(folder: Path, notes: list[Note] | None = None) -> list[Path]:
     """Image files of a folder in the natural order of their names; hidden files are none.
 
-    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `remarks` takes up the others.
+    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `notes` takes up the others.
     """
     found: dict[str, Path] = {}
     paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     for path in sorted(paths, key=lambda p: (SUFFIXES.index(p.suffix.lower()), p.name)):
         first = found.setdefault(path.stem, path)
-        if first is not path and remarks is not None:
-            remarks.append(Remark("left out, another file has its name", f"{path}: {first.name} has its name"))
+        if first is not path and notes is not None:
+            notes.append(Note("left out, another file has its name", f"{path}: {first.name} has its name"))
     return sorted(found.values(), key=lambda p: natural_key(p.name))
 
 
 class PathGuard:
-    """Files that a data set's list names.
+    """Files that the list `source` of a data set names.
 
-    Parameters
-    ----------
-    folder
-        Of the data set.
-    source
-        The list, for people.
-    follow_outside
-        Whether it may name files outside the folder, as absolute paths or by ``..``. Links are followed in any case:
-        they are the choice of whoever keeps the folder, not of the list.
+    Names that lead out of the folder, as absolute paths or by ``..``, are refused unless `follow_outside`. Links are
+    followed in any case: they are the choice of whoever keeps the folder, not of the list.
     """
 
     def __init__(self, folder: Path, source: Path, *, follow_outside: bool) -> None:

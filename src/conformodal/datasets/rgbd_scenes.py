@@ -18,7 +18,7 @@ from .cameras import camera_beside
 from .decoding import common_size, natural_key
 from .draft import Damaged, FrameTable
 from .errors import DatasetError
-from .reading import Remark, reader
+from .reading import Note, reader
 from .sequence import Sequence
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
@@ -51,8 +51,8 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         If something is missing or damaged, or there are more images than poses. Names the file.
     """
     folder = Path(folder).resolve()
-    remarks: list[Remark] = []
-    scenes = [folder] if _SCENE.fullmatch(folder.name) else _scenes(folder, remarks)
+    notes: list[Note] = []
+    scenes = [folder] if _SCENE.fullmatch(folder.name) else _scenes(folder, notes)
     if not scenes:
         raise DatasetError(f"{folder}: holds no imgs/scene_NN; expected RGB-D Scenes v2")
     images: list[Path] = []
@@ -62,7 +62,7 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     why: Damaged = {}
     start, missing = 0.0, 0
     for k, scene in enumerate(scenes):
-        frames = _frames(scene, remarks)
+        frames = _frames(scene, notes)
         if not frames:
             raise DatasetError(f"{scene}: holds no FFFFF-color.png")
         order = sorted(frames)
@@ -81,28 +81,28 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         raise DatasetError(why[0])
     name = folder.name if scenes == [folder] else f"{folder.name} ({len(scenes)} scenes)"
     known = np.concatenate(poses) if missing < len(scenes) else None
-    draft = FrameTable(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, remarks)
-    return draft.sequence(camera_beside(folder, common_size(images), CAMERA, remarks), require_poses=require_poses)
+    draft = FrameTable(name, images, np.array(times), np.array(owner, dtype=np.int64), known, why, notes)
+    return draft.sequence(camera_beside(folder, common_size(images), CAMERA, notes), require_poses=require_poses)
 
 
-def _scenes(folder: Path, remarks: list[Remark]) -> list[Path]:
+def _scenes(folder: Path, notes: list[Note]) -> list[Path]:
     found = []
     for path in sorted((folder / "imgs").glob("scene_*"), key=lambda p: natural_key(p.name)):
         if path.is_dir() and _SCENE.fullmatch(path.name):
             found.append(path)
         elif path.is_dir():
-            remarks.append(Remark("left out, no scene", f"{path}: is not called scene_NN"))
+            notes.append(Note("left out, no scene", f"{path}: is not called scene_NN"))
     return found
 
 
-def _frames(scene: Path, remarks: list[Remark]) -> dict[int, Path]:
+def _frames(scene: Path, notes: list[Note]) -> dict[int, Path]:
     found: dict[int, Path] = {}
     matches = [m for p in scene.iterdir() if (m := _IMAGE.fullmatch(p.name))]
     for match in sorted(matches, key=lambda m: (len(m[1]) != 5, m[0])):
         path = scene / match[0]
         first = found.setdefault(int(match[1]), path)
         if first is not path:
-            remarks.append(Remark("left out, another file has its number", f"{path}: {first.name} has its number"))
+            notes.append(Note("left out, another file has its number", f"{path}: {first.name} has its number"))
     return found
 
 

@@ -14,7 +14,7 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory
 from .decoding import read_image
 from .errors import DatasetError
 from .noise import PixelNoise
-from .reading import Remark
+from .reading import Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Sequence:
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
     known_poses
         Poses of the frames that have one, where not all have, with those frames' timestamps; else as `truth`.
-    remarks
+    notes
         What the reader found wrong: frames that it left out, frames without poses, a camera that is unlikely.
     """
 
@@ -54,7 +54,7 @@ class Sequence:
     noise: PixelNoise | None = None
     given_test: npt.NDArray[np.bool_] | None = None
     known_poses: Trajectory | None = None
-    remarks: tuple[Remark, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.image_paths)

@@ -23,7 +23,7 @@ from .cameras import camera_beside
 from .decoding import common_size, natural_key
 from .draft import Damaged, FrameTable
 from .errors import DatasetError
-from .reading import Remark, read_frame_rate, read_lines, read_numbers, reader
+from .reading import Note, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
@@ -42,14 +42,14 @@ def looks_like_scene(folder: Path) -> bool:
     return any(_IMAGE.fullmatch(path.name) for place in (folder, *_recordings(folder)) for path in place.iterdir())
 
 
-def _recordings(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
-    """Folders ``seq-NN`` in natural order; `remarks` takes up others that begin like them."""
+def _recordings(folder: Path, notes: list[Note] | None = None) -> list[Path]:
+    """Folders ``seq-NN`` in natural order; `notes` takes up others that begin like them."""
     found = []
     for path in sorted(folder.glob("seq-*"), key=lambda p: natural_key(p.name)):
         if path.is_dir() and _RECORDING.fullmatch(path.name):
             found.append(path)
-        elif path.is_dir() and remarks is not None:
-            remarks.append(Remark("left out, no recording", f"{path}: is not called seq-NN"))
+        elif path.is_dir() and notes is not None:
+            notes.append(Note("left out, no recording", f"{path}: is not called seq-NN"))
     numbers = [int(path.name[4:]) for path in found]
     twice = [path for k, path in enumerate(found) if numbers[k] in numbers[:k]]
     if twice:
@@ -80,14 +80,14 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     folder = Path(folder)
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; expected 7-Scenes frames")
-    remarks: list[Remark] = []
-    recordings = [folder] if _frames(folder) else _recordings(folder, remarks)
+    notes: list[Note] = []
+    recordings = [folder] if _frames(folder) else _recordings(folder, notes)
     images: list[Path] = []
     times: list[float] = []
     owner: list[int] = []
     start, rate = 0.0, _frame_rate(folder, recordings)
     for number, recording in enumerate(recordings):
-        frames = _frames(recording, remarks)
+        frames = _frames(recording, notes)
         if not frames:
             raise DatasetError(f"{recording}: holds no frame-NNNNNN.color.png or .jpg")
         images += [path for _, path in frames]
@@ -102,8 +102,8 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     posed = require_poses or any(pose_path(path).exists() for path in images)
     poses = _poses(images, why) if posed else None
     recording_of = np.array(owner, dtype=np.int64)
-    draft = FrameTable(name, images, np.array(times), recording_of, poses, why, remarks)
-    camera = _camera(folder, images, remarks)
+    draft = FrameTable(name, images, np.array(times), recording_of, poses, why, notes)
+    camera = _camera(folder, images, notes)
     return draft.sequence(
         camera, require_poses=require_poses, given_test=None if held_out is None else held_out[recording_of]
     )
@@ -145,15 +145,15 @@ def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.
     return held_out
 
 
-def _frames(folder: Path, remarks: list[Remark] | None = None) -> list[tuple[int, Path]]:
+def _frames(folder: Path, notes: list[Note] | None = None) -> list[tuple[int, Path]]:
     """Frame numbers and image paths, in order; of several files of one number the png with six digits counts first."""
     found: dict[int, Path] = {}
     matches = [m for p in folder.iterdir() if (m := _IMAGE.fullmatch(p.name))]
     for match in sorted(matches, key=lambda m: (m[2].lower() != "png", len(m[1]) != 6, m[0])):
         path = folder / match[0]
         first = found.setdefault(int(match[1]), path)
-        if first is not path and remarks is not None:
-            remarks.append(Remark(_OTHER, f"{path}: {first.name} has its number"))
+        if first is not path and notes is not None:
+            notes.append(Note(_OTHER, f"{path}: {first.name} has its number"))
     return sorted(found.items())
 
 
@@ -202,6 +202,6 @@ def _frame_rate(folder: Path, recordings: list[Path]) -> float:
     return read_frame_rate(path)
 
 
-def _camera(folder: Path, images: list[Path], remarks: list[Remark]) -> PinholeCamera:
+def _camera(folder: Path, images: list[Path], notes: list[Note]) -> PinholeCamera:
     path = _beside("camera-intrinsics.txt", images[0].parent, folder)
-    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, remarks)
+    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, notes)

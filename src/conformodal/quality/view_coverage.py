@@ -100,20 +100,10 @@ class PoseCoverage:
 
 
 def pose_coverage(poses: Trajectory, recording: IntArray, known: Trajectory, scale: ViewScale) -> PoseCoverage:
-    """Compare the views along the way of a camera with those that are known.
+    """Compare the views along the path of a camera with those of known frames.
 
-    A known frame is known itself; the way between known frames is not, where they are far apart.
-
-    Parameters
-    ----------
-    poses
-        Of n frames, in the order of time.
-    recording
-        (n,) number of the recording each belongs to.
-    known
-        Poses of k known frames, be they among the n or not.
-    scale
-        What is near.
+    Poses are in order of time, with the number (n,) of each one's recording. A known frame covers itself, but not the
+    way to the next known frame.
     """
     way, views = stations(poses, recording, scale), KnownViews(known, scale)
     found = views.nearest(way.views)

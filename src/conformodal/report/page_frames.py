@@ -138,15 +138,7 @@ class PageFrame:
 
 
 def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[FloatArray, FloatArray] | None) -> PageFrame:
-    """The i-th frame of a run.
-
-    Parameters
-    ----------
-    i, record
-        Its number, and the record of its region.
-    paths, errors
-        Of the run; errors as :meth:`Paths.errors` gives them.
-    """
+    """The i-th frame of a run, from the record of its region; `errors` are those of :meth:`Paths.errors`."""
     return PageFrame(
         name=record["frame"],
         time_s=record["timestamp_s"],

@@ -11,13 +11,7 @@ from .page_frames import PageFrame, lengths
 
 
 def describe_frame(frame: PageFrame) -> str:
-    """What to see in a frame: the region first, then the chosen pose.
-
-    Parameters
-    ----------
-    frame
-        The frame.
-    """
+    """A frame in words: the region first, then the chosen pose."""
     said = [_describe_region(frame), _describe_pose(frame)]
     if not frame.reliable and not frame.unknown:
         said.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
@@ -88,15 +82,7 @@ class RunStatistics:
 
 
 def describe_run(statistics: RunStatistics, online_rmse_m: float | None = None) -> str:
-    """What to see in the whole run.
-
-    Parameters
-    ----------
-    statistics
-        Of its frames.
-    online_rmse_m
-        Of the positions as a robot gets them, where that is not the answer itself.
-    """
+    """The whole run in words; `online_rmse_m` is given if the answer is not the online one."""
     if statistics.n < 2:
         return _describe_one(statistics) if statistics.n else "No frame was answered."
     regions = []

@@ -62,21 +62,9 @@ class Parameters:
 
 
 class PoseNode:
-    """Subscribes and publishes; the work is done by :class:`Conversion` and the model's odometry.
+    """Subscribes and publishes with a node of rclpy; see :class:`Parameters`.
 
-    Images are answered one after the other. ROS keeps a few that come meanwhile and drops the others, as for any
-    sensor.
-
-    Parameters
-    ----------
-    node
-        Of rclpy.
-    odometry
-        Of the model.
-    how
-        Names and limits.
-    compressed, silent_s
-        See :class:`Parameters`.
+    Images are answered one after the other. ROS keeps a few that come meanwhile and drops the others.
     """
 
     def __init__(
@@ -208,13 +196,7 @@ def _parameters_of(node: Any) -> Parameters:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the node until ROS or a signal ends it; returns an exit code.
-
-    Parameters
-    ----------
-    arguments
-        For ROS; by default those of the command line.
-    """
+    """Run the node until ROS or a signal ends it; returns an exit code."""
     try:
         with _require_ros():
             import rclpy  # noqa: PLC0415 - comes with ROS
