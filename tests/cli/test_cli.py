@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from conformodal.cli.console import state_of
-from conformodal.cli.main import app
+from conformodal.cli.main import COMMANDS, app
 from conformodal.cli.model_notes import describe_landmarks, describe_repeated
-from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.datasets import read_sequence
 from conformodal.model.region_rules import EvidenceType
@@ -41,7 +40,7 @@ def results(small_world, tmp_path_factory):
 def test_help_of_every_verb_explains_every_option():
     group = typer.main.get_command(app)
     verbs = {name: group.get_command(None, name).loaded() for name in group.list_commands(None)}
-    assert list(verbs) == list(VERBS)
+    assert list(verbs) == list(COMMANDS)
     assert {"train", "run", "info"} <= set(verbs)
     for group in ("data",):
         verbs |= {f"{group} {name}": verb for name, verb in verbs.pop(group).commands.items()}
@@ -237,7 +236,7 @@ def flights(small_world, tmp_path_factory):
 def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path):
     model = shutil.copytree(small_world.model, tmp_path / "model")
     cache = ["--cache", tmp_path / "cache"]
-    result = invoke("calibrate", model, flights, "--alpha", "0.2", "--promise", "recording", *cache)
+    result = invoke("calibrate", model, flights, "--alpha", "0.2", "--guarantee", "recording", *cache)
     assert result.exit_code == 0, result.output
     assert "every frame of it is within the radius with probability at least 0.8" in " ".join(result.output.split())
     result = invoke("run", model, flights, "--out", tmp_path / "out")

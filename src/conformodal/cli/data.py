@@ -24,20 +24,19 @@ from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
 from conformodal.running.results.provenance import provenance
 
-from .arguments import cache_folder
 from .console import console, print_where, progress_bars, report_errors
 from .options import OptionError
 from .quality import FIGURES, PAGE, judge, report_quality, require_figures, write_findings
-from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
+from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
-app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
+app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
 METRICS = "metrics.json"
 
 
 @app.callback()
 def data() -> None:
-    """Look at a data set, or convert it."""
+    """Check or convert a data set."""
 
 
 @app.command()
@@ -50,14 +49,15 @@ def check(
         typer.Option(help="Folder for metrics.json, and a page if there are poses: new, empty, or of data check."),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="Saved model: says also where it knows too little, and where places look alike.")
+        Path | None,
+        typer.Option(help="Saved model: also report sparsely covered and ambiguous places."),
     ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")
     ] = None,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    follow_outside: FollowOutside = False,
 ) -> None:
-    """Say what a folder holds, all that is wrong with it (exit code 1 if anything is), and what it lacks."""
+    """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else writing_in(out):
         _check(folder, layout, out, model, cache, follow_outside)
 
@@ -79,7 +79,7 @@ def _check(
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
-    table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
+    table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames per second")
     if found.extent_m is None:
         some = f"for {found.n_poses} of {counted(found.n_frames, 'frame')}" if found.n_poses else "none"
         table.add_row("poses", some)
@@ -116,22 +116,22 @@ def convert(
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
     poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, paired by time within 0.02 s.")] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
+        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     binary: Annotated[
         bool, typer.Option("--binary", help="Write a COLMAP model in binary files, not as text.")
     ] = False,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    follow_outside: FollowOutside = False,
 ) -> None:
-    """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
+    """Convert a data set, a video or a ROS recording to a data set in another layout, poses included."""
     stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
     truth = own if poses is None else read_tum(poses)
     if stream.camera is not None and camera is not None:
-        raise OptionError(f"--camera is for sources that say no camera, and {stream.name} says {stream.camera}")
+        raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
     with progress_bars() as report:
         total = stream.n_frames or 0
@@ -173,7 +173,7 @@ def _check_out(out: Path) -> None:
 
 def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if folder is None:
-        raise DatasetError("the source says no camera; name a folder with camera-intrinsics.txt by --camera")
+        raise DatasetError("the source has no calibration; name a folder with camera-intrinsics.txt by --camera")
     first = next((frame.image for frame in stream if frame.image is not None), None)
     if first is None:
         raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import typer
@@ -21,9 +22,11 @@ from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
+from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.thumbnails import Thumbnails
 from conformodal.report.viewer import make_viewer
+from conformodal.ros.bag import BagWriter
 from conformodal.running.estimates import Estimate
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.results.folders import lock_output, result_digests
@@ -32,13 +35,11 @@ from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from conformodal.running.streaming import StreamRunner
 
-from .arguments import FollowOutside, SavedModel
 from .console import StatusLine, print_where, report_errors, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
-from .options import OptionError
+from .options import ROS_SUFFIX, OptionError
 from .outcome import GroundTruth, Part, part_frames, run_metrics, say, summary, unfinished_metrics
-from .sources import open_source
-from .watching import FrameSink, frame_sinks
+from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
@@ -84,7 +85,10 @@ def run(
     ] = None,
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
-    """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
+    """Compute regions and the trajectory of a source with a saved model, frame by frame.
+
+    Ctrl-C stops it and keeps the results.
+    """
     with lock_output(out, "run", apart=[model, Path(source)]):
         loaded = load_model(model)
         if alpha is not None:
@@ -113,6 +117,36 @@ def run(
         raise typer.Exit(stop_code([metrics["signal"]]))
     if metrics["stopped"]:
         raise typer.Exit(BROKE_OFF)
+
+
+class FrameSink(Protocol):
+    """Receives every frame with its estimate."""
+
+    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
+        """Take a frame; `truth` is a trajectory of one, or None."""
+        ...
+
+    def close(self) -> None:
+        """Finish writing."""
+        ...
+
+
+@contextmanager
+def frame_sinks(
+    name: str, alpha: object, *, view: bool, save: Path | None, images: bool
+) -> Iterator[tuple[FrameSink, ...]]:
+    """The views and recordings that the options of a run ask for; all are closed at the end."""
+    ros = save is not None and save.suffix.lower() == ROS_SUFFIX
+    rerun = None if ros else save
+    found: list[FrameSink] = []
+    with ExitStack() as opened:
+        if save is not None and ros:
+            found.append(BagWriter(save, images=images))
+            opened.callback(found[-1].close)
+        if view or rerun is not None:
+            found.append(LiveView(name, alpha, spawn=view, save=rerun))
+            opened.callback(found[-1].close)
+        yield tuple(found)
 
 
 @dataclass(frozen=True)

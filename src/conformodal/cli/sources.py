@@ -1,12 +1,16 @@
-"""Opening what a user names as data."""
+"""Arguments of several commands, and opening what a user names as data."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import check_writable
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams.bag import BagStream
@@ -19,9 +23,25 @@ from .console import report_line
 from .options import OptionError
 
 _MOST_NOTES = 5
-FOLLOW_OUTSIDE = (
-    "Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are."
-)
+
+Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
+SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
+DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
+FollowOutside = Annotated[
+    bool,
+    typer.Option(
+        "--follow-outside",
+        help="Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are.",
+    ),
+]
+Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
+
+
+def cache_folder(cache: Path | None) -> Path:
+    """The cache folder that a user named, or the usual one; it can be written."""
+    folder = cache or default_cache_dir()
+    check_writable(folder)
+    return folder
 
 
 def _report_warnings(sequence: Sequence) -> None:
@@ -36,14 +56,6 @@ def _report_warnings(sequence: Sequence) -> None:
             report_line(f"{what}: {count - _MOST_NOTES} more")
 
 
-@contextmanager
-def _describe_elsewhere() -> Iterator[None]:
-    """Keep quiet what the command prints itself."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DatasetWarning)
-        yield
-
-
 def open_sequence(
     path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, notes: bool = True
 ) -> Sequence:
@@ -51,7 +63,8 @@ def open_sequence(
     if layout is Layout.AUTO:
         layout = recognise(path)
         report_line(f"{path}: {layout} layout")
-    with _describe_elsewhere():
+    with warnings.catch_warnings():  # they are printed here
+        warnings.simplefilter("ignore", DatasetWarning)
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
     if notes:
         _report_warnings(sequence)
@@ -71,7 +84,8 @@ def open_source(
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
     """
-    with _describe_elsewhere():
+    with warnings.catch_warnings():  # they are printed here
+        warnings.simplefilter("ignore", DatasetWarning)
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
         if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
             with suppress(DatasetError):  # no frame has a pose

@@ -29,7 +29,6 @@ from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig
 
-from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .model_notes import (
     describe_calibration,
@@ -40,7 +39,7 @@ from .model_notes import (
 )
 from .options import was_given
 from .quality import quality_of_training, report_briefly
-from .sources import open_sequence
+from .sources import Cache, Data, DataLayout, FollowOutside, cache_folder, open_sequence
 
 # Settings whose options have other names.
 _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
