@@ -101,9 +101,8 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     if isinstance(camera, Fisheye):
         images, camera = undistorted(images, camera), camera.pinhole
     poses, why = _poses(of_images, names, rows)
-    recording = np.zeros(len(names), dtype=np.int64)
-    draft = FrameTable(folder.name, images, frame_times(folder, len(names)), recording, poses, why, notes)
-    return draft.sequence(camera, require_poses=require_poses)
+    table = FrameTable(folder.name, images, frame_times(folder, len(names)), poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:

@@ -5,6 +5,7 @@ A frame that cannot be used is left out and told; the others keep their times an
 
 from __future__ import annotations
 
+import re
 import warnings
 from bisect import bisect_left
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
 
-from .decoding import image_fault
+from .decoding import image_fault, natural_key
 from .errors import DatasetError, DatasetWarning
 from .reading import Note, read_lines, readable, shown
 from .sequence import Sequence
@@ -26,6 +27,7 @@ Damaged = dict[int, str]
 
 NO_POSE = "no pose"
 _LEFT_OUT = "left out, "
+_BETWEEN_RECORDINGS_S = 10.0
 
 
 @dataclass(eq=False)
@@ -41,7 +43,7 @@ class FrameTable:
     times
         (n,) seconds; NaN where it is damaged.
     recording
-        (n,) numbers.
+        (n,) numbers; None for one recording.
     poses
         (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for a data set without.
     why
@@ -53,7 +55,7 @@ class FrameTable:
     name: str
     images: list[Path]
     times: FloatArray
-    recording: IntArray
+    recording: IntArray | None = None
     poses: FloatArray | None = None
     why: Damaged = field(default_factory=dict)
     notes: list[Note] = field(default_factory=list)
@@ -86,6 +88,7 @@ class FrameTable:
         if not require_poses and posed[kept].any():
             notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
         _warn(self.name, notes)
+        recording = np.zeros(len(self.images), dtype=np.int64) if self.recording is None else self.recording
         with_pose = kept[posed[kept]]
         truth = self._trajectory(with_pose) if with_pose.size else None
         whole = len(with_pose) == len(kept)
@@ -93,7 +96,7 @@ class FrameTable:
             name=self.name,
             image_paths=tuple(self.images[i] for i in kept),
             timestamps_s=self.times[kept],
-            recording=self.recording[kept],
+            recording=recording[kept],
             camera=camera,
             truth=truth if whole else None,
             given_test=None if given_test is None else given_test[kept],
@@ -212,8 +215,8 @@ def paired_by_time(
             Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:]),
             max_difference_s,
         )
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
+    except TrajectoryFileError:
+        raise
     except PoseError as exc:
         raise DatasetError(f"{path}: {exc}") from exc
     found = np.full((len(times), 7), np.nan)
@@ -233,3 +236,44 @@ def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
     elif n_rows == len(images):
         return np.arange(n_rows)
     raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
+
+
+def numbered_frames(
+    folder: Path, pattern: re.Pattern[str], digits: int, notes: list[Note] | None = None
+) -> list[tuple[int, Path]]:
+    """Numbers and paths of a folder's images, in order.
+
+    The first group of the pattern is the number, the second the suffix. Of several files with one number, png files
+    come first, and among them the name with the usual number of digits.
+    """
+    found: dict[int, Path] = {}
+    matches = [m for path in folder.iterdir() if (m := pattern.fullmatch(path.name))]
+    for match in sorted(matches, key=lambda m: (m[2].lower() != "png", len(m[1]) != digits, m[0])):
+        path = folder / match[0]
+        first = found.setdefault(int(match[1]), path)
+        if first is not path and notes is not None:
+            notes.append(Note("left out, another file has its number", f"{path}: {first.name} has its number"))
+    return sorted(found.items())
+
+
+def recording_folders(parent: Path, pattern: re.Pattern[str], name: str, notes: list[Note] | None) -> list[Path]:
+    """Folders of recordings in natural order; `notes` takes up others that begin like them."""
+    found = []
+    start = name.partition("NN")[0]
+    for path in sorted(parent.glob(f"{start}*"), key=lambda p: natural_key(p.name)):
+        if path.is_dir() and pattern.fullmatch(path.name):
+            found.append(path)
+        elif path.is_dir() and notes is not None:
+            kind = "scene" if start == "scene_" else "recording"
+            notes.append(Note(f"left out, no {kind}", f"{path}: is not called {name}"))
+    return found
+
+
+def joined(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> tuple[list[Path], FloatArray, IntArray]:
+    """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
+    times: list[float] = []
+    for frames in recordings:
+        start = times[-1] + _BETWEEN_RECORDINGS_S if times else 0.0
+        times += [start + i / rate_hz for i, _ in frames]
+    recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
+    return [path for frames in recordings for _, path in frames], np.array(times), recording

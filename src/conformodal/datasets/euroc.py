@@ -71,9 +71,9 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         known = np.isfinite(poses).all(axis=1)
         body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
         poses[known] = table_of(body.poses_se3 @ T_body_cam)
-    draft = FrameTable(folder.name, images, times, np.zeros(len(images), dtype=np.int64), poses, notes=notes)
-    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
-    return draft.sequence(camera, require_poses=require_poses)
+    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _sensor(path: Path, size: Size, notes: list[Note]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:

@@ -55,9 +55,8 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     poses = _poses(folder, times, damaged, notes)
     if require_poses and poses is None:
         raise DatasetError(f"{folder / _TUM[0]}: poses are missing (or {', '.join((*_TUM[1:], *_KITTI))})")
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(folder.name, images, times, recording, poses, damaged, notes)
-    return draft.sequence(camera, require_poses=require_poses)
+    table = FrameTable(folder.name, images, times, poses=poses, why=damaged, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _poses(

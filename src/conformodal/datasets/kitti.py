@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import Trajectory, TrajectoryFileError
+from conformodal.poses import Trajectory
 from conformodal.poses.kitti import kitti_table
 from conformodal.poses.text import number, table_of
 
@@ -67,9 +67,8 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     frames, poses = _poses(folder, images, offset, require_poses, damaged)
     if times is None:
         times = frames / FRAME_RATE_HZ
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(f"kitti {folder.name}", images, times, recording, poses, damaged, notes)
-    return draft.sequence(intrinsics, require_poses=require_poses)
+    table = FrameTable(f"kitti {folder.name}", images, times, poses=poses, why=damaged, notes=notes)
+    return table.sequence(intrinsics, require_poses=require_poses)
 
 
 def _projection(path: Path, name: str) -> npt.NDArray[np.float64]:
@@ -104,10 +103,7 @@ def _poses(
             raise DatasetError(f"{places[0]}: poses are missing")
         return np.arange(len(images)), None
     faults: Damaged = {}
-    try:
-        rows = kitti_table(path, faults)
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
+    rows = kitti_table(path, faults)
     numbers = rows_of(images, len(rows), path, "poses, but there are")
     damaged.update({i: faults[row] for i, row in enumerate(numbers.tolist()) if row in faults})
     found = rows[numbers]

@@ -82,11 +82,10 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     poses[list(faults)] = np.nan
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
     why = {i: f"{path}: transform_matrix {faults.get(i, 'is missing, or holds NaN or infinity')}" for i in unknown}
-    recording = np.zeros(len(frames), dtype=np.int64)
     poses[unknown] = np.nan
-    table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    draft = FrameTable(folder.name, images, frame_times(folder, len(frames)), recording, table, why, notes)
-    return draft.sequence(camera, require_poses=require_poses)
+    poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
+    table = FrameTable(folder.name, images, frame_times(folder, len(frames)), poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _matrix(rows: Any) -> list[list[float]]:

@@ -11,7 +11,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import PoseError
+from conformodal.poses import PoseError, TrajectoryFileError
 from conformodal.poses.text import number, text_lines
 
 from .decoding import natural_key
@@ -58,6 +58,8 @@ def reader(read: Callable[P, Read]) -> Callable[P, Read]:
             raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")
         try:
             return read(*args, **kwargs)
+        except TrajectoryFileError as exc:
+            raise DatasetError(str(exc)) from exc
         except (OSError, UnicodeError, PoseError) as exc:
             raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
 

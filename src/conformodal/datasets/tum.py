@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-
 from conformodal.poses import PinholeCamera
 from conformodal.poses.text import number
 from conformodal.poses.tum import tum_table
@@ -61,7 +59,6 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     poses = None
     if require_poses or truth.is_file():
         poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, notes)
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(folder.name, images, times, recording, poses, notes=notes)
-    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
-    return draft.sequence(camera, require_poses=require_poses)
+    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
