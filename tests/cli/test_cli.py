@@ -154,7 +154,7 @@ def test_run_says_which_frames_show_no_known_place(small_world, tmp_path):
     n, said = metrics["n_unknown"], " ".join(result.output.split())
     assert n > 1
     assert metrics["configuration"]["novelty_level"] == 0.2
-    assert f"{n} of {metrics['n_answered']} frames show no place that is known: their region is unbounded" in said
+    assert f"{n} of {metrics['n_answered']} frames show no known place: their region is unbounded" in said
     assert f"Without them the online RMSE is {metrics['errors_known_places']['online']['rmse_m']:.4f} m" in said
     coverage = metrics["coverage"]
     assert coverage["n_bounded"] == round((1 - coverage["abstained"]) * coverage["n_evaluated"])
@@ -164,7 +164,7 @@ def test_run_says_which_frames_show_no_known_place(small_world, tmp_path):
     assert f"{held} of {coverage['n_bounded']} bounded regions" in said
     low, high = metrics["coverage"]["joint_band_99"]
     assert f"(99 % band {low:.3f} to {high:.3f})" in said
-    assert f"{n} of {metrics['n_answered']} frames show no place" in (tmp_path / "report.html").read_text()
+    assert f"{n} of {metrics['n_answered']} frames show no known place" in (tmp_path / "report.html").read_text()
     records = read_region_records(tmp_path / "regions.jsonl")
     assert sum(record["evidence"] == "unknown" for record in records) == n
 

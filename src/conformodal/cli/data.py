@@ -13,25 +13,30 @@ from rich.table import Table
 
 from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import LOCK, writing_in
+from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetError, Layout, check_sequence
+from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
+from conformodal.quality.advice import describe_quality, names_of, quality_record, record_next
+from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import write_metrics
+from conformodal.vision.features import FeatureCache
 
-from .console import console, print_where, progress_bars, report_errors
+from .console import console, print_where, progress_bars, report_errors, report_strongly
 from .options import OptionError
-from .quality import FIGURES, PAGE, judge, report_quality, require_figures, write_findings
 from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
-METRICS = "metrics.json"
+METRICS, PAGE, FIGURES = "metrics.json", "report.html", "figures"
 
 
 @app.callback()
@@ -67,7 +72,7 @@ def _check(
 ) -> None:
     if out is not None:
         _check_out(out)
-        require_figures()
+        _require_figures()
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
     known = None if model is None else load_model(model)
     if known is not None:
@@ -75,7 +80,7 @@ def _check(
         cache = cache_folder(cache)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
-        quality = judge(sequence, known, cache or default_cache_dir(), report)
+        quality = _judge(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
@@ -95,13 +100,13 @@ def _check(
     if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
-        report_quality(quality, sequence)
+        _report_quality(quality, sequence)
     if out is not None:
         configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
             configuration |= {"model": model_digest(model)}
         record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
-        write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
+        _write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
         print_where(out)
     if wrong:
         raise typer.Exit(_FOUND)
@@ -183,3 +188,47 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     for what, where in notes:
         console.print(f"{what}: {where}", soft_wrap=True, markup=False)
     return camera
+
+
+def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
+    """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
+    if model is not None:
+        return examine(sequence, model, cache=FeatureCache(cache), progress=report)
+    found = examine(sequence)
+    return None if found.poses is None else found
+
+
+def _report_quality(found: RecordingQuality, sequence: Sequence) -> None:
+    """The findings, and what to record or train on next."""
+    for line in describe_quality(found):
+        console.print(line, soft_wrap=True)
+    advice = record_next(found, names_of(found, sequence))
+    if advice:
+        report_strongly("what to record or train on next, the most valuable first:")
+    for number, line in enumerate(advice, start=1):
+        console.print(f"  {number}. {line}", soft_wrap=True)
+
+
+def _require_figures() -> None:
+    """Refuse to begin where what draws the page is not installed."""
+    import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
+
+
+def _write_findings(
+    out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
+) -> None:
+    """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
+
+    if found is None:
+        write_metrics(out, record)
+        (out / PAGE).unlink(missing_ok=True)  # of an earlier check
+        (out / FIGURES / PLAN).unlink(missing_ok=True)
+        return
+    whole = {**record, "quality": quality_record(found, sequence)}
+    write_metrics(out, whole)
+    findings = [
+        f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
+        for finding in check.findings
+    ]
+    write_quality_page(out, found, sequence, whole, findings)

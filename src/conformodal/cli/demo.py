@@ -28,7 +28,7 @@ from conformodal.vision.settings import TrainingConfig
 
 from .console import console, print_where, progress_bars, report_errors, report_line
 from .demo_pages import DemoResults, answer_test_part, describe_ratios, page_of
-from .outcome import say
+from .outcome import report_outcome
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
@@ -69,7 +69,7 @@ def demo(
         write_metrics(out, outcome.metrics)
         results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
         write_page(out / "report.html", page_of(results))
-    say(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
+    report_outcome(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "

@@ -30,14 +30,14 @@ def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) 
             "sources"
         )
     n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
-    said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
+    text = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
-        said += (
+        text += (
             f"; the poses imply a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
             "former, all else the latter"
         )
-    return said
+    return text
 
 
 def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
@@ -69,7 +69,7 @@ def describe_repeated(n_repeated: int, n_test: int) -> list[str]:
     shows, their = ("shows", "its") if n_repeated == 1 else ("show", "their")
     return [
         f"{n_repeated} of {counted(n_test, 'test frame')} {shows} the same picture as a training or calibration frame: "
-        f"{their} errors and regions say nothing of new pictures"
+        f"{their} errors and regions do not show what to expect of new images"
     ]
 
 
@@ -79,36 +79,36 @@ def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: in
     by_frame, n = softmax.groups_ is None, softmax.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
     if by_frame:
-        said = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
+        lines = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
-        said = [
+        lines = [
             f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of the "
             f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
         least = min((one for one in guarantees(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
-        said.append(
+        lines.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
             f"{config.joint}): at alpha {model.alpha:g}, alpha / {len(TARGET_NAMES)} needs "
             f"{_units_needed(model.alpha)} {'frames' if by_frame else units} of each evidence type, and those "
             f"{WHERE[least.evidence]} weigh {least.weight:.4g}"
         )
     if config.method is Method.PAPER:
-        said.append("images are not tested for unknown places: the paper has no such test")
+        lines.append("images are not tested for unknown places: the paper has no such test")
     elif model.novelty is None:
-        said.append(
+        lines.append(
             "images are not tested for unknown places: the test leaves out one piece of the data at a time, and there "
             "is only one piece"
         )
     elif model.rules.level < model.novelty.test.least_p:
-        said.append(
+        lines.append(
             f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
             f"{counted(model.novelty.test.n_groups, 'piece')} of the data no p-value is below "
             f"{model.novelty.test.least_p:.3g}"
         )
     else:
-        said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
-    return said
+        lines.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
+    return lines
 
 
 def _units_needed(alpha: Alpha) -> int:

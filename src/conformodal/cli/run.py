@@ -38,7 +38,7 @@ from conformodal.running.streaming import StreamRunner
 from .console import StatusLine, print_where, report_errors, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import ROS_SUFFIX, OptionError
-from .outcome import GroundTruth, Part, part_frames, run_metrics, say, summary, unfinished_metrics
+from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics, summary, unfinished_metrics
 from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
@@ -109,7 +109,7 @@ def run(
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
-    say(metrics, unbounded=unbounded)
+    report_outcome(metrics, unbounded=unbounded)
     if metrics["stopped"]:
         report_strongly(f"stopped early: {metrics['stopped']}")
     print_where(out)
@@ -258,7 +258,7 @@ def _write_results(
 
 
 def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
-    """Refuse options that say nothing with this model."""
+    """Refuse options that have no effect with this model."""
     if novelty_level and model.novelty is None:
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
     if match_every not in (None, 1) and not model.looks_at_local_features:

@@ -92,7 +92,7 @@ def open_source(
                 again = read_sequence(Path(source), layout, require_poses=True, follow_outside=follow_outside)
                 stream = SequenceStream(again)
     if topic is not None and not isinstance(stream, BagStream):
-        raise OptionError(f"--topic says something with a ROS recording only, and {source} is none, got {topic!r}")
+        raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"

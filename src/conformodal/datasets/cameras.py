@@ -38,7 +38,7 @@ def camera_of(
     camera raise a DatasetError; unlikely ones are added to `notes`.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
-    said: list[str] = []
+    scaled: list[str] = []
     if stated is not None and tuple(stated) != size:
         if min(stated) < 1:
             raise DatasetError(
@@ -51,14 +51,14 @@ def camera_of(
                 f"{size[0]}x{size[1]}, another shape; give the camera of these images"
             )
         fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
-        said.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
+        scaled.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
     try:
         camera = PinholeCamera(fx, fy, cx, cy, *size, lens)
     except PoseError as exc:
         raise DatasetError(f"{source}: {exc}") from exc
     _refuse(source, camera)
     if notes is not None:
-        notes += [Note(SCALED, f"{source}: {text}") for text in said]
+        notes += [Note(SCALED, f"{source}: {text}") for text in scaled]
         notes += [Note("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
     return camera
 

@@ -18,9 +18,9 @@ from conformodal.poses.text import number, pose_faults, table_of, whole_number
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
-from .draft import Damaged, FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
+from .frame_table import Damaged, FrameTable
 from .reading import Note, PathGuard, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
 

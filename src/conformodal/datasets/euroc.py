@@ -18,8 +18,8 @@ from conformodal.poses.text import matrix_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size
-from .draft import FrameTable, listed, paired_by_time
 from .errors import DatasetError
+from .frame_table import FrameTable, listed, paired_by_time
 from .reading import Note, PathGuard, read_lines, reader
 from .sequence import Sequence
 

@@ -14,8 +14,8 @@ from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Damaged, FrameTable, paired_by_time
 from .errors import DatasetError
+from .frame_table import Damaged, FrameTable, paired_by_time
 from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Note, even_times, frame_times, image_files, reader
 from .sequence import Sequence
 

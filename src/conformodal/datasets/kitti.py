@@ -17,8 +17,8 @@ from conformodal.poses.text import number, table_of
 
 from .cameras import camera_of, check_matrix
 from .decoding import common_size
-from .draft import Damaged, FrameTable, rows_of
 from .errors import DatasetError
+from .frame_table import Damaged, FrameTable, rows_of
 from .reading import Note, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 

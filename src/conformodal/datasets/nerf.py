@@ -18,9 +18,9 @@ from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
-from .draft import FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
+from .frame_table import FrameTable
 from .reading import Note, PathGuard, frame_times, read_lines, reader
 from .sequence import Sequence
 

@@ -16,8 +16,8 @@ from conformodal.poses.text import drop_faults, number, pose_faults, read_rows
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Damaged, FrameTable, joined, numbered_frames, recording_folders
 from .errors import DatasetError
+from .frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
 from .reading import Note, reader
 from .sequence import Sequence
 

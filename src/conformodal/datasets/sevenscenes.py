@@ -21,8 +21,8 @@ from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Damaged, FrameTable, joined, numbered_frames, recording_folders
 from .errors import DatasetError
+from .frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
 from .reading import Note, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 

@@ -11,7 +11,7 @@ from conformodal.poses.tum import tum_table
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import FrameTable, listed, paired_by_time
+from .frame_table import FrameTable, listed, paired_by_time
 from .reading import MAX_TIME_DIFFERENCE_S, Note, PathGuard, reader
 from .sequence import Sequence
 

@@ -55,7 +55,7 @@ class Ambiguity:
     n_places
         (m,) places in each region; 0 where the region is unbounded in some target.
     n_unknown
-        Frames that show no place that is known, by the model's test.
+        Frames that show no known place, by the model's test.
     mean_intervals
         Of the regions of all other frames, by target; empty if there are none.
     stretches
