@@ -16,8 +16,8 @@ import numpy.typing as npt
 import typer
 from matplotlib.figure import Figure
 
-from conformodal.cli.arguments import Cache, Data, DataLayout
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
+from conformodal.cli.sources import Cache, Data, DataLayout
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization.evidence import FrameEvidence

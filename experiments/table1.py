@@ -16,9 +16,8 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.cli.arguments import Cache, Data, DataLayout, cache_folder
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
-from conformodal.cli.sources import open_sequence
+from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole, writing_in
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.model.config import Method

@@ -10,9 +10,8 @@ import typer
 from scipy.spatial.transform import Rotation
 
 from conformodal.cli.console import state_of
-from conformodal.cli.main import app
+from conformodal.cli.main import COMMANDS, app
 from conformodal.cli.model_notes import describe_landmarks, describe_repeated
-from conformodal.cli.verbs import VERBS
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.datasets import read_sequence
 from conformodal.model.region_rules import EvidenceType
@@ -37,7 +36,7 @@ def results(small_world, tmp_path_factory):
 def test_help_of_every_verb_explains_every_option():
     group = typer.main.get_command(app)
     verbs = {name: group.get_command(None, name).loaded() for name in group.list_commands(None)}
-    assert list(verbs) == list(VERBS)
+    assert list(verbs) == list(COMMANDS)
     assert {"train", "run", "info"} <= set(verbs)
     for group in ("data",):
         verbs |= {f"{group} {name}": verb for name, verb in verbs.pop(group).commands.items()}
@@ -151,7 +150,7 @@ def test_run_says_which_frames_show_no_known_place(small_world, tmp_path):
     n, said = metrics["n_unknown"], " ".join(result.output.split())
     assert n > 1
     assert metrics["configuration"]["novelty_level"] == 0.2
-    assert f"{n} of {metrics['n_answered']} frames show no place that is known: their region is unbounded" in said
+    assert f"{n} of {metrics['n_answered']} frames show no known place: their region is unbounded" in said
     assert f"Without them the online RMSE is {metrics['errors_known_places']['online']['rmse_m']:.4f} m" in said
     coverage = metrics["coverage"]
     assert coverage["n_bounded"] == round((1 - coverage["abstained"]) * coverage["n_evaluated"])
@@ -161,7 +160,7 @@ def test_run_says_which_frames_show_no_known_place(small_world, tmp_path):
     assert f"{held} of {coverage['n_bounded']} bounded regions" in said
     low, high = metrics["coverage"]["joint_band_99"]
     assert f"(99 % band {low:.3f} to {high:.3f})" in said
-    assert f"{n} of {metrics['n_answered']} frames show no place" in (tmp_path / "report.html").read_text()
+    assert f"{n} of {metrics['n_answered']} frames show no known place" in (tmp_path / "report.html").read_text()
     records = read_region_records(tmp_path / "regions.jsonl")
     assert sum(record["evidence"] == "unknown" for record in records) == n
 
@@ -224,7 +223,7 @@ def flights(small_world, tmp_path_factory):
 def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path):
     model = shutil.copytree(small_world.model, tmp_path / "model")
     cache = ["--cache", tmp_path / "cache"]
-    result = invoke("calibrate", model, flights, "--alpha", "0.2", "--promise", "recording", *cache)
+    result = invoke("calibrate", model, flights, "--alpha", "0.2", "--guarantee", "recording", *cache)
     assert result.exit_code == 0, result.output
     assert "every frame of it is within the radius with probability at least 0.8" in " ".join(result.output.split())
     result = invoke("run", model, flights, "--out", tmp_path / "out")

@@ -64,7 +64,7 @@ def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
     result = invoke("data", "check", tmp_path / "cut", "--out", tmp_path / "out")
     (gap,) = quality_of(tmp_path / "out")["sparse"]
     assert (gap["first"], gap["last"], gap["between"]) == (first, first + 1, True)
-    assert f"from frame {first} to frame {first + 1}" in result.output
+    assert f"Record more views along frames {first} to {first + 1}" in result.output
 
 
 def test_without_poses_and_model_there_is_nothing_to_say(small_world, tmp_path):

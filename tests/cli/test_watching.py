@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from conformodal.cli import run, watching
+from conformodal.cli import run
 from conformodal.cli.main import app
 from conformodal.running.streaming import StreamRunner
 
@@ -31,8 +31,8 @@ opened: list[Recorder] = []
 @pytest.fixture(autouse=True)
 def recorders(monkeypatch):
     opened.clear()
-    monkeypatch.setattr(watching, "BagWriter", Recorder)
-    monkeypatch.setattr(watching, "LiveView", Recorder)
+    monkeypatch.setattr(run, "BagWriter", Recorder)
+    monkeypatch.setattr(run, "LiveView", Recorder)
 
 
 def windows():
@@ -43,10 +43,10 @@ def test_a_recording_is_closed_where_the_view_cannot_be_opened(monkeypatch, tmp_
     def no_screen(*arguments, **options):
         raise RuntimeError("no screen")
 
-    monkeypatch.setattr(watching, "LiveView", no_screen)
+    monkeypatch.setattr(run, "LiveView", no_screen)
     with (
         pytest.raises(RuntimeError, match="no screen"),
-        watching.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+        run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
     ):
         pass
     assert [its.open for its in opened] == [False]
@@ -57,10 +57,10 @@ def test_a_view_that_fails_to_close_leaves_no_recording_open(monkeypatch, tmp_pa
         def close(self):
             raise OSError("gone")
 
-    monkeypatch.setattr(watching, "LiveView", Broken)
+    monkeypatch.setattr(run, "LiveView", Broken)
     with (
         pytest.raises(OSError, match="gone"),
-        watching.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
+        run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
     ):
         pass
     assert [its.open for its in opened] == [False, True]

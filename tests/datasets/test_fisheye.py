@@ -175,7 +175,7 @@ def test_what_a_pinhole_camera_cannot_show_is_cut_off_and_told(tmp_path):
     f = (W / 2) / np.radians(95)
     with pytest.warns(DatasetWarning, match=r"keeps 118 of 190 degrees across; the rest is cut off"):
         sequence = read_sequence(write_colmap(tmp_path / "a", (f, f, W / 2, H / 2, 0, 0, 0, 0)))
-    assert any(what == "fisheye images are undistorted" for what, _ in sequence.remarks)
+    assert any(what == "fisheye images are undistorted" for what, _ in sequence.notes)
     assert sequence.image(0)[:, :2].any()  # nothing black at its sides
 
 
@@ -238,7 +238,7 @@ numbers = st.one_of(st.floats(), st.floats(-2, 2), st.floats(1, 1000))
 @settings(deadline=None, max_examples=300)
 def test_any_numbers_are_a_lens_that_does_not_fold_or_are_refused(pixels, lens):
     try:
-        found = fisheye_of("file", pixels, (W, H), lens, stated=None, remarks=[])
+        found = fisheye_of("file", pixels, (W, H), lens, stated=None, notes=[])
     except DatasetError:
         return
     x, y = found.maps()

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from conformodal.datasets import read_image
-from conformodal.datasets.pillow_warnings import ignore_pillow_warnings
+from conformodal.datasets.decoding import ignore_pillow_warnings
 
 
 def test_threads_that_overlap_leave_the_filters_as_they_were():

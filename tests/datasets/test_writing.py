@@ -80,7 +80,7 @@ def test_a_video_becomes_a_data_set(tmp_path):
     arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set", "--to", "tum"]
     refused = invoke(*arguments)
     assert refused.exit_code == 2
-    assert "says no camera" in refused.output
+    assert "has no calibration" in refused.output
     result = invoke(*arguments, "--poses", tmp_path / "poses.tum", "--camera", tmp_path)
     assert result.exit_code == 0, result.output
     found = read_sequence(tmp_path / "set")

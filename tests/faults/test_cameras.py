@@ -113,7 +113,7 @@ def test_what_is_unlikely_is_told(tmp_path, layout, what):
     with pytest.warns(DatasetWarning, match=match):
         sequence = read_sequence(folder, layout)
     assert (sequence.camera.fx, sequence.camera.cy) == (pixels[0], pixels[3])
-    assert any(name in where for _, where in sequence.remarks)
+    assert any(name in where for _, where in sequence.notes)
 
 
 @pytest.mark.parametrize("layout", WRITERS)
@@ -122,7 +122,7 @@ def test_sound_cameras_are_not_remarked(tmp_path, layout):
     write_camera(layout, tmp_path, (41.0, 40.0, 33.0, 23.0), () if layout is Layout.KITTI else LENS)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DatasetWarning)
-        assert read_sequence(folder, layout).remarks == ()
+        assert read_sequence(folder, layout).notes == ()
 
 
 MATRICES = {

@@ -21,7 +21,7 @@ from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory, align
 from conformodal.poses.relative import MotionStatus
 from conformodal.ros.conventions import Conventions, Covariance, is_lost
-from conformodal.ros.covariance import pose_covariance
+from conformodal.ros.conversion import pose_covariance
 from conformodal.running.estimates import Estimate
 from conformodal.running.results.records import region_record
 from conformodal.running.selection import calibrate_selection

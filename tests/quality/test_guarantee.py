@@ -75,7 +75,7 @@ def test_each_kind_of_evidence_promises_for_itself():
         law = betabinom(N_NEW, k, n + 1 - k)
         assert one.band == pytest.approx((law.ppf(0.005) / N_NEW, law.ppf(0.995) / N_NEW))
     said = describe_guarantee(found[EvidenceType.LANDMARKS])
-    assert "20 frames calibrate them, finite from alpha = 0.0164" in said  # 1 / 61, with the other type, rounded up
+    assert "calibrated on 20 frames, bounded from alpha = 0.0164" in said  # 1 / 61, with the other type, rounded up
     assert "at alpha = 0.1 (99 % band)" in said
 
 
@@ -94,7 +94,7 @@ def test_too_few_are_said_to_give_the_whole_space():
     (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
     assert not one.finite
     assert one.n_needed == 9
-    assert describe_guarantee(one).endswith("5 frames calibrate them, finite from alpha = 0.1667")
+    assert describe_guarantee(one).endswith("calibrated on 5 frames, bounded from alpha = 0.1667")
 
 
 SHARED = {

@@ -93,10 +93,8 @@ def test_where_regions_hold_one_place_nothing_is_ambiguous():
     assert (found.n_places == 1).all()
 
 
-@pytest.mark.parametrize(
-    ("n", "said"), [(5, "Frames 20 to 28 (around x=1.5, y=0.0) look"), (1, "Frame 20 (around x=1.5, y=0.0) looks")]
-)
-def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
+@pytest.mark.parametrize(("n", "frames"), [(5, "frames 20 to 28"), (1, "frame 20")])
+def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
     found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
     quality = SimpleNamespace(
@@ -104,7 +102,9 @@ def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, said):
     )
     names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
     (advice,) = record_next(quality, names)
-    assert advice.startswith(f"{said} like frames 1050 to 1069: record the way")
+    assert advice.startswith(
+        f"Places look alike: {frames} (around x=1.5, y=0.0) and frames 1050 to 1069. Record the way"
+    )
     assert describe_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
 
 
@@ -119,4 +119,4 @@ def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other(
     names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
     (advice,) = record_next(quality, names)
     assert (one.first, one.last) == (20, 28)
-    assert advice.startswith("Frames 20 to 28 (around x=1.5, y=0.0) look like one another: record them again")
+    assert advice.startswith("Places look alike in frames 20 to 28 (around x=1.5, y=0.0): record them again")

@@ -75,7 +75,7 @@ def test_only_frames_that_the_model_was_not_trained_on_are_counted_as_sparsely_c
     poses = corridor()
     unknown = (EVERY >= 50) & (EVERY < 70)
     said = describe_quality(quality(poses, poses[~unknown])[0])[0]
-    assert "6 of the 20 frames" in said
+    assert "6 of 20 frames" in said
     # a check without a model takes all frames as known: it must not say that none of them is sparsely covered
     assert "covered" not in describe_quality(quality(poses, poses)[0])[0]
 
@@ -96,7 +96,7 @@ def test_a_piece_cut_out_of_a_recording_is_a_gap():
     assert (one.first, one.last, one.between) == (49, 50, True)
     assert one.distance_m == pytest.approx(21 * 0.04 / 2)
     assert found.coverage.fast == []  # the gap is said once
-    assert "from frame 49 to frame 50" in advice[0]
+    assert "along frames 49 to 50" in advice[0]
 
 
 def test_a_gap_that_another_recording_fills_is_none():
@@ -134,7 +134,7 @@ def test_turns_that_are_missing_are_named_by_their_side(sign, side):
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
-    assert f"look further {side} than known frame 59" in advice[0]
+    assert f"(known frame 59; from there the camera is turned {side})" in advice[0]
 
 
 @pytest.mark.parametrize(("sign", "side"), [(1, "down"), (-1, "up")])
@@ -147,14 +147,14 @@ def test_pitch_and_ways_are_named_in_the_cameras_frame(sign, side):
     ways[:, 2] = sign * 0.04 * EVERY
     found, advice = quality(path(ways), path(ways)[:60])
     assert found.coverage.sparse[0].turned == ""
-    assert f"from further {'forward' if sign > 0 else 'back'} than known frame 59" in advice[0]
+    assert f"(known frame 59; from there the camera is moved {'forward' if sign > 0 else 'back'})" in advice[0]
 
 
 def test_a_camera_that_turns_about_its_line_of_sight_is_tilted():
     rolled = path(turns=about("z", 0.02 * EVERY))
     found, advice = quality(rolled, rolled[:60])
     assert found.coverage.sparse[0].turned == "tilted"
-    assert "they are tilted against known frame 59;" in advice[0]
+    assert "(known frame 59; from there the camera is tilted)" in advice[0]
 
 
 def test_neighbouring_gaps_are_one_way_that_needs_more_frames():
@@ -165,7 +165,7 @@ def test_neighbouring_gaps_are_one_way_that_needs_more_frames():
     assert (one.first, one.last, one.between) == (40, 45, True)
     assert one.angle_deg == pytest.approx(np.degrees(0.2), abs=0.01)
     assert found.coverage.fast == []
-    assert "the way from frame 40 to frame 45 (around x=0.0, y=0.0) with more frames: between two" in advice[0]
+    assert "Record more views along frames 40 to 45 (around x=0.0, y=0.0): on the way, the nearest" in advice[0]
 
 
 def test_fast_turns_are_found_where_they_are():
@@ -177,8 +177,7 @@ def test_fast_turns_are_found_where_they_are():
     assert (one.first, one.last, one.turning) == (40, 45, True)
     assert one.angle_deg == pytest.approx(np.degrees(0.24))
     assert advice == [
-        "Turn more slowly in frames 40 to 45 (around x=0.0, y=0.0): up to 0.00 m and 14 degrees from one frame to the "
-        "next."
+        "Turn more slowly in frames 40 to 45 (around x=0.0, y=0.0): up to 0.00 m and 14 degrees per frame."
     ]
 
 

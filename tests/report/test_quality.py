@@ -5,8 +5,8 @@ import numpy as np
 
 from conformodal.datasets import Sequence
 from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.quality.advice import quality_record
 from conformodal.quality.examining import RecordingQuality
-from conformodal.quality.record import quality_record
 from conformodal.quality.view_coverage import pose_coverage
 from conformodal.quality.views import ViewScale
 from conformodal.report.quality import quality_plan, write_quality_page
@@ -50,7 +50,7 @@ def test_the_page_says_what_to_record_next(tmp_path):
     write_quality_page(tmp_path, found, sequence, made, ["2 x image cannot be read: a.png"])
     page = (tmp_path / "report.html").read_text()
     assert "<title>Is &lt;b&gt; good enough?</title>" in page
-    assert "Train on frames 57 to 62 (around x=2.4, y=0.0) too" in page
+    assert "Train on frames 57 to 62 (around x=2.4, y=0.0) or" in page
     assert "2 x image cannot be read: a.png" in page
     assert "57 (57.png)" in page
     assert 'aria-label="Plan' in page

@@ -48,7 +48,7 @@ def frame(intervals, position=(0.0, 0.0, 0.0), truth=None, error=0.042, **other)
         (frame([LINE] * 3), "The region is unbounded: every position is possible."),
         (
             frame([LINE] * 3, evidence="unknown", known_p=0.00312, reliable=False, truth=(0, 0, 0)),
-            "Unknown place (p = 0.0031): the image shows no place that is known, so the region is unbounded. The "
+            "Unknown place (p = 0.0031): the image shows no known place, so the region is unbounded. The "
             "chosen pose is 4.2 cm and 0.90 degrees from the truth.",
         ),
         (frame([[], HERE, HERE]), "The region is empty: no place is likely enough."),
@@ -96,12 +96,12 @@ def test_the_sentence_of_a_run():
     assert "names 2 places. It does not hold the true position" in statistics_of(two)
     assert statistics_of(one, two, two, unknown) == (
         "Of 4 frames, the region names one place in 1, names several in 2 (at most 2) and is unbounded in 1 (it "
-        "shows no place that is known). Of 3 bounded regions, 1 holds the true position. The chosen path is "
+        "shows no known place). Of 3 bounded regions, 1 holds the true position. The chosen path is "
         "3.20 m from the truth (RMSE)."
     )  # sqrt((9 + 16 + 16) / 4)
-    assert "is unbounded in 2 (1 of them shows no place that is known)" in statistics_of(unknown, frame([LINE] * 3))
-    assert "is unbounded in 2 (they show no place that is known)" in statistics_of(unknown, unknown)
-    assert "is unbounded (it shows no place that is known). The chosen pose" in statistics_of(unknown)
+    assert "is unbounded in 2 (1 of them shows no known place)" in statistics_of(unknown, frame([LINE] * 3))
+    assert "is unbounded in 2 (they show no known place)" in statistics_of(unknown, unknown)
+    assert "is unbounded (it shows no known place). The chosen pose" in statistics_of(unknown)
     assert "names one place in 1 and is empty in 1." in statistics_of(one, frame([[], HERE, HERE]))
     assert statistics_of(frame([LINE] * 3)) == "One frame was answered: its region is unbounded."
     assert statistics_of(frame([[], HERE, HERE])) == "One frame was answered: its region is empty."

@@ -15,8 +15,7 @@ from conformodal.datasets.streams.opening import open_stream
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.ros.bag import BagWriter
-from conformodal.ros.conventions import TOPICS, Conventions
-from conformodal.ros.errors import RosError
+from conformodal.ros.conventions import TOPICS, Conventions, RosError
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
 from tests.helpers import invoke

@@ -19,10 +19,9 @@ from conformodal.running.results.folders import lock_output
 from conformodal.running.selection import calibrate_selection
 from conformodal.vision.features import FeatureCache
 
-from .arguments import Cache, FollowOutside, cache_folder
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
-from .sources import open_sequence
+from .sources import Cache, FollowOutside, cache_folder, open_sequence
 
 
 @report_errors
@@ -34,15 +33,15 @@ def calibrate(
     guarantee: Annotated[
         Guarantee, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
     ] = Guarantee.FRAME,
-    method: Annotated[str, typer.Option(help="Whose answer the radius is about.")] = METHODS[0],
+    method: Annotated[str, typer.Option(help="Method whose pose the radius is about.")] = METHODS[0],
     metres_per_radian: Annotated[
         float | None,
-        typer.Option(help="Metres that weigh as much as one radian; the scene's depth by default."),
+        typer.Option(help="Metres that count as much as one radian; the scene's depth by default."),
     ] = None,
     follow_outside: FollowOutside = False,
     cache: Cache = None,
 ) -> None:
-    """Give the chosen pose a radius that keeps a promise, calibrated on whole recordings."""
+    """Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings."""
     if method not in METHODS:
         raise OptionError(f"--method must be one of {', '.join(METHODS)}, got {method!r}")
     loaded = load_model(model)

@@ -75,28 +75,28 @@ def report_errors(command: Callable[P, None]) -> Callable[P, None]:
                 _report_error("interrupted; the same command goes on from what was kept (features, training state)", "")
                 raise typer.Exit(stop_code(came)) from None
             except Exception as exc:
-                said, code = explained(exc)
+                text, code = explained(exc)
                 if code == OWN_FAULT and show_all():
                     raise
-                _report_error(said)
+                _report_error(text)
                 raise typer.Exit(code) from exc
 
     return wrapped
 
 
-def report_line(said: str) -> None:
+def report_line(text: str) -> None:
     """One line of the result, however long."""
-    console.print(said, soft_wrap=True)
+    console.print(text, soft_wrap=True)
 
 
-def _report_error(said: str, start: str = "error: ") -> None:
+def _report_error(text: str, start: str = "error: ") -> None:
     """One line on stderr."""
-    _errors.print(Text(start, style="bold red") + Text(plain(said)), soft_wrap=True)
+    _errors.print(Text(start, style="bold red") + Text(plain(text)), soft_wrap=True)
 
 
-def report_strongly(said: str) -> None:
+def report_strongly(text: str) -> None:
     """A line in bold, for what a user must see."""
-    console.print(Text(plain(said), style="bold"), soft_wrap=True)
+    console.print(Text(plain(text), style="bold"), soft_wrap=True)
 
 
 @contextmanager
@@ -139,13 +139,7 @@ def print_where(folder: Path) -> None:
 
 
 class StatusLine:
-    """One line that changes while a stream runs: frames, frames a second, known place or not, reliable or not.
-
-    Parameters
-    ----------
-    n_frames
-        To come, if known.
-    """
+    """One line that changes while a stream runs: frames, frames per second, known place or not, reliable or not."""
 
     def __init__(self, n_frames: int | None) -> None:
         columns = (

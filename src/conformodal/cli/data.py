@@ -13,31 +13,35 @@ from rich.table import Table
 
 from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import LOCK, writing_in
+from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetError, Layout, check_sequence
+from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
 from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Remark
+from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
+from conformodal.quality.advice import describe_quality, names_of, quality_record, record_next
+from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.running.results.provenance import provenance
+from conformodal.running.results.runs import write_metrics
+from conformodal.vision.features import FeatureCache
 
-from .arguments import cache_folder
-from .console import console, print_where, progress_bars, report_errors
+from .console import console, print_where, progress_bars, report_errors, report_strongly
 from .options import OptionError
-from .quality import FIGURES, PAGE, judge, report_quality, require_figures, write_findings
-from .sources import FOLLOW_OUTSIDE, open_sequence, open_source
+from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
-app = typer.Typer(help="Look at a data set, or convert it.", no_args_is_help=True)
+app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
-METRICS = "metrics.json"
+METRICS, PAGE, FIGURES = "metrics.json", "report.html", "figures"
 
 
 @app.callback()
 def data() -> None:
-    """Look at a data set, or convert it."""
+    """Check or convert a data set."""
 
 
 @app.command()
@@ -50,14 +54,15 @@ def check(
         typer.Option(help="Folder for metrics.json, and a page if there are poses: new, empty, or of data check."),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="Saved model: says also where it knows too little, and where places look alike.")
+        Path | None,
+        typer.Option(help="Saved model: also report sparsely covered and ambiguous places."),
     ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")
     ] = None,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    follow_outside: FollowOutside = False,
 ) -> None:
-    """Say what a folder holds, all that is wrong with it (exit code 1 if anything is), and what it lacks."""
+    """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else writing_in(out):
         _check(folder, layout, out, model, cache, follow_outside)
 
@@ -67,19 +72,19 @@ def _check(
 ) -> None:
     if out is not None:
         _check_out(out)
-        require_figures()
-    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, remarks=False)
+        _require_figures()
+    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)
         cache = cache_folder(cache)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
-        quality = judge(sequence, known, cache or default_cache_dir(), report)
+        quality = _judge(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
-    table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames a second")
+    table.add_row("time", f"{found.duration_s:.2f} s, usually {found.rate_hz:.2f} frames per second")
     if found.extent_m is None:
         some = f"for {found.n_poses} of {counted(found.n_frames, 'frame')}" if found.n_poses else "none"
         table.add_row("poses", some)
@@ -95,13 +100,13 @@ def _check(
     if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
-        report_quality(quality, sequence)
+        _report_quality(quality, sequence)
     if out is not None:
         configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
             configuration |= {"model": model_digest(model)}
         record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
-        write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
+        _write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
         print_where(out)
     if wrong:
         raise typer.Exit(_FOUND)
@@ -116,22 +121,22 @@ def convert(
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
     poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, paired by time within 0.02 s.")] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources that say no camera.")
+        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     binary: Annotated[
         bool, typer.Option("--binary", help="Write a COLMAP model in binary files, not as text.")
     ] = False,
-    follow_outside: Annotated[bool, typer.Option("--follow-outside", help=FOLLOW_OUTSIDE)] = False,
+    follow_outside: FollowOutside = False,
 ) -> None:
-    """Write a source in another layout, poses converted; a video or a ROS recording becomes a data set."""
+    """Convert a data set, a video or a ROS recording to a data set in another layout, poses included."""
     stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
     truth = own if poses is None else read_tum(poses)
     if stream.camera is not None and camera is not None:
-        raise OptionError(f"--camera is for sources that say no camera, and {stream.name} says {stream.camera}")
+        raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
     with progress_bars() as report:
         total = stream.n_frames or 0
@@ -173,13 +178,57 @@ def _check_out(out: Path) -> None:
 
 def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if folder is None:
-        raise DatasetError("the source says no camera; name a folder with camera-intrinsics.txt by --camera")
+        raise DatasetError("the source has no calibration; name a folder with camera-intrinsics.txt by --camera")
     first = next((frame.image for frame in stream if frame.image is not None), None)
     if first is None:
         raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
     height, width, _ = first.shape
-    remarks: list[Remark] = []
-    camera = camera_beside(folder, (width, height), None, remarks)
-    for what, where in remarks:
+    notes: list[Note] = []
+    camera = camera_beside(folder, (width, height), None, notes)
+    for what, where in notes:
         console.print(f"{what}: {where}", soft_wrap=True, markup=False)
     return camera
+
+
+def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
+    """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
+    if model is not None:
+        return examine(sequence, model, cache=FeatureCache(cache), progress=report)
+    found = examine(sequence)
+    return None if found.poses is None else found
+
+
+def _report_quality(found: RecordingQuality, sequence: Sequence) -> None:
+    """The findings, and what to record or train on next."""
+    for line in describe_quality(found):
+        console.print(line, soft_wrap=True)
+    advice = record_next(found, names_of(found, sequence))
+    if advice:
+        report_strongly("what to record or train on next, the most valuable first:")
+    for number, line in enumerate(advice, start=1):
+        console.print(f"  {number}. {line}", soft_wrap=True)
+
+
+def _require_figures() -> None:
+    """Refuse to begin where what draws the page is not installed."""
+    import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
+
+
+def _write_findings(
+    out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
+) -> None:
+    """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
+    from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
+
+    if found is None:
+        write_metrics(out, record)
+        (out / PAGE).unlink(missing_ok=True)  # of an earlier check
+        (out / FIGURES / PLAN).unlink(missing_ok=True)
+        return
+    whole = {**record, "quality": quality_record(found, sequence)}
+    write_metrics(out, whole)
+    findings = [
+        f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
+        for finding in check.findings
+    ]
+    write_quality_page(out, found, sequence, whole, findings)

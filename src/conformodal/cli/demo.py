@@ -27,9 +27,8 @@ from conformodal.running.results.runs import write_metrics
 from conformodal.vision.settings import TrainingConfig
 
 from .console import console, print_where, progress_bars, report_errors, report_line
-from .demo_outcome import DemoResults, answer_test_part
-from .demo_pages import describe_ratios, page_of
-from .outcome import say
+from .demo_pages import DemoResults, answer_test_part, describe_ratios, page_of
+from .outcome import report_outcome
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
@@ -42,14 +41,14 @@ _PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 @report_errors
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(help="Of world, flight, split and training.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
+    seed: Annotated[int, typer.Option(help="Seed of the world, flight, split and training.")] = 0,
     method: Annotated[
         Method,
-        typer.Option(help="conformodal; or paper: the paper's system in the same world."),
+        typer.Option(help="conformodal, or paper: the paper's system in the same world."),
     ] = Method.CONFORMODAL,
 ) -> None:
-    """Fly through a corridor of identical rooms, learn it, and find the way by conformal regions and motion."""
+    """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started = time.perf_counter()
     config = _config(method, seed)
     with lock_output(out, "demo"), progress_bars() as report:
@@ -70,7 +69,7 @@ def demo(
         write_metrics(out, outcome.metrics)
         results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
         write_page(out / "report.html", page_of(results))
-    say(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
+    report_outcome(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
     record = outcome.metrics["ambiguity"]
     console.print(
         f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "

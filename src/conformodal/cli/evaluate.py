@@ -22,10 +22,9 @@ from conformodal.running.results.provenance import provenance
 from conformodal.running.results.records import METRICS, REGIONS, read_region_records, record_bounded, records_contain
 from conformodal.running.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
-from .arguments import FollowOutside
 from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
 from .outcome import describe_coverage
-from .sources import open_sequence
+from .sources import FollowOutside, open_sequence
 
 
 @report_errors
@@ -34,11 +33,11 @@ def evaluate(
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout, if it is a data set.")] = Layout.AUTO,
     alignment: Annotated[
-        Alignment, typer.Option("--align", help="What each trajectory may be moved by before it is compared.")
+        Alignment, typer.Option("--align", help="Alignment of each trajectory before the comparison.")
     ] = Alignment.NONE,
     follow_outside: FollowOutside = False,
 ) -> None:
-    """Compare results with the truth; pairs poses by time, within 0.01 s. Writes OUT/evaluation/metrics.json."""
+    """Compare results with true poses, paired by time within 0.01 s. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
         recover(out)
         found = _read_results(out)
@@ -111,15 +110,7 @@ class Results:
 
 
 def _read_results(out: Path) -> Results:
-    """Read results; of a run that was killed, what is whole: frames that all its files know.
-
-    Raises
-    ------
-    ResultsError, TrajectoryFileError, FolderError
-        If a file is missing, damaged, or belongs to other results.
-    OdometryError
-        If files differ in length though the run came to its end.
-    """
+    """Read results; of a run that was killed, what is whole: frames that all its files know."""
     killed = (out / REGIONS).is_file() and not (out / METRICS).exists()
     metrics = {} if killed else read_metrics(out)
     unfinished = not metrics or bool(metrics.get("unfinished"))

@@ -24,10 +24,9 @@ from conformodal.running.results.folders import lock_output
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.onnx_backbone import OnnxBackbone
 
-from .arguments import Cache, DataLayout, FollowOutside, SavedModel, cache_folder
 from .console import console, print_where, progress_bars, report_errors
 from .options import OptionError
-from .sources import open_sequence
+from .sources import Cache, DataLayout, FollowOutside, SavedModel, cache_folder, open_sequence
 from .train import train_on
 
 _NETWORK = "pose_network.onnx"
@@ -36,12 +35,10 @@ _NETWORK = "pose_network.onnx"
 @report_errors
 def export(
     model: SavedModel,
-    out: Annotated[Path, typer.Option(help="Folder for the model that runs without torch.")],
+    out: Annotated[Path, typer.Option(help="Folder for the exported model, which runs without torch.")],
     quantise: Annotated[
         str,
-        typer.Option(
-            help="int8: the network in eight bits, all else learnt and calibrated anew through it; with --data."
-        ),
+        typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data."),
     ] = "none",
     with_head: Annotated[
         bool, typer.Option("--with-head", help=f"Also write {_NETWORK}: the network with its head, as one file.")
@@ -53,7 +50,7 @@ def export(
     follow_outside: FollowOutside = False,
     cache: Cache = None,
 ) -> None:
-    """Write a model anew with its network in ONNX, or in eight bits."""
+    """Convert a model's network to ONNX, or quantise it to eight bits."""
     if quantise not in ("none", "int8"):
         raise OptionError(f"--quantise must be int8 or none, got {quantise!r}")
     if (quantise == "int8") != (data is not None):
@@ -101,13 +98,7 @@ def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
 
 
 def _check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
-    """Refuse other data than the model was trained on.
-
-    Raises
-    ------
-    OdometryError
-        Naming how many frames differ.
-    """
+    """Refuse other data than the model was trained on."""
     known, here = model.known_frames, identify(sequence, model.known_frames)
     same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
     if same < len(known) or len(here) != len(known):

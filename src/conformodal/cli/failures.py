@@ -22,13 +22,9 @@ _NO_MEMORY = ("can't allocate memory", "not enough memory", "out of memory", "in
 
 @contextmanager
 def stopping(*, gently: bool = False) -> Iterator[list[int]]:
-    """Treat SIGTERM and SIGHUP like Ctrl-C, and keep the numbers of the signals that come.
+    """Treat SIGTERM and SIGHUP like Ctrl-C, and collect the numbers of the signals that come.
 
-    Parameters
-    ----------
-    gently
-        Whether the first signal is only kept, for work that looks at the list; the second interrupts. Otherwise the
-        first one does.
+    With `gently`, the first signal is only collected, for work that looks at the list; the second one interrupts.
     """
     came: list[int] = []
 
@@ -58,16 +54,16 @@ def stop_code(came: list[int]) -> int:
 
 
 def explained(error: Exception) -> tuple[str, int]:
-    """One line for people, and the exit code."""
-    name, said = type(error).__name__, str(error)
+    """The message of an error in one line, and the exit code."""
+    name, text = type(error).__name__, str(error)
     if isinstance(error, ConformodalError):
-        return f"{name}: {said}", BAD_INPUT
+        return f"{name}: {text}", BAD_INPUT
     if isinstance(error, OSError):
         where = f"{_path(error)}: " if error.filename is not None else ""
-        return f"the system refused: {where}{error.strerror or said or name}", REFUSED
-    if isinstance(error, MemoryError) or any(words in said.lower() for words in _NO_MEMORY):
-        return f"the system refused: there is not enough memory: {said or name}", REFUSED
-    return f"{name}: {said} (a fault of this program, {_place(error)}; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
+        return f"the system refused: {where}{error.strerror or text or name}", REFUSED
+    if isinstance(error, MemoryError) or any(words in text.lower() for words in _NO_MEMORY):
+        return f"the system refused: there is not enough memory: {text or name}", REFUSED
+    return f"{name}: {text} (a fault of this program, {_place(error)}; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
 
 
 def show_all() -> bool:

@@ -16,8 +16,8 @@ from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.vision.onnx_backbone import OnnxBackbone
 
-from .arguments import SavedModel
 from .console import report_errors, report_line
+from .sources import SavedModel
 
 _TIMED = 20
 
@@ -25,19 +25,19 @@ _TIMED = 20
 @report_errors
 def info(
     model: SavedModel,
-    as_json: Annotated[bool, typer.Option("--json", help="For machines: one JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Say what a saved model was trained on, what it guarantees, how large it is and how fast its network runs."""
+    """Print a saved model's training data, guarantee, size and network speed."""
     found = _facts(load_model(model), model)
     if as_json:
         typer.echo(json.dumps(found, indent=1))
         return
-    for line in said(found):
+    for line in describe_facts(found):
         report_line(line)
 
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
-    """What :func:`info` says, as JSON takes it."""
+    """The facts that :func:`info` prints, for JSON."""
     rules, split, camera = model.rules, model.split, model.camera
     kinds = np.array([kind.value for kind in EvidenceType])
     reached = np.atleast_1d(np.isfinite(rules.thresholds(kinds)).all(axis=1)).tolist()
@@ -64,7 +64,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     }
 
 
-def said(found: dict[str, Any]) -> list[str]:
+def describe_facts(found: dict[str, Any]) -> list[str]:
     """The facts as lines."""
     parts = ", ".join(f"{n} for {part}" for part, n in found["frames"].items())
     what = "the whole pose" if found["joint"] != "none" else "each target by itself"

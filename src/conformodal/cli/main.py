@@ -1,20 +1,92 @@
-"""The command ``conformodal``."""
+"""The command ``conformodal``.
+
+Each command is imported when it runs, so that ``--help``, ``--version`` and wrong options import nothing heavy.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
-from .verbs import Verbs
+from conformodal.core.extras import MissingPackageError, require_extra
 
-app = typer.Typer(
-    name="conformodal",
-    cls=Verbs,
-    help="Everywhere your camera could be, with a guarantee; and the one place that motion speaks for.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+from .failures import explained
+
+# By command, which is also the name of its module: the first line of its help.
+COMMANDS = {
+    "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
+    "motion.",
+    "train": "Train on a data set with poses, calibrate, and save the model.",
+    "export": "Convert a model's network to ONNX, or quantise it to eight bits.",
+    "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
+    "run": "Compute regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it and "
+    "keeps the results.",
+    "evaluate": "Compare results with true poses, paired by time within 0.01 s. Writes OUT/evaluation/metrics.json.",
+    "view": "Open the page of results.",
+    "info": "Print a saved model's training data, guarantee, size and network speed.",
+    "data": "Check or convert a data set.",
+}
+_TRAINS = ("demo", "train", "export")  # they need the extra 'train'
+_HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."
+
+
+class _LazyCommand(TyperCommand):
+    """A command that is imported when its arguments are read."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, help=COMMANDS[name])
+
+    def loaded(self) -> Any:
+        """The command itself."""
+        assert self.name is not None
+        try:
+            with require_extra("train" if self.name in _TRAINS else "run", f"conformodal {self.name}"):
+                module = import_module(f"{__package__}.{self.name}")
+        except MissingPackageError as exc:
+            text, code = explained(exc)
+            typer.echo(f"error: {text}", err=True)
+            raise typer.Exit(code) from None
+        own = getattr(module, "app", None)
+        if own is None:
+            own = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+            own.command(self.name)(getattr(module, self.name))
+        command = get_command(own)
+        command.name = self.name
+        _add_ranges(command)
+        return command
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        """The loaded command's: from here on it is the one that runs."""
+        return self.loaded().make_context(*arguments, **options)
+
+
+def _add_ranges(command: Any) -> None:
+    """Append the range of each option that is a number to its help."""
+    from .options import range_of  # noqa: PLC0415 - the list of commands needs no ranges, and they bring SciPy
+
+    for option in command.params:
+        allowed = range_of(option.name)
+        if allowed is not None:
+            option.help = f"{(option.help or '').rstrip('. ')}: {allowed}."
+    for each in getattr(command, "commands", {}).values():
+        _add_ranges(each)
+
+
+class _Commands(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        """All names, in the order of a first use."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command that is not imported yet."""
+        return _LazyCommand(cmd_name) if cmd_name in COMMANDS else None
+
+
+app = typer.Typer(name="conformodal", cls=_Commands, help=_HELP, no_args_is_help=True, pretty_exceptions_enable=False)
 
 
 def _version(value: bool) -> None:
@@ -25,8 +97,8 @@ def _version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(help=_HELP)
 def main(
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
-    """Everywhere your camera could be, with a guarantee; and the one place that motion speaks for."""
+    """Parse the options of all commands."""

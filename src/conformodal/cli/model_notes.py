@@ -8,15 +8,14 @@ import numpy as np
 
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import IntArray
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import Sharing
 from conformodal.poses import PinholeCamera
-from conformodal.quality.advice import WHERE, describe_sharing, describe_units
+from conformodal.quality.advice import WHERE
 from conformodal.quality.guarantee import guarantees
 
 _NEAR_FRAMES = 5
@@ -31,26 +30,18 @@ def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) 
             "sources"
         )
     n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
-    said = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
+    text = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
     found, given = landmarks.map.camera.fx, camera.fx
     if abs(found / given - 1) > _FOCAL_OFF:
-        said += (
+        text += (
             f"; the poses imply a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
             "former, all else the latter"
         )
-    return said
+    return text
 
 
 def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
-    """Median frames from a test frame to the nearest known one, and the share within five; null if none is known.
-
-    Parameters
-    ----------
-    split
-        Of n frames.
-    recording
-        (n,) the recording that each frame belongs to.
-    """
+    """Median frames from a test frame to the nearest known one, and the share within five; null if none is known."""
     found = frames_to_known(split, recording)
     median = float(np.median(found))
     return {
@@ -78,79 +69,48 @@ def describe_repeated(n_repeated: int, n_test: int) -> list[str]:
     shows, their = ("shows", "its") if n_repeated == 1 else ("show", "their")
     return [
         f"{n_repeated} of {counted(n_test, 'test frame')} {shows} the same picture as a training or calibration frame: "
-        f"{their} errors and regions say nothing of new pictures"
+        f"{their} errors and regions do not show what to expect of new images"
     ]
 
 
 def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
-    """Notes on the regions' calibration.
-
-    Parameters
-    ----------
-    model
-        Trained and calibrated.
-    config
-        What was asked for.
-    n_recordings
-        Recordings that training and calibration frames come from.
-    """
+    """Notes on the calibration; `n_recordings` counts those of training and calibration frames."""
     softmax, n_frames = model.calibration, model.n_calibration
     by_frame, n = softmax.groups_ is None, softmax.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
     if by_frame:
-        said = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
+        lines = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
-        said = [
+        lines = [
             f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of the "
             f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
         ]
     if softmax.joint != config.joint:
         least = min((one for one in guarantees(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
-        said.append(
+        lines.append(
             f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
             f"{config.joint}): at alpha {model.alpha:g}, alpha / {len(TARGET_NAMES)} needs "
             f"{_units_needed(model.alpha)} {'frames' if by_frame else units} of each evidence type, and those "
             f"{WHERE[least.evidence]} weigh {least.weight:.4g}"
         )
     if config.method is Method.PAPER:
-        said.append("images are not tested for unknown places: the paper has no such test")
+        lines.append("images are not tested for unknown places: the paper has no such test")
     elif model.novelty is None:
-        said.append(
+        lines.append(
             "images are not tested for unknown places: the test leaves out one piece of the data at a time, and there "
             "is only one piece"
         )
     elif model.rules.level < model.novelty.test.least_p:
-        said.append(
+        lines.append(
             f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
             f"{counted(model.novelty.test.n_groups, 'piece')} of the data no p-value is below "
             f"{model.novelty.test.least_p:.3g}"
         )
     else:
-        said.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
-    return said
+        lines.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
+    return lines
 
 
 def _units_needed(alpha: Alpha) -> int:
     """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
     return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1
-
-
-def describe_unbounded(model: PoseModel) -> list[str]:
-    """Evidence types whose region is unbounded in some target or that share thresholds, with the reason."""
-    said: list[str] = []
-    for guarantee in guarantees(model):
-        where = WHERE[guarantee.evidence]
-        if guarantee.finite:
-            if guarantee.sharing is not Sharing.OWN and describe_sharing(guarantee) not in said:  # once for both types
-                said.append(describe_sharing(guarantee))
-        elif not guarantee.n_frames:
-            said.append(f"no frame calibrates the regions {where}: there the region is unbounded")
-        else:
-            said.append(
-                f"The region is unbounded in some target {where}: {describe_units(guarantee)} "
-                f"{noun_for(guarantee.n_frames, 'calibrates', 'calibrate')} it, too few for alpha = {model.alpha:g} "
-                f"(joint {model.calibration.joint}), which needs a weight of {guarantee.weight_needed:g} of frames "
-                f"within the training range. Take a larger alpha, or more "
-                f"{'frames' if guarantee.by_frame else 'recordings'}."
-            )
-    return said

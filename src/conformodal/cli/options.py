@@ -25,10 +25,6 @@ SETTINGS = {
     "calibration": "",  # what is calibrated on
     "calibration_share": "calibration",
 }
-# Options that have an effect only where another option has a certain value.
-_NEED: dict[str, tuple[str, Any, str]] = {
-    "address": ("engine", lambda value: str(value) == "ray", "--engine ray"),
-}
 
 
 def range_of(option: str) -> Range | None:
@@ -43,20 +39,7 @@ def was_given(context: typer.Context, name: str) -> bool:
 
 
 def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
-    """Refuse numbers out of range, and options that contradict each other.
-
-    Parameters
-    ----------
-    given
-        A command's parameters by name.
-    defaults
-        Their default values.
-
-    Raises
-    ------
-    OptionError
-        Naming the option, what was found and what was expected.
-    """
+    """Refuse a command's options that are out of range or contradict each other; an OptionError names the option."""
     for name, value in given.items():
         allowed = range_of(name)
         if allowed is not None and value is not None and not allowed.holds(value):
@@ -69,9 +52,9 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
     if "calibration_share" in given and "test" in given:
         names = "--test", "--calibration-share", "--used"
         check_shares(given["test"], given["calibration_share"], given.get("used"), OptionError, names)
-    for name, (other, fits, said) in _NEED.items():
-        if name in given and other in given and given[name] != defaults.get(name) and not fits(given[other]):
-            raise OptionError(f"{_flag(name)} needs {said}, got {_flag(other)} {given[other]}")
+    engine = str(given.get("engine", "ray"))
+    if engine != "ray" and given.get("address") != defaults.get("address"):
+        raise OptionError(f"--address needs --engine ray, got --engine {engine}")
     for name in ("cache", "save"):
         place = given.get(name)
         if isinstance(place, Path):

@@ -56,11 +56,6 @@ def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | 
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
-
-    Raises
-    ------
-    OdometryError
-        If the sequence has none of them, or has them with another camera or other poses.
     """
     if part is Part.ALL:
         return None
@@ -108,20 +103,8 @@ def run_metrics(
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
-    Parameters
-    ----------
-    model, part
-        What was run, and on which frames.
-    trajectories
-        By method; may be empty where nothing is known to compare them with.
-    known
-        What errors and coverage need.
-    counts
-        Numbers of frames and seconds.
-    whole
-        Whether every frame of the part was answered, as in calibration: the guarantee holds for these only.
-    matched_all
-        Whether local features were matched in all of them, as when a radius is calibrated.
+    `whole` is whether every frame of the part was answered, and `matched_all` whether local features were matched in
+    all of them, both as in calibration: the guarantee holds for these only.
     """
     metrics: dict[str, Any] = {
         "command": "run",
@@ -187,7 +170,7 @@ def summary(name: str, metrics: dict[str, Any]) -> list[str]:
     return lines
 
 
-def say(metrics: dict[str, Any], *, unbounded: bool) -> None:
+def report_outcome(metrics: dict[str, Any], *, unbounded: bool) -> None:
     """The result on the terminal."""
     lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
     localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
@@ -199,7 +182,7 @@ def say(metrics: dict[str, Any], *, unbounded: bool) -> None:
     if unbounded:
         report_strongly(
             "The region of a frame that shows a known place is unbounded in some target: too few calibration frames "
-            "have the same kind of evidence for this alpha, or too many of them lie beyond the training range."
+            "have the same evidence type for this alpha, or too many of them lie beyond the training range."
         )
     if metrics["radius"] is not None:
         console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
@@ -215,16 +198,16 @@ def say(metrics: dict[str, Any], *, unbounded: bool) -> None:
 
 
 def _describe_unknown(metrics: dict[str, Any]) -> list[str]:
-    """What became of the frames that show no place that is known; nothing if there are none."""
+    """Frames that show no known place, and the errors without them; empty if there are none."""
     n, n_answered = metrics["n_unknown"], metrics["n_answered"]
     if not n:
         return []
     shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
-    said = [f"{n} of {counted(n_answered, 'frame')} {shows} no place that is known: {their} region is unbounded"]
+    lines = [f"{n} of {counted(n_answered, 'frame')} {shows} no known place: {their} region is unbounded"]
     rest, whole = (metrics.get(name, {}).get(ONLINE) for name in ("errors_known_places", "errors"))
     if rest is not None and any(f"{rest[name]:.4f}" != f"{whole[name]:.4f}" for name in ("rmse_m", "rmse_deg")):
-        said.append(f"Without {it} the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
-    return said
+        lines.append(f"Without {it} the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
+    return lines
 
 
 def _band(coverage: dict[str, Any]) -> str:
@@ -251,7 +234,7 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
 
 def _size(radius: dict[str, Any]) -> str:
     if radius["radius_m"] is None or radius["radius_deg"] is None:
-        return "infinity, for want of recordings to calibrate it on"
+        return "infinity: too few recordings calibrate it"
     return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 

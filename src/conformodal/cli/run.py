@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import typer
@@ -21,9 +22,11 @@ from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
+from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.thumbnails import Thumbnails
 from conformodal.report.viewer import make_viewer
+from conformodal.ros.bag import BagWriter
 from conformodal.running.estimates import Estimate
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.results.folders import lock_output, result_digests
@@ -32,13 +35,11 @@ from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from conformodal.running.streaming import StreamRunner
 
-from .arguments import FollowOutside, SavedModel
 from .console import StatusLine, print_where, report_errors, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
-from .options import OptionError
-from .outcome import GroundTruth, Part, part_frames, run_metrics, say, summary, unfinished_metrics
-from .sources import open_source
-from .watching import FrameSink, frame_sinks
+from .options import ROS_SUFFIX, OptionError
+from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics, summary, unfinished_metrics
+from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
@@ -84,7 +85,10 @@ def run(
     ] = None,
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
-    """Find regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it, results kept."""
+    """Compute regions and the trajectory of a source with a saved model, frame by frame.
+
+    Ctrl-C stops it and keeps the results.
+    """
     with lock_output(out, "run", apart=[model, Path(source)]):
         loaded = load_model(model)
         if alpha is not None:
@@ -105,7 +109,7 @@ def run(
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
-    say(metrics, unbounded=unbounded)
+    report_outcome(metrics, unbounded=unbounded)
     if metrics["stopped"]:
         report_strongly(f"stopped early: {metrics['stopped']}")
     print_where(out)
@@ -115,17 +119,39 @@ def run(
         raise typer.Exit(BROKE_OFF)
 
 
+class FrameSink(Protocol):
+    """Receives every frame with its estimate."""
+
+    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
+        """Take a frame; `truth` is a trajectory of one, or None."""
+        ...
+
+    def close(self) -> None:
+        """Finish writing."""
+        ...
+
+
+@contextmanager
+def frame_sinks(
+    name: str, alpha: object, *, view: bool, save: Path | None, images: bool
+) -> Iterator[tuple[FrameSink, ...]]:
+    """The views and recordings that the options of a run ask for; all are closed at the end."""
+    ros = save is not None and save.suffix.lower() == ROS_SUFFIX
+    rerun = None if ros else save
+    found: list[FrameSink] = []
+    with ExitStack() as opened:
+        if save is not None and ros:
+            found.append(BagWriter(save, images=images))
+            opened.callback(found[-1].close)
+        if view or rerun is not None:
+            found.append(LiveView(name, alpha, spawn=view, save=rerun))
+            opened.callback(found[-1].close)
+        yield tuple(found)
+
+
 @dataclass(frozen=True)
 class _StreamOptions:
-    """How a stream is run.
-
-    Attributes
-    ----------
-    part, pace, limit, match_every
-        As for :func:`run`.
-    digest
-        Of the model, for the record.
-    """
+    """Options of :func:`run`, and the digest of the model."""
 
     part: Part = Part.ALL
     pace: Pace = Pace.FAST
@@ -157,11 +183,6 @@ def _stream_through(
     """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
 
     Such a region is unbounded in some target, although its image shows a place that is known.
-
-    Raises
-    ------
-    OdometryError
-        If no frame could be answered.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
@@ -237,7 +258,7 @@ def _write_results(
 
 
 def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
-    """Refuse options that say nothing with this model."""
+    """Refuse options that have no effect with this model."""
     if novelty_level and model.novelty is None:
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
     if match_every not in (None, 1) and not model.looks_at_local_features:

@@ -1,12 +1,16 @@
-"""Opening what a user names as data."""
+"""Arguments of several commands, and opening what a user names as data."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import check_writable
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.streams.bag import BagStream
@@ -18,48 +22,51 @@ from conformodal.poses import PinholeCamera
 from .console import report_line
 from .options import OptionError
 
-_MOST_REMARKS = 5
-FOLLOW_OUTSIDE = (
-    "Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are."
-)
+_MOST_NOTES = 5
+
+Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
+SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
+DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
+FollowOutside = Annotated[
+    bool,
+    typer.Option(
+        "--follow-outside",
+        help="Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are.",
+    ),
+]
+Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
+
+
+def cache_folder(cache: Path | None) -> Path:
+    """The cache folder that a user named, or the usual one; it can be written."""
+    folder = cache or default_cache_dir()
+    check_writable(folder)
+    return folder
 
 
 def _report_warnings(sequence: Sequence) -> None:
     """Name what the reader left out, or found unlikely."""
     counts: dict[str, int] = {}
-    for what, where in sequence.remarks:
+    for what, where in sequence.notes:
         counts[what] = counts.get(what, 0) + 1
-        if counts[what] <= _MOST_REMARKS:
+        if counts[what] <= _MOST_NOTES:
             report_line(f"{what}: {where}")
     for what, count in counts.items():
-        if count > _MOST_REMARKS:
-            report_line(f"{what}: {count - _MOST_REMARKS} more")
-
-
-@contextmanager
-def _describe_elsewhere() -> Iterator[None]:
-    """Keep quiet what the command prints itself."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DatasetWarning)
-        yield
+        if count > _MOST_NOTES:
+            report_line(f"{what}: {count - _MOST_NOTES} more")
 
 
 def open_sequence(
-    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, remarks: bool = True
+    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, notes: bool = True
 ) -> Sequence:
-    """Read a data set in a layout; says what was recognised, and the reader's remarks.
-
-    Raises
-    ------
-    DatasetError
-        If it is not there or not in that layout.
-    """
+    """Read a data set in a layout; says what was recognised, and the reader's notes."""
     if layout is Layout.AUTO:
         layout = recognise(path)
         report_line(f"{path}: {layout} layout")
-    with _describe_elsewhere():
+    with warnings.catch_warnings():  # they are printed here
+        warnings.simplefilter("ignore", DatasetWarning)
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
-    if remarks:
+    if notes:
         _report_warnings(sequence)
     return sequence
 
@@ -76,20 +83,16 @@ def open_source(
     """Open anything that gives frames, see :func:`~conformodal.datasets.streams.opening.open_stream`; says what it is.
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be opened.
     """
-    with _describe_elsewhere():
+    with warnings.catch_warnings():  # they are printed here
+        warnings.simplefilter("ignore", DatasetWarning)
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
         if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
             with suppress(DatasetError):  # no frame has a pose
                 again = read_sequence(Path(source), layout, require_poses=True, follow_outside=follow_outside)
                 stream = SequenceStream(again)
     if topic is not None and not isinstance(stream, BagStream):
-        raise OptionError(f"--topic says something with a ROS recording only, and {source} is none, got {topic!r}")
+        raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
     if isinstance(stream, SequenceStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"

@@ -11,37 +11,40 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import Layout, Sequence, SplitKind
+from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.source import PoseSource
 from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.model.model import PoseModel
 from conformodal.model.store import model_digest, save_model
 from conformodal.networks import NETWORKS, find_network
-from conformodal.quality.record import quality_record
+from conformodal.quality.advice import describe_quality, describe_unbounded, names_of, quality_record, record_next
+from conformodal.quality.examining import RecordingQuality, examine
+from conformodal.quality.guarantee import guarantees
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
 from conformodal.training.training import prepare_training_data, train_model
+from conformodal.training.training_data import TrainingData
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig
 
-from .arguments import Cache, Data, DataLayout, FollowOutside, cache_folder
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .model_notes import (
     describe_calibration,
     describe_distances,
     describe_landmarks,
     describe_repeated,
-    describe_unbounded,
     distances,
 )
 from .options import was_given
-from .quality import quality_of_training, report_briefly
-from .sources import open_sequence
+from .sources import Cache, Data, DataLayout, FollowOutside, cache_folder, open_sequence
 
+_MOST_ADVICE = 3
 # Settings whose options have other names.
 _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 
@@ -144,10 +147,10 @@ def train(
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
     if method is Method.PAPER:  # options that were left alone are the paper's then
-        said, default = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}, ModelConfig()
-        said |= {name for name, value in settings.items() if value != getattr(default, name)}
-        said -= {"calibrate_on"} if calibration is Calibration.AUTO else set()
-        config = ModelConfig.paper(**{name: settings[name] for name in said})
+        given, default = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}, ModelConfig()
+        given |= {name for name, value in settings.items() if value != getattr(default, name)}
+        given -= {"calibrate_on"} if calibration is Calibration.AUTO else set()
+        config = ModelConfig.paper(**{name: settings[name] for name in given})
     else:
         config = ModelConfig(**settings)
     _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
@@ -174,7 +177,7 @@ def train_on(
     model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report, fitted=fitted)
     # at the end: until then, a model that was there before is whole
     save_model(model, out)
-    quality = quality_of_training(data, model, config)
+    quality = _quality_of(data, model, config)
     split = model.split
     parts = {"train": len(split.train), "calibration": len(split.calibration), "test": len(split.test)}
     used, frames = np.concatenate((split.train, split.calibration)), model.known_frames
@@ -215,8 +218,23 @@ def train_on(
                 "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
                 "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
             )
-    for line in describe_unbounded(model):
+    for line in describe_unbounded(guarantees(model)):
         report_strongly(line)
     if quality is not None:
-        report_briefly(quality, sequence)
+        advice = record_next(quality, names_of(quality, sequence))[:_MOST_ADVICE]
+        for line in [*describe_quality(quality), *advice]:
+            console.print(line, soft_wrap=True)
     return model
+
+
+def _quality_of(data: TrainingData, model: PoseModel, config: ModelConfig) -> RecordingQuality | None:
+    """Of the recording that a model was just trained on; None for the paper's system, which has no more to say."""
+    if config.method is Method.PAPER:
+        return None
+    local_features = data.for_sources(config).local_features
+
+    def look(frames: IntArray) -> tuple[IntArray, FrameEvidence]:
+        local = local_features(frames) if model.looks_at_local_features else ()
+        return frames, FrameEvidence(data.features[frames], local)
+
+    return examine(data.sequence, model, just_trained=look)

@@ -28,13 +28,7 @@ def view(
 
 
 def page_of(results: Path) -> Path:
-    """The page in a folder of results.
-
-    Raises
-    ------
-    ResultsError
-        If there is none.
-    """
+    """The page in a folder of results."""
     if results.is_file() and results.suffix == ".html":
         return results
     found = [results / name for name in _PAGES if (results / name).is_file()]

@@ -8,20 +8,18 @@ with require_extra("run", "reading images"):
 
 from .checking import DatasetCheck, Finding, check_sequence
 from .colmap import read_colmap
-from .decoding import read_image
+from .decoding import THUMBNAIL, read_image, thumbnail
 from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .euroc import read_euroc_mav
 from .images import read_image_folder
 from .kitti import read_kitti_odometry
 from .layouts import Layout, read_sequence, recognise
 from .nerf import read_nerf
-from .noise import PixelNoise
-from .reading import Remark
+from .reading import Note
 from .rgbd_scenes import read_rgbd_scenes
-from .sequence import Sequence
+from .sequence import PixelNoise, Sequence
 from .sevenscenes import read_sevenscenes
 from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
-from .thumbnails import THUMBNAIL, thumbnail
 from .tum import read_tum_rgbd
 
 __all__ = [
@@ -32,8 +30,8 @@ __all__ = [
     "Finding",
     "ImageError",
     "Layout",
+    "Note",
     "PixelNoise",
-    "Remark",
     "Sequence",
     "Split",
     "SplitError",

@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.poses import PinholeCamera, PoseError
 
 from .errors import DatasetError
-from .reading import Remark, read_numbers
+from .reading import Note, read_numbers
 
 Size = tuple[int, int]
 
@@ -30,33 +30,15 @@ def camera_of(
     lens: tuple[float, ...] = (),
     *,
     stated: Size | None = None,
-    remarks: list[Remark] | None = None,
+    notes: list[Note] | None = None,
 ) -> PinholeCamera:
-    """A camera from the numbers of a file.
+    """A camera from fx, fy, cx, cy and the lens distortion of a file (`source` names file and field).
 
-    Parameters
-    ----------
-    source
-        File and field, for people.
-    pixels
-        fx, fy, cx, cy.
-    size
-        Width and height of the images.
-    lens
-        Distortion.
-    stated
-        Width and height that the file gives its numbers for, to which the images may have been scaled.
-    remarks
-        Takes up what is unlikely.
-
-    Raises
-    ------
-    DatasetError
-        If this is no pinhole camera: numbers that are not positive or finite, a field of view or a distortion that no
-        such camera has, or a stated size of another shape than the images'.
+    `stated` is the image size that the file gives its numbers for; they are scaled to `size`. Numbers of no pinhole
+    camera raise a DatasetError; unlikely ones are added to `notes`.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
-    said: list[str] = []
+    scaled: list[str] = []
     if stated is not None and tuple(stated) != size:
         if min(stated) < 1:
             raise DatasetError(
@@ -69,39 +51,24 @@ def camera_of(
                 f"{size[0]}x{size[1]}, another shape; give the camera of these images"
             )
         fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
-        said.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
+        scaled.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
     try:
         camera = PinholeCamera(fx, fy, cx, cy, *size, lens)
     except PoseError as exc:
         raise DatasetError(f"{source}: {exc}") from exc
     _refuse(source, camera)
-    if remarks is not None:
-        remarks += [Remark(SCALED, f"{source}: {text}") for text in said]
-        remarks += [Remark("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
+    if notes is not None:
+        notes += [Note(SCALED, f"{source}: {text}") for text in scaled]
+        notes += [Note("camera is unlikely", f"{source}: {text}") for text in _doubts(camera)]
     return camera
 
 
 def camera_beside(
-    folder: Path, size: Size, default: PinholeCamera | None, remarks: list[Remark] | None = None
+    folder: Path, size: Size, default: PinholeCamera | None, notes: list[Note] | None = None
 ) -> PinholeCamera:
-    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, or the default.
+    """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    Parameters
-    ----------
-    folder
-        Where the files may lie.
-    size
-        Width and height of the images.
-    default
-        Taken where there is no file; None if the layout has no camera of its own.
-    remarks
-        Takes up what is unlikely.
-
-    Raises
-    ------
-    DatasetError
-        If the files are damaged or hold no pinhole camera, or there are none and the default is missing or of another
-        image size.
+    The default must be of the images' size.
     """
     path = folder / "camera-intrinsics.txt"
     if not path.is_file():
@@ -115,17 +82,11 @@ def camera_beside(
     if k.size != 9:
         raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3)")
     check_matrix(path, k.reshape(3, 3))
-    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, remarks=remarks)
+    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, notes=notes)
 
 
 def check_matrix(source: Path | str, k: np.ndarray) -> None:
-    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1.
-
-    Raises
-    ------
-    DatasetError
-        Names the source.
-    """
+    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1."""
     least = max(abs(float(k[0, 0])), 1.0)
     upright = np.allclose(k[2], (0, 0, 1), atol=1e-6, rtol=0)
     if not np.isfinite(k).all() or not upright or abs(k[1, 0]) > 1e-3 * least or abs(k[0, 1]) > 1e-2 * least:

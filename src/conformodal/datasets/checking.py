@@ -138,6 +138,6 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
 def _warnings(sequence: Sequence) -> list[Finding]:
     """What the reader found, each kind once."""
     places: dict[str, list[str]] = {}
-    for remark in sequence.remarks:
-        places.setdefault(remark.what, []).append(remark.where)
+    for note in sequence.notes:
+        places.setdefault(note.what, []).append(note.where)
     return [Finding(what, len(where), where[0], what not in _NOTES) for what, where in places.items()]

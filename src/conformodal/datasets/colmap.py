@@ -18,10 +18,10 @@ from conformodal.poses.text import number, pose_faults, table_of, whole_number
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
-from .draft import Damaged, FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
-from .reading import PathGuard, Remark, frame_times, image_files, read_lines, reader
+from .frame_table import Damaged, FrameTable
+from .reading import Note, PathGuard, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
@@ -95,15 +95,14 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     found = registered | {name: image(base, name) for name in others}
     names = sorted(found, key=natural_key)
     images = [found[name] for name in names]
-    remarks: list[Remark] = []
+    notes: list[Note] = []
     size = common_size([registered[name] for name in sorted(registered, key=natural_key)])
-    camera = _camera(of_cameras, *cameras[used[0]], size, remarks)
+    camera = _camera(of_cameras, *cameras[used[0]], size, notes)
     if isinstance(camera, Fisheye):
         images, camera = undistorted(images, camera), camera.pinhole
     poses, why = _poses(of_images, names, rows)
-    recording = np.zeros(len(names), dtype=np.int64)
-    draft = FrameTable(folder.name, images, frame_times(folder, len(names)), recording, poses, why, remarks)
-    return draft.sequence(camera, require_poses=require_poses)
+    table = FrameTable(folder.name, images, frame_times(folder, len(names)), poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:
@@ -185,7 +184,7 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     return found
 
 
-def _camera(path: Path, at: str, fields: list[str], size: Size, remarks: list[Remark]) -> PinholeCamera | Fisheye:
+def _camera(path: Path, at: str, fields: list[str], size: Size, notes: list[Note]) -> PinholeCamera | Fisheye:
     line = " ".join(fields)
     try:
         model, width, height = fields[1], whole_number(fields[2]), whole_number(fields[3])
@@ -202,7 +201,7 @@ def _camera(path: Path, at: str, fields: list[str], size: Size, remarks: list[Re
     distortion = tuple(0.0 if i is None else values[i] for i in lens)
     source, stated = f"{path}, {at}", (width, height)
     if model == _FISHEYE:
-        return fisheye_of(source, pixels, size, distortion, stated=stated, remarks=remarks)
+        return fisheye_of(source, pixels, size, distortion, stated=stated, notes=notes)
     if any(values[9:]):
         raise DatasetError(f"{source}: camera model {model} has k4, k5 or k6, expected zeros: {UNDISTORT}")
-    return camera_of(source, pixels, size, distortion, stated=stated, remarks=remarks)
+    return camera_of(source, pixels, size, distortion, stated=stated, notes=notes)

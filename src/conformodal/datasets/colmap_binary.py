@@ -75,13 +75,7 @@ class _Bytes:
 
 
 def binary_images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
-    """Quaternion, translation and camera by image name.
-
-    Raises
-    ------
-    DatasetError
-        If the file is damaged, holds no image, or names one twice.
-    """
+    """Quaternion, translation and camera by image name."""
     file = _Bytes(path)
     found: dict[str, tuple[list[float], list[float], int]] = {}
     (n,) = file.take("Q")
@@ -101,13 +95,7 @@ def binary_images(path: Path) -> dict[str, tuple[list[float], list[float], int]]
 
 
 def binary_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
-    """Place in the file and fields, as a text model has them, by camera.
-
-    Raises
-    ------
-    DatasetError
-        If the file is damaged, or holds no camera or one of an unknown model.
-    """
+    """Place in the file and fields, as a text model has them, by camera."""
     file = _Bytes(path)
     found = {}
     (n,) = file.take("Q")

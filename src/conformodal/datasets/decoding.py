@@ -5,16 +5,20 @@ from __future__ import annotations
 import io
 import os
 import re
+import threading
+import warnings
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from .errors import ImageError
-from .pillow_warnings import ignore_pillow_warnings
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
 # A small file that claims more pixels than this, and so many a byte, was made to fill the memory.
@@ -23,6 +27,12 @@ _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION = 0x0112
 _DIGITS = re.compile(r"([0-9]+)")
 _SAMPLES = 9
+THUMBNAIL = (32, 24)
+_BEFORE_BLUR = 128  # pixels across
+_OF_PILLOW = r"PIL\.|conformodal\.datasets\.decoding$"
+_guard = threading.Lock()
+_inside: list[int] = []  # threads, once for each time that they came in
+_filters = ExitStack()
 
 
 def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
@@ -32,25 +42,13 @@ def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height, without decoding the image.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing, no image, or one that cannot be read as RGB of 8 bits.
-    """
+    """Width and height, without decoding the image."""
     with _opened(path, str(path)) as image:
         return int(image.width), int(image.height)
 
 
 def common_size(paths: list[Path]) -> tuple[int, int]:
-    """The size that most of a few images have, spread over all of them; of the first that can be read if those cannot.
-
-    Raises
-    ------
-    ImageError
-        If none can be read; names the first.
-    """
+    """The size that most of a few evenly spread images have; else that of the first image that can be read."""
     found: Counter[tuple[int, int]] = Counter()
     spread = {round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}
     first: ImageError | None = None
@@ -183,3 +181,37 @@ def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
     if alpha.min() == 255:
         return np.ascontiguousarray(rgba[..., :3])
     return np.asarray((rgba[..., :3].astype(np.uint16) * alpha + 127) // 255, dtype=np.uint8)
+
+
+@contextmanager
+def ignore_pillow_warnings() -> Iterator[None]:
+    """Ignore Pillow's warnings and no others.
+
+    Python's filters belong to the whole process: the first thread that enters changes them, the last one restores them.
+    """
+    with _guard:
+        if not _inside:
+            _filters.enter_context(warnings.catch_warnings())
+            warnings.filterwarnings("ignore", module=_OF_PILLOW)
+        _inside.append(threading.get_ident())
+    try:
+        yield
+    finally:
+        with _guard:
+            _inside.pop()
+            if not _inside:
+                _filters.close()
+
+
+def thumbnail(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """The picture (768,) of an image (height, width[, 3]), RGB or grey: of zero mean and unit length.
+
+    Zero for an image without contrast.
+    """
+    height, width = image.shape[:2]
+    before = (_BEFORE_BLUR, max(1, round(height * _BEFORE_BLUR / width)))
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    small = cv2.GaussianBlur(cv2.resize(grey, before, interpolation=cv2.INTER_AREA), (0, 0), 1.0)
+    picture = cv2.resize(small, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
+    picture -= picture.mean()
+    return np.asarray(picture / max(float(np.linalg.norm(picture)), 1e-6), dtype=np.float32)

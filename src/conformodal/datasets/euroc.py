@@ -18,9 +18,9 @@ from conformodal.poses.text import matrix_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size
-from .draft import FrameTable, listed, paired_by_time
 from .errors import DatasetError
-from .reading import PathGuard, Remark, read_lines, reader
+from .frame_table import FrameTable, listed, paired_by_time
+from .reading import Note, PathGuard, read_lines, reader
 from .sequence import Sequence
 
 # Ground truth comes at 200 Hz.
@@ -51,7 +51,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     folder = Path(folder).resolve()
     root = folder if folder.name == "mav0" else folder / "mav0"
     path, truth = root / "cam0" / "data.csv", root / _TRUTH / "data.csv"
-    data, remarks = root / "cam0" / "data", list[Remark]()
+    data, notes = root / "cam0" / "data", list[Note]()
 
     place = PathGuard(root, path, follow_outside=follow_outside)
 
@@ -61,22 +61,22 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
             raise ValueError
         return whole_number(time) / 1e9, place(data, name)
 
-    images, times = listed(path, parse, "'timestamp [ns], file'", remarks)
-    camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", common_size(images), remarks)
+    images, times = listed(path, parse, "'timestamp [ns], file'", notes)
+    camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", common_size(images), notes)
     poses = None
     if require_poses and not truth.is_file():
         raise DatasetError(f"{truth}: poses are missing")
     if truth.is_file():
-        poses = paired_by_time(euroc_table, truth, times, MAX_TIME_DIFFERENCE_S, remarks)
+        poses = paired_by_time(euroc_table, truth, times, MAX_TIME_DIFFERENCE_S, notes)
         known = np.isfinite(poses).all(axis=1)
         body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
         poses[known] = table_of(body.poses_se3 @ T_body_cam)
-    draft = FrameTable(folder.name, images, times, np.zeros(len(images), dtype=np.int64), poses, remarks=remarks)
-    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
-    return draft.sequence(camera, require_poses=require_poses)
+    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
-def _sensor(path: Path, size: Size, remarks: list[Remark]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:
+def _sensor(path: Path, size: Size, notes: list[Note]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:
     text = "\n".join(read_lines(path))
     if len(text) > _MOST_BYTES:
         raise DatasetError(f"{path}: has {len(text)} characters, expected a calibration of at most {_MOST_BYTES}")
@@ -107,7 +107,7 @@ def _sensor(path: Path, size: Size, remarks: list[Remark]) -> tuple[PinholeCamer
         raise DatasetError(f"{path}: T_BS {faults.get(0, 'holds NaN or infinity')}")
     whole = None if stated is None else (int(stated[0]), int(stated[1]))
     lens = lens if any(lens) else ()
-    camera = camera_of(f"{path}: intrinsics", pixels, size, lens, stated=whole, remarks=remarks)
+    camera = camera_of(f"{path}: intrinsics", pixels, size, lens, stated=whole, notes=notes)
     return camera, T_body_cam
 
 

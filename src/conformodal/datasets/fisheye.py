@@ -27,7 +27,7 @@ from conformodal.poses import PinholeCamera
 from .cameras import MOST_BENT, Size, camera_of
 from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
-from .reading import Remark
+from .reading import Note
 
 UNDISTORTED = "fisheye images are undistorted"
 _WIDEST_RAD = np.pi  # no lens sees more than all around
@@ -69,26 +69,11 @@ def fisheye_of(
     coefficients: tuple[float, ...],
     *,
     stated: Size | None,
-    remarks: list[Remark],
+    notes: list[Note],
 ) -> Fisheye:
-    """A lens from the numbers of a file.
-
-    Parameters
-    ----------
-    source, pixels, size, stated
-        As for :func:`~conformodal.datasets.cameras.camera_of`.
-    coefficients
-        k1, k2, k3, k4.
-    remarks
-        Takes up what is unlikely, and how much of the view a pinhole camera keeps.
-
-    Raises
-    ------
-    DatasetError
-        If the pinhole camera is none, or the coefficients are those of no lens.
-    """
+    """A lens from the numbers of a file and its k1, k2, k3, k4; otherwise as :func:`~.cameras.camera_of`."""
     k1, k2, k3, k4 = (float(k) for k in coefficients)
-    pinhole = camera_of(source, pixels, size, stated=stated, remarks=remarks)
+    pinhole = camera_of(source, pixels, size, stated=stated, notes=notes)
     lens = Fisheye(pinhole, (k1, k2, k3, k4))
     if not np.isfinite(lens.coefficients).all():
         raise DatasetError(f"{source}: fisheye distortion {lens.coefficients} is not finite")
@@ -107,7 +92,7 @@ def fisheye_of(
             f"{source}: fisheye distortion {lens.coefficients} folds the image over itself "
             f"{degrees(float(angles[np.argmax(np.diff(radii) <= 0)])):.0f} degrees from its axis, which no lens does"
         )
-    remarks.append(Remark(UNDISTORTED, f"{source}: {_views(lens)}"))
+    notes.append(Note(UNDISTORTED, f"{source}: {_views(lens)}"))
     return lens
 
 
@@ -138,11 +123,6 @@ def undistorted(images: list[Path], lens: Fisheye) -> list[Path]:
     """Undistorted images, files of the same names in the cache, made where they are missing or damaged.
 
     An image that cannot be read, or has another size than the camera's, stays where it is: it is no frame anyway.
-
-    Raises
-    ------
-    DatasetError
-        If the cache cannot be written.
     """
     place = default_cache_dir() / "undistorted"
     try:

@@ -13,9 +13,9 @@ from conformodal.poses.text import number
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import Damaged, FrameTable, paired_by_time
 from .errors import DatasetError
-from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Remark, even_times, frame_times, image_files, reader
+from .frame_table import Damaged, FrameTable, paired_by_time
+from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Note, even_times, frame_times, image_files, reader
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
@@ -44,27 +44,26 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     folder = Path(folder).resolve()
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; expected images")
-    remarks: list[Remark] = []
-    images = image_files(folder, remarks)
+    notes: list[Note] = []
+    images = image_files(folder, notes)
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
     images, times = _times(folder, images)
-    camera = camera_beside(folder, common_size(images), None, remarks)
+    camera = camera_beside(folder, common_size(images), None, notes)
     damaged: Damaged = {}
-    poses = _poses(folder, times, damaged, remarks)
+    poses = _poses(folder, times, damaged, notes)
     if require_poses and poses is None:
         raise DatasetError(f"{folder / _TUM[0]}: poses are missing (or {', '.join((*_TUM[1:], *_KITTI))})")
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(folder.name, images, times, recording, poses, damaged, remarks)
-    return draft.sequence(camera, require_poses=require_poses)
+    table = FrameTable(folder.name, images, times, poses=poses, why=damaged, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _poses(
-    folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, remarks: list[Remark]
+    folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, notes: list[Note]
 ) -> npt.NDArray[np.float64] | None:
     for name in _TUM:
         if (folder / name).is_file():
-            return paired_by_time(tum_table, folder / name, times, MAX_TIME_DIFFERENCE_S, remarks)
+            return paired_by_time(tum_table, folder / name, times, MAX_TIME_DIFFERENCE_S, notes)
     for path in (folder / name for name in _KITTI):
         if path.is_file():
             try:

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.poses import Trajectory, TrajectoryFileError
+from conformodal.poses import Trajectory
 from conformodal.poses.formats import kitti_table
 from conformodal.poses.text import number, table_of
 
 from .cameras import camera_of, check_matrix
 from .decoding import common_size
-from .draft import Damaged, FrameTable, rows_of
 from .errors import DatasetError
-from .reading import Remark, image_files, read_lines, read_numbers, reader
+from .frame_table import Damaged, FrameTable, rows_of
+from .reading import Note, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 10.0
@@ -48,14 +48,14 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     camera = next((name for name in _CAMERAS if (folder / name).is_dir()), None)
     if camera is None:
         raise DatasetError(f"{folder}: holds neither image_2 nor image_0; expected a KITTI odometry sequence")
-    remarks: list[Remark] = []
-    images = image_files(folder / camera, remarks)
+    notes: list[Note] = []
+    images = image_files(folder / camera, notes)
     if not images:
         raise DatasetError(f"{folder / camera}: holds no image")
     calibration, name = folder / "calib.txt", f"P{camera[-1]}"
     projection = _projection(calibration, name)
     pixels = projection[[0, 1, 0, 1], [0, 1, 2, 2]]
-    intrinsics = camera_of(f"{calibration}: {name}", pixels, common_size(images), remarks=remarks)
+    intrinsics = camera_of(f"{calibration}: {name}", pixels, common_size(images), notes=notes)
     path = folder / "times.txt"
     times: npt.NDArray[np.float64] | None = None
     if path.is_file():
@@ -67,9 +67,8 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     frames, poses = _poses(folder, images, offset, require_poses, damaged)
     if times is None:
         times = frames / FRAME_RATE_HZ
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(f"kitti {folder.name}", images, times, recording, poses, damaged, remarks)
-    return draft.sequence(intrinsics, require_poses=require_poses)
+    table = FrameTable(f"kitti {folder.name}", images, times, poses=poses, why=damaged, notes=notes)
+    return table.sequence(intrinsics, require_poses=require_poses)
 
 
 def _projection(path: Path, name: str) -> npt.NDArray[np.float64]:
@@ -104,10 +103,7 @@ def _poses(
             raise DatasetError(f"{places[0]}: poses are missing")
         return np.arange(len(images)), None
     faults: Damaged = {}
-    try:
-        rows = kitti_table(path, faults)
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
+    rows = kitti_table(path, faults)
     numbers = rows_of(images, len(rows), path, "poses, but there are")
     damaged.update({i: faults[row] for i, row in enumerate(numbers.tolist()) if row in faults})
     found = rows[numbers]

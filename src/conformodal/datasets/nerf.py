@@ -18,10 +18,10 @@ from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
-from .draft import FrameTable
 from .errors import DatasetError
 from .fisheye import Fisheye, fisheye_of, undistorted
-from .reading import PathGuard, Remark, frame_times, read_lines, reader
+from .frame_table import FrameTable
+from .reading import Note, PathGuard, frame_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -74,19 +74,18 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     images = [_image(place, name) for name in names]
     if not any(image.is_file() for image in images):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    remarks: list[Remark] = []
-    camera = _camera(path, content, common_size(images), remarks)
+    notes: list[Note] = []
+    camera = _camera(path, content, common_size(images), notes)
     if isinstance(camera, Fisheye):
         images, camera = undistorted(images, camera), camera.pinhole
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
     why = {i: f"{path}: transform_matrix {faults.get(i, 'is missing, or holds NaN or infinity')}" for i in unknown}
-    recording = np.zeros(len(frames), dtype=np.int64)
     poses[unknown] = np.nan
-    table = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    draft = FrameTable(folder.name, images, frame_times(folder, len(frames)), recording, table, why, remarks)
-    return draft.sequence(camera, require_poses=require_poses)
+    poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
+    table = FrameTable(folder.name, images, frame_times(folder, len(frames)), poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)
 
 
 def _matrix(rows: Any) -> list[list[float]]:
@@ -111,7 +110,7 @@ def _image(place: PathGuard, name: str) -> Path:
     return place(there.parent, there.name)
 
 
-def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remark]) -> PinholeCamera | Fisheye:
+def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) -> PinholeCamera | Fisheye:
     fisheye = _is_fisheye(path, content)
     try:
         stated = None
@@ -129,9 +128,9 @@ def _camera(path: Path, content: dict[str, Any], size: Size, remarks: list[Remar
         raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {type(exc).__name__}: {exc}") from exc
     source, pixels = f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy)
     if fisheye:
-        return fisheye_of(source, pixels, size, lens, stated=stated, remarks=remarks)
+        return fisheye_of(source, pixels, size, lens, stated=stated, notes=notes)
     lens = lens if lens[4] else lens[:4]
-    return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, remarks=remarks)
+    return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, notes=notes)
 
 
 def _is_fisheye(path: Path, content: dict[str, Any]) -> bool:

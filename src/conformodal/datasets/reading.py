@@ -11,7 +11,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import PoseError
+from conformodal.poses import PoseError, TrajectoryFileError
 from conformodal.poses.text import number, text_lines
 
 from .decoding import natural_key
@@ -27,7 +27,7 @@ MAX_TIME_DIFFERENCE_S = 0.02
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class Remark(NamedTuple):
+class Note(NamedTuple):
     """Something that a reader found wrong: what it is, and where, file or frame first."""
 
     what: str
@@ -58,38 +58,33 @@ def reader(read: Callable[P, Read]) -> Callable[P, Read]:
             raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")
         try:
             return read(*args, **kwargs)
+        except TrajectoryFileError as exc:
+            raise DatasetError(str(exc)) from exc
         except (OSError, UnicodeError, PoseError) as exc:
             raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
 
     return wrapped
 
 
-def image_files(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
+def image_files(folder: Path, notes: list[Note] | None = None) -> list[Path]:
     """Image files of a folder in the natural order of their names; hidden files are none.
 
-    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `remarks` takes up the others.
+    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `notes` takes up the others.
     """
     found: dict[str, Path] = {}
     paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     for path in sorted(paths, key=lambda p: (SUFFIXES.index(p.suffix.lower()), p.name)):
         first = found.setdefault(path.stem, path)
-        if first is not path and remarks is not None:
-            remarks.append(Remark("left out, another file has its name", f"{path}: {first.name} has its name"))
+        if first is not path and notes is not None:
+            notes.append(Note("left out, another file has its name", f"{path}: {first.name} has its name"))
     return sorted(found.values(), key=lambda p: natural_key(p.name))
 
 
 class PathGuard:
-    """Files that a data set's list names.
+    """Files that the list `source` of a data set names.
 
-    Parameters
-    ----------
-    folder
-        Of the data set.
-    source
-        The list, for people.
-    follow_outside
-        Whether it may name files outside the folder, as absolute paths or by ``..``. Links are followed in any case:
-        they are the choice of whoever keeps the folder, not of the list.
+    Names that lead out of the folder, as absolute paths or by ``..``, are refused unless `follow_outside`. Links are
+    followed in any case: they are the choice of whoever keeps the folder, not of the list.
     """
 
     def __init__(self, folder: Path, source: Path, *, follow_outside: bool) -> None:
@@ -98,13 +93,7 @@ class PathGuard:
         self._places: dict[str, str] = {}  # where folders really are
 
     def __call__(self, base: Path, name: str) -> Path:
-        """The file of a name, from a base in the folder.
-
-        Raises
-        ------
-        DatasetError
-            If it lies outside the folder, by ``..`` or as an absolute path.
-        """
+        """The file of a name, from a base in the folder."""
         if "\0" in name:
             raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
         path = os.path.join(base, name)
@@ -128,13 +117,7 @@ class PathGuard:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read.
-    """
+    """Lines of a text file."""
     try:
         return text_lines(path)
     except (OSError, ValueError) as exc:
@@ -142,13 +125,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def read_numbers(path: Path) -> FloatArray:
-    """All numbers of a text file, in one vector.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds something else.
-    """
+    """All numbers of a text file, in one vector."""
     try:
         return np.array([number(x) for x in " ".join(read_lines(path)).split()])
     except ValueError as exc:
@@ -156,13 +133,7 @@ def read_numbers(path: Path) -> FloatArray:
 
 
 def frame_times(folder: Path, n_frames: int) -> FloatArray:
-    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds another number of times, or ``frame-rate.txt`` no positive number.
-    """
+    """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones."""
     path = folder / "times.txt"
     if not path.is_file():
         return even_times(folder, n_frames)
@@ -173,25 +144,13 @@ def frame_times(folder: Path, n_frames: int) -> FloatArray:
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:
-    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds no positive number.
-    """
+    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz."""
     path = folder / "frame-rate.txt"
     return np.arange(n_frames) / (read_frame_rate(path) if path.is_file() else FRAME_RATE_HZ)
 
 
 def read_frame_rate(path: Path) -> float:
-    """The number of ``frame-rate.txt``, Hz.
-
-    Raises
-    ------
-    DatasetError
-        If the file holds anything but one positive number.
-    """
+    """The number of ``frame-rate.txt``, Hz."""
     rate = read_numbers(path)
     if rate.size != 1 or not _RATES_HZ[0] <= rate[0] <= _RATES_HZ[1]:
         raise DatasetError(

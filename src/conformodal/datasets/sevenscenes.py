@@ -20,21 +20,18 @@ from conformodal.poses import PinholeCamera
 from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import camera_beside
-from .decoding import common_size, natural_key
-from .draft import Damaged, FrameTable
+from .decoding import common_size
 from .errors import DatasetError
-from .reading import Remark, read_frame_rate, read_lines, read_numbers, reader
+from .frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
+from .reading import Note, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 30.0
 CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
-# Recordings of one scene are laid one after the other in time, this far apart.
-_GAP_BETWEEN_RECORDINGS_S = 10.0
 _LISTS = ("TrainSplit.txt", "TestSplit.txt")
 _LISTED = re.compile(r"seq(?:uence)?[ _-]*([0-9]{1,9})", re.IGNORECASE)
 _RECORDING = re.compile(r"seq-[0-9]{1,9}")
 _IMAGE = re.compile(r"frame-([0-9]{1,9})\.color\.(png|jpg|jpeg)", re.IGNORECASE)
-_OTHER = "left out, another file has its number"
 
 
 def looks_like_scene(folder: Path) -> bool:
@@ -42,14 +39,9 @@ def looks_like_scene(folder: Path) -> bool:
     return any(_IMAGE.fullmatch(path.name) for place in (folder, *_recordings(folder)) for path in place.iterdir())
 
 
-def _recordings(folder: Path, remarks: list[Remark] | None = None) -> list[Path]:
-    """Folders ``seq-NN`` in natural order; `remarks` takes up others that begin like them."""
-    found = []
-    for path in sorted(folder.glob("seq-*"), key=lambda p: natural_key(p.name)):
-        if path.is_dir() and _RECORDING.fullmatch(path.name):
-            found.append(path)
-        elif path.is_dir() and remarks is not None:
-            remarks.append(Remark("left out, no recording", f"{path}: is not called seq-NN"))
+def _recordings(folder: Path, notes: list[Note] | None = None) -> list[Path]:
+    """Folders ``seq-NN`` in natural order; `notes` takes up others that begin like them."""
+    found = recording_folders(folder, _RECORDING, "seq-NN", notes)
     numbers = [int(path.name[4:]) for path in found]
     twice = [path for k, path in enumerate(found) if numbers[k] in numbers[:k]]
     if twice:
@@ -80,20 +72,13 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     folder = Path(folder)
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; expected 7-Scenes frames")
-    remarks: list[Remark] = []
-    recordings = [folder] if _frames(folder) else _recordings(folder, remarks)
-    images: list[Path] = []
-    times: list[float] = []
-    owner: list[int] = []
-    start, rate = 0.0, _frame_rate(folder, recordings)
-    for number, recording in enumerate(recordings):
-        frames = _frames(recording, remarks)
-        if not frames:
+    notes: list[Note] = []
+    recordings = [folder] if numbered_frames(folder, _IMAGE, 6) else _recordings(folder, notes)
+    frames = [numbered_frames(recording, _IMAGE, 6, notes) for recording in recordings]
+    for recording, its in zip(recordings, frames, strict=True):
+        if not its:
             raise DatasetError(f"{recording}: holds no frame-NNNNNN.color.png or .jpg")
-        images += [path for _, path in frames]
-        times += [start + i / rate for i, _ in frames]
-        owner += [number] * len(frames)
-        start = times[-1] + _GAP_BETWEEN_RECORDINGS_S
+    images, times, recording_of = joined(frames, _frame_rate(folder, recordings))
     if not images:
         raise DatasetError(f"{folder}: holds no frame-NNNNNN.color.png or .jpg, nor folders seq-NN with some")
     held_out = None if recordings == [folder] else _listed_for_testing(folder, recordings)
@@ -101,10 +86,9 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     why: Damaged = {}
     posed = require_poses or any(pose_path(path).exists() for path in images)
     poses = _poses(images, why) if posed else None
-    recording_of = np.array(owner, dtype=np.int64)
-    draft = FrameTable(name, images, np.array(times), recording_of, poses, why, remarks)
-    camera = _camera(folder, images, remarks)
-    return draft.sequence(
+    table = FrameTable(name, images, times, recording_of, poses, why, notes)
+    camera = _camera(folder, images, notes)
+    return table.sequence(
         camera, require_poses=require_poses, given_test=None if held_out is None else held_out[recording_of]
     )
 
@@ -143,18 +127,6 @@ def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.
         if empty:
             raise DatasetError(f"{path}: names no recording, expected one or more")
     return held_out
-
-
-def _frames(folder: Path, remarks: list[Remark] | None = None) -> list[tuple[int, Path]]:
-    """Frame numbers and image paths, in order; of several files of one number the png with six digits counts first."""
-    found: dict[int, Path] = {}
-    matches = [m for p in folder.iterdir() if (m := _IMAGE.fullmatch(p.name))]
-    for match in sorted(matches, key=lambda m: (m[2].lower() != "png", len(m[1]) != 6, m[0])):
-        path = folder / match[0]
-        first = found.setdefault(int(match[1]), path)
-        if first is not path and remarks is not None:
-            remarks.append(Remark(_OTHER, f"{path}: {first.name} has its number"))
-    return sorted(found.items())
 
 
 def pose_path(image: Path) -> Path:
@@ -202,6 +174,6 @@ def _frame_rate(folder: Path, recordings: list[Path]) -> float:
     return read_frame_rate(path)
 
 
-def _camera(folder: Path, images: list[Path], remarks: list[Remark]) -> PinholeCamera:
+def _camera(folder: Path, images: list[Path], notes: list[Note]) -> PinholeCamera:
     path = _beside("camera-intrinsics.txt", images[0].parent, folder)
-    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, remarks)
+    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, notes)

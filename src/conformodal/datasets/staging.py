@@ -14,13 +14,7 @@ from .errors import DatasetError
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A folder beside a new one, moved into its place at the end: a failure leaves nothing, a kill nothing by its name.
-
-    Raises
-    ------
-    DatasetError
-        If there is something in that place already, it cannot be written, or someone else is writing it.
-    """
+    """Write into a temporary folder beside a new one, and move it into its place at the end."""
     try:
         folder = folder.resolve()
         if folder.exists() and not folder.is_dir():

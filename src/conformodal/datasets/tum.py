@@ -5,16 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-
 from conformodal.poses import PinholeCamera
 from conformodal.poses.formats import tum_table
 from conformodal.poses.text import number
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .draft import FrameTable, listed, paired_by_time
-from .reading import MAX_TIME_DIFFERENCE_S, PathGuard, Remark, reader
+from .frame_table import FrameTable, listed, paired_by_time
+from .reading import MAX_TIME_DIFFERENCE_S, Note, PathGuard, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -47,7 +45,7 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     """
     folder = Path(folder).resolve()
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
-    remarks: list[Remark] = []
+    notes: list[Note] = []
 
     place = PathGuard(folder, path, follow_outside=follow_outside)
 
@@ -55,13 +53,12 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
         time, name = line.split(maxsplit=1)
         return number(time), place(folder, name.strip())
 
-    images, times = listed(path, parse, "'timestamp filename'", remarks)
+    images, times = listed(path, parse, "'timestamp filename'", notes)
     match = re.search(r"(?:freiburg|fr)([123])", folder.name)
-    camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, remarks)
+    camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, notes)
     poses = None
     if require_poses or truth.is_file():
-        poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, remarks)
-    recording = np.zeros(len(images), dtype=np.int64)
-    draft = FrameTable(folder.name, images, times, recording, poses, remarks=remarks)
-    draft.why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
-    return draft.sequence(camera, require_poses=require_poses)
+        poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, notes)
+    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+    table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
+    return table.sequence(camera, require_poses=require_poses)

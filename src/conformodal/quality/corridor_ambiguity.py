@@ -62,17 +62,7 @@ def check_ambiguity(
     renderer: Renderer,
     progress: Callable[[int, int], None] | None = None,
 ) -> AmbiguityCheck:
-    """Find every frame's look-alike places in the corridor, and check whether the regions hold them.
-
-    Parameters
-    ----------
-    run, truth
-        Answered frames and their true poses in the corridor that `renderer` shows.
-    model
-        For the sign of quaternions.
-    progress
-        Called with frames done and frames in all.
-    """
+    """Find every frame's look-alike places in the corridor, and check whether the regions hold them."""
     places: list[npt.NDArray[np.float64]] = []
     held: list[npt.NDArray[np.bool_]] = []
     held_position: list[npt.NDArray[np.bool_]] = []

@@ -1,4 +1,4 @@
-"""Is a recording good enough? What poses, a model's regions and its calibration say together."""
+"""Is a recording good enough? Judged by its poses, a model's regions and the model's calibration."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import ImageError, Sequence
 from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.localization.local_features import extract_local_features
 from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
 from conformodal.model.radius import depth_or_default
 from conformodal.poses import Trajectory
 from conformodal.training.depths import measure_depths
-from conformodal.training.training_data import TrainingData
 from conformodal.vision.features import FeatureCache, extract_features
 
 from .guarantee import EvidenceGuarantee, guarantees
@@ -30,7 +29,7 @@ from .views import ViewScale
 
 @dataclass(frozen=True, eq=False)
 class RecordingQuality:
-    """What can be said of a recording.
+    """Findings about a recording.
 
     Attributes
     ----------
@@ -41,15 +40,15 @@ class RecordingQuality:
     known
         (n,) whether the model's sources know each of them; all of them without a model.
     known_names
-        (k,) numbers of the known frames, for people: in the recording, or -1 where it lacks them.
+        (k,) numbers of the known frames in the recording, -1 where it lacks them.
     scale
         What is near; None without poses.
     coverage
         From poses alone; None without.
     ambiguity
         Of held-out frames; None without a model, or where it knows all frames.
-    promises
-        Of the model, by kind of evidence; empty without one.
+    guarantees
+        Of the model, by evidence type; empty without one.
     errors_m
         (m,) position errors of the belief about each of the m held-out frames by itself; None where they have no poses.
     """
@@ -65,26 +64,15 @@ class RecordingQuality:
     errors_m: FloatArray | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Frames of a recording that no source of a model has seen, and what is looked at in them.
-
-    Attributes
-    ----------
-    frames
-        (m,) their numbers.
-    evidence
-        Of each.
-    """
-
-    frames: IntArray
-    evidence: FrameEvidence
+# Gives, of held-out frames, those that can be used and what is looked at in each.
+Look = Callable[[IntArray], tuple[IntArray, FrameEvidence]]
 
 
 def examine(
     sequence: Sequence,
     model: PoseModel | None = None,
     *,
+    just_trained: Look | None = None,
     cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> RecordingQuality:
@@ -95,7 +83,10 @@ def examine(
     sequence
         Frames, with poses or without.
     model
-        Which frames it knows is told by their pixels; the others are held out. None takes all frames for known.
+        The frames that it was trained on are known by their pixels; the others are held out. None takes all frames as
+        known.
+    just_trained
+        Given if the model was trained on this very sequence: held-out frames are looked at by it.
     cache
         Of features.
     progress
@@ -107,35 +98,43 @@ def examine(
         If the camera is not the model's.
     """
     posed, poses = _frames_with_pose(sequence)
+    known, at, depth_m = poses, np.arange(len(posed)), float("nan")
     if model is None:
-        return _judged(sequence, posed, poses, np.arange(len(posed)), _depth(sequence))
-    model.check_camera(sequence.camera)
-    at = model.known_frames.find(identify(sequence, model.known_frames)).at[model.localizer.frames]
-    unseen = np.setdiff1d(np.arange(len(sequence)), at)
-    held = _look_at(sequence, model, unseen, cache or FeatureCache(None), progress)
-    return _judged(sequence, posed, poses, at, model.prior.depth_m, model, held)
-
-
-def examine_training(
-    data: TrainingData, model: PoseModel, local_features: Callable[[IntArray], list[LocalFeatures]]
-) -> RecordingQuality:
-    """Judge the recording that a model was just trained on, from what is there already.
-
-    Parameters
-    ----------
-    data
-        What it was trained on.
-    model
-        Trained.
-    local_features
-        Gives those of frames.
-    """
-    unseen = np.setdiff1d(np.arange(len(data.sequence)), model.localizer.frames)
-    frames = _spread(unseen, QUALITY.most_after_training)
-    local = local_features(frames) if model.looks_at_local_features else ()
-    posed, poses = _frames_with_pose(data.sequence)
-    held = HeldOut(frames, FrameEvidence(data.features[frames], local))
-    return _judged(data.sequence, posed, poses, model.localizer.frames, model.prior.depth_m, model, held)
+        depth_m = _depth(sequence)
+    else:
+        model.check_camera(sequence.camera)
+        frames, depth_m = model.localizer.frames, model.prior.depth_m
+        at = frames if just_trained else model.known_frames.find(identify(sequence, model.known_frames)).at[frames]
+        its = model.known_frames.poses[frames]
+        known = Trajectory(np.arange(len(its), dtype=np.float64), its[:, :3], its[:, 3:])
+    scale = ViewScale.of(sequence.camera, depth_or_default(depth_m))
+    coverage = None
+    if poses is not None and known is not None:
+        coverage = pose_coverage(poses, sequence.recording[posed], known, scale)
+    places, errors = None, None
+    if model is not None and known is not None:
+        unseen = _spread(
+            np.setdiff1d(np.arange(len(sequence)), at),
+            QUALITY.most_after_training if just_trained else QUALITY.most_looked,
+        )
+        held, evidence = (just_trained or _looker(sequence, model, cache or FeatureCache(None), progress))(unseen)
+        if len(held):
+            found, truth = model.localize(evidence), None
+            if poses is not None and np.isin(held, posed).all():
+                truth = poses[np.searchsorted(posed, held)]
+                errors = np.linalg.norm(most_probable(found) - truth.positions_xyz, axis=1)
+            places = ambiguity(held, sequence.recording[held], found, known, truth, model.sign_reference, scale)
+    return RecordingQuality(
+        posed,
+        poses,
+        np.isin(posed, at),
+        at,
+        None if poses is None else scale,
+        coverage,
+        places,
+        [] if model is None else guarantees(model),
+        errors,
+    )
 
 
 def _frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
@@ -153,64 +152,25 @@ def _spread(frames: IntArray, most: int) -> IntArray:
     return frames[chosen.round().astype(np.int64)]
 
 
-def _look_at(
-    sequence: Sequence, model: PoseModel, held_out: IntArray, cache: FeatureCache, progress: StageProgress | None
-) -> HeldOut:
-    """Features of some of the frames that are held out; those that cannot be read are left out."""
-    report, usable, local = stage_of(progress, "held-out"), [], []
-    wanted = _spread(held_out, QUALITY.most_looked)
-    for done, i in enumerate(wanted.tolist(), start=1):
-        try:
-            image = sequence.image(i)
-        except ImageError:
-            continue
-        usable.append(i)
-        local.append(extract_local_features(image, sequence.camera) if model.looks_at_local_features else None)
-        if report is not None:
-            report(done, len(wanted))
-    files = [sequence.image_paths[i] for i in usable]
-    features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
-    return HeldOut(np.array(usable, dtype=np.int64), FrameEvidence(features, local))
+def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:
+    """Computes features of images; images that cannot be read are left out."""
 
+    def look(wanted: IntArray) -> tuple[IntArray, FrameEvidence]:
+        report, usable, local = stage_of(progress, "held-out"), [], []
+        for done, i in enumerate(wanted.tolist(), start=1):
+            try:
+                image = sequence.image(i)
+            except ImageError:
+                continue
+            usable.append(i)
+            local.append(extract_local_features(image, sequence.camera) if model.looks_at_local_features else None)
+            if report is not None:
+                report(done, len(wanted))
+        files = [sequence.image_paths[i] for i in usable]
+        features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
+        return np.array(usable, dtype=np.int64), FrameEvidence(features, local)
 
-def _judged(
-    sequence: Sequence,
-    posed: IntArray,
-    poses: Trajectory | None,
-    known_names: IntArray,
-    depth_m: float,
-    model: PoseModel | None = None,
-    held: HeldOut | None = None,
-) -> RecordingQuality:
-    scale = ViewScale.of(sequence.camera, depth_or_default(depth_m))
-    if model is None:
-        known = poses
-    else:
-        its = model.known_frames.poses[model.localizer.frames]
-        known = Trajectory(np.arange(len(its), dtype=np.float64), its[:, :3], its[:, 3:])
-    coverage = None
-    if poses is not None and known is not None:
-        coverage = pose_coverage(poses, sequence.recording[posed], known, scale)
-    places, errors = None, None
-    if model is not None and known is not None and held is not None and len(held.frames):
-        found = model.localize(held.evidence)
-        truth = None
-        if poses is not None and np.isin(held.frames, posed).all():
-            truth = poses[np.searchsorted(posed, held.frames)]
-            errors = np.linalg.norm(most_probable(found) - truth.positions_xyz, axis=1)
-        own = sequence.recording[held.frames]
-        places = ambiguity(held.frames, own, found, known, truth, model.sign_reference, scale)
-    return RecordingQuality(
-        posed,
-        poses,
-        np.isin(posed, known_names),
-        known_names,
-        None if poses is None else scale,
-        coverage,
-        places,
-        [] if model is None else guarantees(model),
-        errors,
-    )
+    return look
 
 
 def _depth(sequence: Sequence) -> float:

@@ -55,7 +55,7 @@ class Ambiguity:
     n_places
         (m,) places in each region; 0 where the region is unbounded in some target.
     n_unknown
-        Frames that show no place that is known, by the model's test.
+        Frames that show no known place, by the model's test.
     mean_intervals
         Of the regions of all other frames, by target; empty if there are none.
     stretches
@@ -70,17 +70,7 @@ class Ambiguity:
 
 
 class KnownPlaces:
-    """Known frames, gathered to places: each is near the first frame of its place.
-
-    Parameters
-    ----------
-    poses
-        Of k known frames.
-    targets
-        (k, 7) the same as targets of the regions.
-    scale
-        What is near.
-    """
+    """Known frames, with their targets (k, 7), grouped to places: each is near the first frame of its place."""
 
     def __init__(self, poses: Trajectory, targets: FloatArray, scale: ViewScale) -> None:
         self.targets = targets
@@ -124,22 +114,10 @@ def ambiguity(
     sign_reference: FloatArray,
     scale: ViewScale,
 ) -> Ambiguity:
-    """Count the known places in each region.
+    """Count the known places in the region of each of m held-out frames.
 
-    Parameters
-    ----------
-    frames, recording
-        (m,) numbers of frames that no source has seen, and of their recordings.
-    found
-        What the model says of them.
-    known
-        Poses of the frames that its sources know.
-    truth
-        Poses of the m frames, or None: then all places in a region are named, that of the frame among them.
-    sign_reference
-        (4,) quaternion that fixes the signs of quaternions.
-    scale
-        What is near.
+    `known` are the poses of the frames that the model knows. Without `truth`, the frame's own place is named among
+    those that look alike.
     """
     regions = found.regions
     bounded: BoolArray = np.asarray(~regions.unbounded.any(axis=1))

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class QualitySettings:
-    """What counts as thin, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`.
+    """What counts as sparse, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`.
 
     Attributes
     ----------
-    thin
+    sparse
         A view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
         ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py).
     fast

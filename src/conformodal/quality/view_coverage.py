@@ -1,4 +1,4 @@
-"""Where a recording is thin: views far from every known one, and neighbouring frames that are far apart."""
+"""Where a recording is sparse: views far from every known one, and neighbouring frames that are far apart."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from conformodal.core.words import listed
 from conformodal.poses import Trajectory, angle_between_quats, matrix_from_quat_wxyz
 
 from .settings import QUALITY
-from .views import KnownViews, ViewScale, stations
+from .views import KnownViews, Nearest, Stations, ViewScale, stations
 
 _SIDES = (("right", "left"), ("down", "up"), ("forward", "back"))
 TILTED = "tilted"
@@ -28,7 +28,7 @@ class SparseStretch:
     first, last
         Frames.
     between
-        Whether no frame is thin itself, only ways between neighbours, from `first` to `last`.
+        Whether only ways between neighbouring frames are sparsely covered, and no frame itself.
     place_xyz, change
         Where the nearest known view is farthest, and how far: a share of the view, see :class:`ViewScale`.
     nearest
@@ -89,7 +89,7 @@ class PoseCoverage:
         (n,) how much each frame's view differs from the nearest known one.
     sparse_frames
         (n,) whether it is more than the limit.
-    thin, fast
+    sparse, fast
         Stretches, in the order of time.
     """
 
@@ -100,77 +100,62 @@ class PoseCoverage:
 
 
 def pose_coverage(poses: Trajectory, recording: IntArray, known: Trajectory, scale: ViewScale) -> PoseCoverage:
-    """Compare the views along the way of a camera with those that are known.
+    """Compare the views along the path of a camera with those of known frames.
 
-    A known frame is known itself; the way between known frames is not, where they are far apart.
-
-    Parameters
-    ----------
-    poses
-        Of n frames, in the order of time.
-    recording
-        (n,) number of the recording each belongs to.
-    known
-        Poses of k known frames, be they among the n or not.
-    scale
-        What is near.
+    Poses are in order of time, with the number (n,) of each one's recording. A known frame covers itself, but not the
+    way to the next known frame.
     """
     way, views = stations(poses, recording, scale), KnownViews(known, scale)
     found = views.nearest(way.views)
     sparse = found.change > QUALITY.sparse
     own = recording[np.floor(way.at).astype(np.int64)] if len(way.at) else np.empty(0, dtype=np.int64)
-    stretches = []
-    for run in runs_of(sparse, way.at, own):
-        worst = int(run[np.argmax(found.change[run])])
-        nearest = int(found.index[worst])
-        stretches.append(
-            _sparse(
-                way.at[run], way.views[run], way.views[worst : worst + 1], nearest, float(found.change[worst]), views
-            )
-        )
+    stretches = [_sparse(run, way, found, views) for run in runs_of(sparse, way.at, own)]
     whole = np.flatnonzero(way.at == np.floor(way.at))
     return PoseCoverage(found.change[whole], sparse[whole], stretches, _fast(poses, recording, scale, stretches))
 
 
 def runs_of(chosen: BoolArray, at: FloatArray | IntArray, recording: IntArray) -> Iterator[IntArray]:
-    """Runs of chosen places in one recording, (m,) each; those with a few frames between them are one.
-
-    Parameters
-    ----------
-    chosen, at, recording
-        (n,) whether each place is meant, its frame, and its recording.
-    """
+    """Runs (m,) of chosen places of one recording, by the frame (n,) of each; short gaps do not end a run."""
     places = np.flatnonzero(chosen)
     if places.size:
         apart = (np.diff(at[places]) > QUALITY.bridged + 1) | (np.diff(recording[places]) != 0)
         yield from np.split(places, np.flatnonzero(apart) + 1)
 
 
-def _sparse(
-    at: FloatArray, run: Trajectory, worst: Trajectory, nearest: int, change: float, views: KnownViews
-) -> SparseStretch:
-    frames = at[at == np.floor(at)].astype(np.int64)
+def _sparse(run: IntArray, way: Stations, found: Nearest, views: KnownViews) -> SparseStretch:
+    at, poses, scale = way.at[run], way.views[run], views.scale
+    frames = at[at == np.floor(at)]
     between = frames.size == 0
     first, last = (np.floor(at[0]), np.ceil(at[-1])) if between else (frames[0], frames[-1])
-    x, y, z = worst.positions_xyz[0].tolist()
-    way = float(views.scale.change(run[:-1], run[1:]).sum())
-    if nearest < 0:
-        return SparseStretch(int(first), int(last), between, (x, y, z), change, -1, np.inf, np.inf, "", "", way)
-    known = views.poses[nearest : nearest + 1]
-    metres = float(np.linalg.norm(worst.positions_xyz - known.positions_xyz))
-    angle = float(angle_between_quats(worst.orientations_quat_wxyz, known.orientations_quat_wxyz)[0])
-    turned, moved = _directions(known, worst)
-    share = views.scale
-    # a turn is worth a word if it changes the view, and so is a way
-    turned = turned if angle / share.fov_rad > _SHARE * change else ""
-    moved = moved if metres / share.depth_m / share.fov_rad > _SHARE * change else ""
+    worst = int(run[np.argmax(found.change[run])])
+    view, nearest, change = way.views[worst : worst + 1], int(found.index[worst]), float(found.change[worst])
+    metres, angle, turned, moved = np.inf, np.inf, "", ""
+    if nearest >= 0:
+        known = views.poses[nearest : nearest + 1]
+        metres = float(np.linalg.norm(view.positions_xyz - known.positions_xyz))
+        angle = float(angle_between_quats(view.orientations_quat_wxyz, known.orientations_quat_wxyz)[0])
+        turned, moved = _directions(known, view)
+        # a turn or a step is named if it changes the view much
+        turned = turned if angle / scale.fov_rad > _SHARE * change else ""
+        moved = moved if metres / scale.depth_m / scale.fov_rad > _SHARE * change else ""
+    x, y, z = view.positions_xyz[0].tolist()
     return SparseStretch(
-        int(first), int(last), between, (x, y, z), change, nearest, metres, np.degrees(angle), turned, moved, way
+        first=int(first),
+        last=int(last),
+        between=between,
+        place_xyz=(x, y, z),
+        change=change,
+        nearest=nearest,
+        distance_m=metres,
+        angle_deg=float(np.degrees(angle)),
+        turned=turned,
+        moved=moved,
+        way=float(scale.change(poses[:-1], poses[1:]).sum()),
     )
 
 
 def _directions(known: Trajectory, view: Trajectory) -> tuple[str, str]:
-    """Where the camera of `view` looks and stands as the camera of `known` sees it, in words."""
+    """Directions in which the camera of `view` looks and stands, seen from that of `known`."""
     R_world_known = matrix_from_quat_wxyz(known.orientations_quat_wxyz)[0]
     R_known_view = R_world_known.T @ matrix_from_quat_wxyz(view.orientations_quat_wxyz)[0]
     moved = R_world_known.T @ (view.positions_xyz - known.positions_xyz)[0]
@@ -192,7 +177,7 @@ def _in_words(way: FloatArray) -> str:
 
 
 def _fast(poses: Trajectory, recording: IntArray, scale: ViewScale, sparse: list[SparseStretch]) -> list[FastStretch]:
-    """Steps that are larger than the limit, but those of thin stretches, which are to be recorded anyway."""
+    """Steps that are larger than the limit, but those within sparse stretches, which are to be recorded anyway."""
     if len(poses) < 2:
         return []
     before, after = poses[:-1], poses[1:]

@@ -61,15 +61,7 @@ class Nearest:
 
 
 class KnownViews:
-    """Poses of known frames, to be searched.
-
-    Parameters
-    ----------
-    poses
-        k of them.
-    scale
-        Says what is near.
-    """
+    """Poses of known frames, to be searched."""
 
     def __init__(self, poses: Trajectory, scale: ViewScale) -> None:
         self.poses, self.scale = poses, scale
@@ -106,14 +98,7 @@ class Stations:
 def stations(poses: Trajectory, recording: IntArray, scale: ViewScale) -> Stations:
     """The frames of recordings and, where neighbours are far apart, points of the straight way between them.
 
-    Parameters
-    ----------
-    poses
-        n of them, in the order of time.
-    recording
-        (n,) number of each one's recording; nothing lies between two recordings.
-    scale
-        Says what is far.
+    Poses are in order of time, with the number (n,) of each one's recording.
     """
     n = len(poses)
     parts = np.ones(n, dtype=np.int64)

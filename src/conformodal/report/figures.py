@@ -42,17 +42,7 @@ def trajectory_figure(
     classical: Trajectory | None = None,
     answer: str = _ANSWER,
 ) -> str:
-    """Position over time with the region's bands: every interval of every frame is drawn, so modes show.
-
-    Parameters
-    ----------
-    run
-        With its answer.
-    truth, classical
-        Of the same frames.
-    answer
-        What the legend calls the answer.
-    """
+    """Position over time with all intervals of every frame's region; `answer` names the trajectory in the legend."""
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     start = run.timestamps_s[0]
@@ -87,22 +77,9 @@ def plan_figure(
     axes: tuple[int, int] = (0, 1),
     answer: str = _ANSWER,
 ) -> str:
-    """One frame's disjoint regions seen from above, with the chosen pose.
+    """One frame's disjoint regions from above, with the chosen pose, named `answer` in the legend.
 
-    Parameters
-    ----------
-    run, index
-        The frame.
-    truth, classical
-        Drawn at this frame, and the true path behind it.
-    walls
-        (2, 2) segments.
-    alike
-        (m, 3) other places with the same view.
-    axes
-        The two horizontal axes of the world.
-    answer
-        What the legend calls the chosen pose.
+    `walls` are (2, 2) segments, `alike` (m, 3) other places with the same view, `axes` the two horizontal axes.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axis = figure.subplots()

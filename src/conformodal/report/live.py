@@ -27,7 +27,7 @@ class LiveViewError(ConformodalError):
 class LiveView:
     """Shows a run: image with tracks, all cuboids, candidates, the chosen trajectory, p-values, and the truth.
 
-    Where an image shows no place that is known, the region is unbounded and no cuboid is drawn; the status says
+    Where an image shows no known place, the region is unbounded and no cuboid is drawn; the status says
     so.
 
     Parameters

@@ -77,7 +77,7 @@ class PageFrame:
 
     @property
     def unknown(self) -> bool:
-        """Whether the image shows no place that is known."""
+        """Whether the image shows no known place."""
         return self.evidence == _UNKNOWN
 
     @property
@@ -109,7 +109,7 @@ class PageFrame:
             for parts, value in zip(self.intervals, place_xyz, strict=True)
         )
 
-    def as_json(self, said: str, image: bytes | None) -> dict[str, Any]:
+    def as_json(self, text: str, image: bytes | None) -> dict[str, Any]:
         """What the page's script reads; short names, because there are a thousand frames."""
         frame: dict[str, Any] = {
             "n": self.name,
@@ -121,7 +121,7 @@ class PageFrame:
             "iv": [[[None if e is None else round(e, 4) for e in part] for part in parts] for parts in self.intervals],
             "size": None if self.size_m is None else round(self.size_m, 4),
             "whole": self.whole,
-            "say": said,
+            "say": text,
         }
         if self.evidence is not None:
             frame |= {"kp": self.known_p, "ev": self.evidence}
@@ -138,15 +138,7 @@ class PageFrame:
 
 
 def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[FloatArray, FloatArray] | None) -> PageFrame:
-    """The i-th frame of a run.
-
-    Parameters
-    ----------
-    i, record
-        Its number, and the record of its region.
-    paths, errors
-        Of the run; errors as :meth:`Paths.errors` gives them.
-    """
+    """The i-th frame of a run, from the record of its region; `errors` are those of :meth:`Paths.errors`."""
     return PageFrame(
         name=record["frame"],
         time_s=record["timestamp_s"],

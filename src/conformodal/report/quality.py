@@ -12,8 +12,8 @@ from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Sequence
 from conformodal.poses import Trajectory, matrix_from_quat_wxyz
+from conformodal.quality.advice import names_of
 from conformodal.quality.examining import RecordingQuality
-from conformodal.quality.record import names_of
 from conformodal.quality.settings import QUALITY
 from conformodal.quality.view_coverage import SparseStretch
 
@@ -34,15 +34,7 @@ _MOST_ARROWS = 3  # in one stretch
 
 
 def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
-    """The recording seen along the axis that it spreads least along, as SVG text; None where it has no poses.
-
-    Parameters
-    ----------
-    found
-        From :func:`~conformodal.quality.examining.examine`.
-    sequence
-        The recording.
-    """
+    """The recording seen along the axis that it spreads least along, as SVG text; None where it has no poses."""
     if found.poses is None or found.coverage is None:
         return None
     axes = names_of(found, sequence).axes
@@ -77,19 +69,7 @@ def quality_plan(found: RecordingQuality, sequence: Sequence) -> str | None:
 def write_quality_page(
     folder: Path, found: RecordingQuality, sequence: Sequence, record: dict[str, Any], findings: list[str]
 ) -> None:
-    """Write ``report.html`` and ``figures/plan.svg``.
-
-    Parameters
-    ----------
-    folder
-        Where.
-    found, sequence
-        What is judged.
-    record
-        The content of ``metrics.json``.
-    findings
-        What was found in the data set, a line each.
-    """
+    """Write ``report.html`` and ``figures/plan.svg`` from the content of ``metrics.json`` and a line per finding."""
     plan = quality_plan(found, sequence)
     if plan is not None:
         write_whole(folder / "figures" / PLAN, plan)

@@ -11,23 +11,17 @@ from .page_frames import PageFrame, lengths
 
 
 def describe_frame(frame: PageFrame) -> str:
-    """What to see in a frame: the region first, then the chosen pose.
-
-    Parameters
-    ----------
-    frame
-        The frame.
-    """
-    said = [_describe_region(frame), _describe_pose(frame)]
+    """A frame in words: the region first, then the chosen pose."""
+    parts = [_describe_region(frame), _describe_pose(frame)]
     if not frame.reliable and not frame.unknown:
-        said.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
-    return " ".join(part for part in said if part)
+        parts.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
+    return " ".join(part for part in parts if part)
 
 
 def _describe_region(frame: PageFrame) -> str:
     if frame.unknown:
         p = "" if frame.known_p is None else f" (p = {frame.known_p:.2g})"
-        return f"Unknown place{p}: the image shows no place that is known, so the region is unbounded."
+        return f"Unknown place{p}: the image shows no known place, so the region is unbounded."
     if frame.whole:
         return "The region is unbounded: every position is possible."
     if not frame.n_places:
@@ -88,15 +82,7 @@ class RunStatistics:
 
 
 def describe_run(statistics: RunStatistics, online_rmse_m: float | None = None) -> str:
-    """What to see in the whole run.
-
-    Parameters
-    ----------
-    statistics
-        Of its frames.
-    online_rmse_m
-        Of the positions as a robot gets them, where that is not the answer itself.
-    """
+    """The whole run in words; `online_rmse_m` is given if the answer is not the online one."""
     if statistics.n < 2:
         return _describe_one(statistics) if statistics.n else "No frame was answered."
     regions = []
@@ -109,21 +95,21 @@ def describe_run(statistics: RunStatistics, online_rmse_m: float | None = None) 
     empty = statistics.n - statistics.n_one - statistics.n_several - statistics.n_whole
     if empty:
         regions.append(f"is empty in {empty}")
-    said = f"Of {counted(statistics.n, 'frame')}, the region {listed(regions)}."
+    text = f"Of {counted(statistics.n, 'frame')}, the region {listed(regions)}."
     if statistics.n_true:
         rmse = describe_length(sqrt(statistics.squares / statistics.n_true))
         if statistics.n_bounded:
             bounded = counted(statistics.n_bounded, "bounded region")
-            said += (
+            text += (
                 f" Of {bounded}, {statistics.n_held} {noun_for(statistics.n_held, 'holds', 'hold')} the true position."
             )
         if online_rmse_m is None:
-            return f"{said} The chosen path is {rmse} from the truth (RMSE)."
-        said += (
+            return f"{text} The chosen path is {rmse} from the truth (RMSE)."
+        text += (
             f" Poses are {describe_length(online_rmse_m)} from the truth when their frames come (RMSE); with "
             f"hindsight, as shown here, {rmse}."
         )
-    return said
+    return text
 
 
 def _describe_one(statistics: RunStatistics) -> str:
@@ -131,12 +117,12 @@ def _describe_one(statistics: RunStatistics) -> str:
     region = f"names {counted(statistics.most_places, 'place')}" if statistics.most_places else "is empty"
     if statistics.n_whole:
         region = f"is unbounded{_why_whole(statistics)}"
-    said = f"One frame was answered: its region {region}."
+    text = f"One frame was answered: its region {region}."
     if statistics.n_true:
         if statistics.n_bounded:
-            said += f" It {'holds' if statistics.n_held else 'does not hold'} the true position."
-        said += f" The chosen pose is {describe_length(sqrt(statistics.squares))} from the truth."
-    return said
+            text += f" It {'holds' if statistics.n_held else 'does not hold'} the true position."
+        text += f" The chosen pose is {describe_length(sqrt(statistics.squares))} from the truth."
+    return text
 
 
 def _why_whole(statistics: RunStatistics) -> str:
@@ -145,7 +131,7 @@ def _why_whole(statistics: RunStatistics) -> str:
     if not n:
         return ""
     who = f"{n} of them" if n < statistics.n_whole else noun_for(n, "it", "they")
-    return f" ({who} {noun_for(n, 'shows', 'show')} no place that is known)"
+    return f" ({who} {noun_for(n, 'shows', 'show')} no known place)"
 
 
 def describe_length(metres: float) -> str:

@@ -31,7 +31,7 @@ class Viewer:
 
     json: str
     script: str
-    said: str
+    text: str
     note: str
     n_shown: int
     has_images: bool
@@ -56,7 +56,7 @@ def make_viewer(
     images
         JPEG data by frame name. Where there are some, the frames shown are among those that have one.
     level
-        P-value at or below which an image shows no place that is known; None draws no line at it.
+        P-value at or below which an image shows no known place; None draws no line at it.
     walls
         (2, 2) segments in x and y; they are drawn where the plan shows x and y.
 
@@ -93,7 +93,7 @@ def make_viewer(
     return Viewer(
         json=json_in_script(data),
         script=_script(),
-        said=describe_run(statistics, _online_rmse_m(paths)),
+        text=describe_run(statistics, _online_rmse_m(paths)),
         note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         n_shown=len(shown),
         has_images=bool(images),

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from array import array
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from conformodal.core.extras import require_extra
 from conformodal.datasets.streams.frames import Frame
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import Estimate
 
-from . import messages as ros
-from .conventions import IMAGE, TOPICS, TRUTH, Conventions
+from .conventions import IMAGE, TOPICS, TRUTH, Conventions, RosError
 from .conversion import Conversion
-from .errors import RosError
-from .foreign_messages import build
+from .messages import nanoseconds
 
 _VERSION = 8  # of the format: Humble reads it too
 _JPEG_QUALITY = 80
@@ -28,17 +24,17 @@ _JPEG_QUALITY = 80
 class BagWriter:
     """Writes one MCAP file with the messages of every frame of a run.
 
-    A bag of ROS 2 is a folder with a list of its contents; ROS and Foxglove also play the MCAP file in it by itself,
-    and that is what is kept. It is written in a folder beside its place, and moved there by :meth:`close`.
+    ROS and Foxglove play an MCAP file by itself, without the rest of the folder that a ROS 2 bag is. It is written to a
+    temporary folder beside its place, and moved there by :meth:`close`.
 
     Parameters
     ----------
     path
-        Of the file, ``.mcap``; one that is there is replaced.
+        Of the file, ``.mcap``; an existing one is replaced.
     how
         Names and limits.
     images
-        Write every frame's image too, as JPEG.
+        Write images too, as JPEG.
 
     Raises
     ------
@@ -62,11 +58,10 @@ class BagWriter:
         self._conversion = Conversion(self.how)
         self._recording: int | None = None
         self._last_ns: int | None = None
-        self._images = images
+        self._images, self._types = images, {**TOPICS, **TRUTH, **(IMAGE if images else {})}
         self._closed = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # of a killed run it stays; else it goes at the end, whoever forgets to close
             self._apart = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
             self._folder = Path(self._apart.name) / "bag"
             self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
@@ -74,44 +69,44 @@ class BagWriter:
             self._writer.open()
         except OSError as exc:
             raise RosError(f"{path}: cannot be written: {exc}") from exc
-        types = {**TOPICS, **TRUTH, **(IMAGE if images else {})}
         self._connections = {
-            name: self._writer.add_connection(self.how.topic(name), kind.TYPE, typestore=self._store)
-            for name, kind in types.items()
+            name: self._writer.add_connection(self.how.topic(name), kind, typestore=self._store)
+            for name, kind in self._types.items()
         }
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
-        """Write a frame and what was made of it; `truth` is a trajectory of one, or None.
+        """Write a frame and its estimate; `truth` is a trajectory of one pose, or None.
 
         Raises
         ------
         RosError
-            If ROS has no such time, or the file cannot be written.
+            If ROS cannot hold the time, or the file cannot be written.
         """
         if frame.recording != self._recording:
             self._write_path()
             self._conversion.reset()
             self._recording = frame.recording
-        stamp_ns = ros.nanoseconds(estimate.timestamp_s)
-        found = self._conversion.messages(estimate, stamp_ns)
-        header = ros.Header(ros.Time.of(stamp_ns), self.how.world_frame)
+        stamp_ns = nanoseconds(estimate.timestamp_s)
+        conversion = self._conversion
+        found = conversion.messages(estimate, stamp_ns)
         if truth is not None:
-            pose = ros.Pose.of(truth.positions_xyz[0], truth.orientations_quat_wxyz[0])
-            found["truth"] = ros.PoseStamped(header, pose)
+            found["truth"] = conversion.stamped(conversion.header(stamp_ns), conversion.poses(truth)[0])
         if self._images and frame.image is not None:
             _, data = cv2.imencode(
                 ".jpg", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
             )
-            seen = ros.Header(header.stamp, self.how.camera_frame)
-            found["image/compressed"] = ros.CompressedImage(seen, "jpeg", array("B", data.tobytes()))
+            header = conversion.header(stamp_ns, self.how.camera_frame)
+            found["image/compressed"] = conversion.make(
+                IMAGE["image/compressed"], header=header, format="jpeg", data=data.ravel()
+            )
         self._last_ns = stamp_ns
         for name, message in found.items():
             self._write(name, message, stamp_ns)
 
     def close(self) -> None:
-        """Write the last path, and put the file in its place; what a run that was stopped has said is kept.
+        """Write the last path, and move the file to its place.
 
-        Without a single frame there is no file, and one that was there stays.
+        Without a single frame no file is written, and an existing one stays.
 
         Raises
         ------
@@ -137,9 +132,8 @@ class BagWriter:
         if self._last_ns is not None:
             self._write("path", self._conversion.path(self._last_ns), self._last_ns)
 
-    def _write(self, name: str, message: ros.RosMessage, stamp_ns: int) -> None:
-        made = build(message, self._store.types.__getitem__, np.asarray)
-        data = self._store.serialize_cdr(made, message.TYPE)
+    def _write(self, name: str, message: Any, stamp_ns: int) -> None:
+        data = self._store.serialize_cdr(message, self._types[name])
         try:
             self._writer.write(self._connections[name], stamp_ns, data)
         except OSError as exc:

@@ -6,18 +6,20 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from conformodal.core.choices import as_member
+from conformodal.core.errors import ConformodalError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 
-from . import messages as ros
-from .errors import RosError
+
+class RosError(ConformodalError):
+    """Something that ROS messages cannot hold, or a recording that cannot be written."""
 
 
 class Covariance(StrEnum):
-    """What the covariance of the chosen pose is made of."""
+    """What the covariance of the chosen pose is computed from."""
 
-    MIXTURE = "mixture"  # the whole belief: other places that the image may show make it large
-    CHOSEN = "chosen"  # the spread of the chosen candidate alone, as if no other could be right
+    MIXTURE = "mixture"  # all candidates: ambiguity makes it large
+    CHOSEN = "chosen"  # the spread of the chosen candidate alone
 
 
 @dataclass(frozen=True)
@@ -35,15 +37,15 @@ class Conventions:
     covariance
         Of the pose.
     lost_variance
-        Of every coordinate, in m^2 and rad^2, where the frame is lost.
+        Of every coordinate of a lost frame, in m^2 and rad^2.
     most_boxes
-        Of a region. Those that hold most of the belief come first, then the nearest.
+        Largest number of boxes per region; those with the highest probability come first, then the nearest.
     range_m
-        Boxes end this far from the chosen position along each axis.
+        Boxes are cut off at this distance from the chosen position along each axis.
     longest_path
-        Poses of the path.
+        Largest number of poses in the path.
     path_every
-        The path is said anew after so many answered frames.
+        The path is published once per this many answered frames.
 
     Raises
     ------
@@ -65,24 +67,24 @@ class Conventions:
         object.__setattr__(self, "covariance", as_member(self.covariance, Covariance, "covariance", RosError))
 
     def topic(self, name: str) -> str:
-        """The whole name of a topic."""
+        """A topic with its namespace."""
         return f"{self.namespace}/{name}"
 
 
-# name: type
-TOPICS: dict[str, type[ros.RosMessage]] = {
-    "pose": ros.PoseWithCovarianceStamped,
-    "candidates": ros.PoseArray,
-    "candidate_weights": ros.Float64MultiArray,
-    "region": ros.MarkerArray,
-    "path": ros.Path,
-    "status": ros.DiagnosticArray,
+# topic: type of its messages
+TOPICS = {
+    "pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "candidates": "geometry_msgs/msg/PoseArray",
+    "candidate_weights": "std_msgs/msg/Float64MultiArray",
+    "region": "visualization_msgs/msg/MarkerArray",
+    "path": "nav_msgs/msg/Path",
+    "status": "diagnostic_msgs/msg/DiagnosticArray",
 }
 # of recordings only
-TRUTH: dict[str, type[ros.RosMessage]] = {"truth": ros.PoseStamped}
-IMAGE: dict[str, type[ros.RosMessage]] = {"image/compressed": ros.CompressedImage}
+TRUTH = {"truth": "geometry_msgs/msg/PoseStamped"}
+IMAGE = {"image/compressed": "sensor_msgs/msg/CompressedImage"}
 
 
 def is_lost(estimate: Estimate) -> bool:
-    """Whether nothing may be built on the pose: there is no image, or it shows no place that is known."""
+    """Whether the pose must not be used: there is no image, or it shows no known place."""
     return estimate.pose is None or estimate.evidence is EvidenceType.UNKNOWN

@@ -1,86 +1,124 @@
-"""From an estimate to ROS 2 messages: poses with covariances, candidates with weights, regions as boxes, the path.
+"""From estimates to ROS 2 messages: poses with covariances, candidates with weights, regions as boxes, the path.
 
-Nothing of ROS is imported. Where a frame is lost (no image, or one that shows no place that is known), no pose is
-passed on: the message holds the identity with a very large covariance, and candidates and boxes are none.
+A lost frame (no image, or one that shows no known place) has no pose: its message holds the identity with a very large
+covariance, and neither candidates nor boxes.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections import deque
+from itertools import product
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from conformodal.core.arrays import FloatArray
+from conformodal.core.choices import as_member
 from conformodal.poses import Trajectory
+from conformodal.reasoning.candidates import Candidates
 from conformodal.running.estimates import Estimate
 
-from . import messages as ros
-from .boxes import region_boxes, region_message
-from .conventions import Conventions, is_lost
-from .covariance import pose_covariance, weights_of
+from .conventions import Conventions, Covariance, RosError, is_lost
+from .messages import MakeMessage, make_header, make_pose, nanoseconds, rosbags_factory
+
+_LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
 
 
-def _pose_message(estimate: Estimate, header: ros.Header, how: Conventions) -> ros.PoseWithCovarianceStamped:
-    """The chosen pose and its covariance; the identity and a very large one where the frame is lost."""
-    if is_lost(estimate) or estimate.pose is None:
-        pose, covariance = ros.Pose(), np.eye(6) * how.lost_variance
-    else:
-        pose, covariance = _poses(estimate.pose)[0], pose_covariance(estimate, how.covariance)
-    return ros.PoseWithCovarianceStamped(header, ros.PoseWithCovariance(pose, covariance.ravel()))
+def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
+    """Covariance (6, 6) of an estimate's pose, in m^2, m rad and rad^2.
+
+    The first three are x, y and z of the world. The others are small rotations about x, y and z of the world, which do
+    not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
+    """
+    kind = as_member(kind, Covariance, "covariance", RosError)
+    pose, candidates = estimate.pose, estimate.candidates
+    assert pose is not None
+    assert candidates is not None
+    if kind is Covariance.MIXTURE:
+        return mixture_covariance(candidates, pose.positions_xyz[0], pose.orientations_quat_wxyz[0])
+    assert estimate.position_spread_m is not None
+    assert estimate.orientation_spread_rad is not None
+    own = estimate.position_spread_m**2 / 3, estimate.orientation_spread_rad**2
+    return np.diag(np.maximum(np.repeat(own, 3), _LEAST_VARIANCE))
 
 
-def _candidate_messages(estimate: Estimate, header: ros.Header) -> tuple[ros.PoseArray, ros.Float64MultiArray]:
-    """Candidate poses, most probable first, and their weights in the same order; none where the frame is lost."""
-    found = None if is_lost(estimate) else estimate.candidates
-    poses: list[ros.Pose] = []
-    weights = np.empty(0)
-    if found is not None:
-        weights = weights_of(found)
-        pairs = zip(found.positions_xyz, found.orientations_quat_wxyz, strict=True)
-        poses = [ros.Pose.of(position, quat) for position, quat in pairs]
-    n = len(poses)
-    layout = ros.MultiArrayLayout([ros.MultiArrayDimension("candidate", n, n)])
-    return ros.PoseArray(header, poses), ros.Float64MultiArray(layout, array("d", weights.tolist()))
+def mixture_covariance(candidates: Candidates, position_xyz: FloatArray, quat_wxyz: FloatArray) -> FloatArray:
+    """Second moments (6, 6) of a mixture of normal densities around a pose."""
+    weights = weights_of(candidates)
+    chosen = Rotation.from_quat(quat_wxyz, scalar_first=True)
+    turned = (Rotation.from_quat(candidates.orientations_quat_wxyz, scalar_first=True) * chosen.inv()).as_rotvec()
+    off = np.concatenate((candidates.positions_xyz - position_xyz, turned), axis=1)
+    turning = np.repeat(candidates.orientation_spreads_rad[:, None], 3, axis=1)
+    spreads = np.concatenate((candidates.position_spreads, turning), axis=1)
+    found = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + _LEAST_VARIANCE)
+    return np.asarray((found + found.T) / 2)
 
 
-def _status_message(estimate: Estimate, header: ros.Header, n_boxes: int, n_shown: int) -> ros.DiagnosticArray:
-    """What the pose rests on: an error where the frame is lost, a warning where motion could not be used."""
-    status = ros.DiagnosticStatus
-    level = status.ERROR if is_lost(estimate) else status.OK if estimate.reliable else status.WARN
-    motion = estimate.relative_motion
-    said = {
-        "evidence": "none" if estimate.evidence is None else estimate.evidence.name.lower(),
-        "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
-        "motion": "none" if motion is None else str(motion.status),
-        "boxes": str(n_boxes),
-        "boxes_shown": str(n_shown),
-    }
-    values = [ros.KeyValue(key, value) for key, value in said.items()]
-    message = (estimate.problem or "reliable").encode("utf-8", "backslashreplace").decode()
-    return ros.DiagnosticArray(header, [status(level, "conformodal: pose", message, "", values)])
+def weights_of(candidates: Candidates) -> FloatArray:
+    """Probabilities (m,) that sum to one."""
+    share = np.exp(candidates.log_mass - candidates.log_mass.max())
+    return np.asarray(share / share.sum())
+
+
+_COLOUR, _FAINTEST, _FULLEST = (86 / 255, 180 / 255, 233 / 255), 0.15, 0.8
+_INTERVALS_AN_AXIS = 16
+_CUBE, _DELETE_ALL = 1, 3
+_OK, _WARN, _ERROR = 0, 1, 2
+
+
+def region_boxes(estimate: Estimate, how: Conventions) -> tuple[FloatArray, FloatArray, int]:
+    """Boxes (m, 3, 2) of the region's positions in metres, the probability (m,) of each, and the number of all boxes.
+
+    A lost frame, whose region is unbounded, has none.
+    """
+    if is_lost(estimate) or estimate.region is None or estimate.pose is None or estimate.candidates is None:
+        return np.empty((0, 3, 2)), np.empty(0), 0
+    here, found = estimate.pose.positions_xyz[0], estimate.candidates
+    parts = estimate.region.intervals(0)[:3]
+    total = int(np.prod([len(part) for part in parts]))
+    near = [
+        _nearest(np.clip(part, at - how.range_m, at + how.range_m), at) for part, at in zip(parts, here, strict=True)
+    ]
+    boxes = np.array(list(product(*near))).reshape(-1, 3, 2)
+    places = found.positions_xyz[None]
+    inside = ((places >= boxes[:, None, :, 0]) & (places <= boxes[:, None, :, 1])).all(axis=2)
+    shares = inside @ weights_of(found)
+    order = np.lexsort((np.linalg.norm(boxes.mean(axis=2) - here, axis=1), -shares))[: how.most_boxes]
+    return boxes[order], shares[order], total
+
+
+def _nearest(intervals: FloatArray, at: float) -> FloatArray:
+    """The intervals (m, 2) that are nearest to a coordinate."""
+    intervals = intervals[intervals[:, 1] > intervals[:, 0]]  # those out of range have shrunk to nothing
+    away = np.maximum(np.maximum(intervals[:, 0] - at, at - intervals[:, 1]), 0)
+    return intervals[np.sort(np.argsort(away, kind="stable")[:_INTERVALS_AN_AXIS])]
 
 
 class Conversion:
-    """Makes messages of estimate after estimate, and keeps the path.
+    """Converts estimates to messages one by one, and keeps the path.
 
     Parameters
     ----------
     how
         Names and limits.
+    make
+        Makes a message of a type; by default in the classes of rosbags.
     """
 
-    def __init__(self, how: Conventions | None = None) -> None:
-        self.how = how or Conventions()
+    def __init__(self, how: Conventions | None = None, make: MakeMessage | None = None) -> None:
+        self.how, self.make = how or Conventions(), make or rosbags_factory()
         self.reset()
 
     def reset(self) -> None:
         """Forget the path: another recording begins."""
-        self._path: deque[tuple[float, ros.Pose]] = deque(maxlen=self.how.longest_path)
+        self._path: deque[tuple[float, Any]] = deque(maxlen=self.how.longest_path)
         self._lost: set[float] = set()
         self._n_answered = 0
 
-    def messages(self, estimate: Estimate, stamp_ns: int | None = None) -> dict[str, ros.RosMessage]:
-        """All messages about a frame by the names of their topics, see :data:`TOPICS`; the path now and then.
+    def messages(self, estimate: Estimate, stamp_ns: int | None = None) -> dict[str, Any]:
+        """All messages about a frame by topic, see :data:`TOPICS`; the path in every :attr:`Conventions.path_every`.
 
         Parameters
         ----------
@@ -92,33 +130,105 @@ class Conversion:
         Raises
         ------
         RosError
-            If ROS has no such time.
+            If ROS cannot hold the time.
         """
-        stamp_ns = ros.nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
-        header = self._header(stamp_ns)
+        stamp_ns = nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
+        header = self.header(stamp_ns)
         boxes, shares, total = region_boxes(estimate, self.how)
-        poses, weights = _candidate_messages(estimate, header)
-        found: dict[str, ros.RosMessage] = {
-            "pose": _pose_message(estimate, header, self.how),
-            "candidates": poses,
-            "candidate_weights": weights,
-            "region": region_message(boxes, shares, header),
-            "status": _status_message(estimate, header, total, len(boxes)),
+        found = {
+            "pose": self._pose(estimate, header),
+            **self._candidates(estimate, header),
+            "region": self._region(boxes, shares, header),
+            "status": self._status(estimate, header, total, len(boxes)),
         }
-        if self._take(estimate):
+        if self._extend_path(estimate):
             found["path"] = self.path(stamp_ns)
         return found
 
-    def path(self, stamp_ns: int) -> ros.Path:
-        """The trajectory so far, its last poses revised by what followed; frames that were lost are left out."""
-        poses = [ros.PoseStamped(self._header(ros.nanoseconds(time_s)), pose) for time_s, pose in self._path]
-        return ros.Path(self._header(stamp_ns), poses)
+    def path(self, stamp_ns: int) -> Any:
+        """The trajectory so far without lost frames, its last poses revised by what followed."""
+        poses = [self.stamped(self.header(nanoseconds(time_s)), pose) for time_s, pose in self._path]
+        return self.make("nav_msgs/msg/Path", header=self.header(stamp_ns), poses=poses)
 
-    def _header(self, stamp_ns: int) -> ros.Header:
-        return ros.Header(ros.Time.of(stamp_ns), self.how.world_frame)
+    def header(self, stamp_ns: int, frame: str | None = None) -> Any:
+        """A header, by default in the world's frame."""
+        return make_header(self.make, stamp_ns, self.how.world_frame if frame is None else frame)
 
-    def _take(self, estimate: Estimate) -> bool:
-        """Revise the path; whether it is to be said."""
+    def stamped(self, header: Any, pose: Any) -> Any:
+        """A pose with a header."""
+        return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)
+
+    def poses(self, of: Trajectory | Candidates) -> list[Any]:
+        """Messages of poses."""
+        pairs = zip(of.positions_xyz, of.orientations_quat_wxyz, strict=True)
+        return [make_pose(self.make, position, quat) for position, quat in pairs]
+
+    def _pose(self, estimate: Estimate, header: Any) -> Any:
+        if is_lost(estimate) or estimate.pose is None:
+            pose, covariance = make_pose(self.make), np.eye(6) * self.how.lost_variance
+        else:
+            pose, covariance = self.poses(estimate.pose)[0], pose_covariance(estimate, self.how.covariance)
+        inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
+        return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
+
+    def _candidates(self, estimate: Estimate, header: Any) -> dict[str, Any]:
+        """Candidate poses, most probable first, and their weights in the same order."""
+        found = None if is_lost(estimate) else estimate.candidates
+        poses = [] if found is None else self.poses(found)
+        weights = np.empty(0) if found is None else weights_of(found)
+        n = len(poses)
+        axis = self.make("std_msgs/msg/MultiArrayDimension", label="candidate", size=n, stride=n)
+        layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[axis])
+        data = array("d", weights.tolist())
+        return {
+            "candidates": self.make("geometry_msgs/msg/PoseArray", header=header, poses=poses),
+            "candidate_weights": self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=data),
+        }
+
+    def _region(self, boxes: FloatArray, shares: FloatArray, header: Any) -> Any:
+        """Boxes to draw, more opaque with higher probability; first an order to remove the previous frame's."""
+        marker = "visualization_msgs/msg/Marker"
+        first = self.make(marker, header=header, type=_CUBE, action=_DELETE_ALL, pose=make_pose(self.make))
+        markers = [first]
+        for number, (box, share) in enumerate(zip(boxes, shares, strict=True)):
+            opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(share)
+            colour = dict(zip("rgba", (*_COLOUR, opacity), strict=True))
+            size = dict(zip("xyz", np.ptp(box, axis=1).tolist(), strict=True))
+            markers.append(
+                self.make(
+                    marker,
+                    header=header,
+                    ns="region",
+                    id=number,
+                    type=_CUBE,
+                    pose=make_pose(self.make, box.mean(axis=1)),
+                    scale=self.make("geometry_msgs/msg/Vector3", **size),
+                    color=self.make("std_msgs/msg/ColorRGBA", **colour),
+                )
+            )
+        return self.make("visualization_msgs/msg/MarkerArray", markers=markers)
+
+    def _status(self, estimate: Estimate, header: Any, n_boxes: int, n_shown: int) -> Any:
+        """An error for a lost frame, a warning where motion could not be used."""
+        motion = estimate.relative_motion
+        pairs = {
+            "evidence": "none" if estimate.evidence is None else estimate.evidence.name.lower(),
+            "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
+            "motion": "none" if motion is None else str(motion.status),
+            "boxes": str(n_boxes),
+            "boxes_shown": str(n_shown),
+        }
+        status = self.make(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=_ERROR if is_lost(estimate) else _OK if estimate.reliable else _WARN,
+            name="conformodal: pose",
+            message=(estimate.problem or "reliable").encode("utf-8", "backslashreplace").decode(),
+            values=[self.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in pairs.items()],
+        )
+        return self.make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
+
+    def _extend_path(self, estimate: Estimate) -> bool:
+        """Revise the path; whether it is to be published."""
         revised = estimate.revised
         if revised is None:
             return False
@@ -128,13 +238,8 @@ class Conversion:
         self._lost = {time_s for time_s in self._lost if time_s >= first}
         while self._path and self._path[-1][0] >= first:
             self._path.pop()
-        for time_s, pose in zip(revised.timestamps_s.tolist(), _poses(revised), strict=True):
+        for time_s, pose in zip(revised.timestamps_s.tolist(), self.poses(revised), strict=True):
             if time_s not in self._lost:
                 self._path.append((time_s, pose))
         self._n_answered += 1
         return (self._n_answered - 1) % self.how.path_every == 0
-
-
-def _poses(trajectory: Trajectory) -> list[ros.Pose]:
-    pairs = zip(trajectory.positions_xyz, trajectory.orientations_quat_wxyz, strict=True)
-    return [ros.Pose.of(position, quat) for position, quat in pairs]

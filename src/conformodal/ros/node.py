@@ -26,11 +26,9 @@ from conformodal.running.estimates import Estimate
 from conformodal.running.odometry import Odometry
 from conformodal.running.paper_odometry import odometry_of
 
-from . import messages as ros
-from .conventions import TOPICS, Conventions, Covariance
+from .conventions import TOPICS, Conventions, Covariance, RosError
 from .conversion import Conversion
-from .errors import RosError
-from .foreign_messages import build
+from .messages import NANOSECONDS
 
 _NAME, _DEPTH = "conformodal", 10
 _JUMP_BACK_S = 1.0  # a clock that goes back by more was set anew: a recording is played again
@@ -64,21 +62,9 @@ class Parameters:
 
 
 class PoseNode:
-    """Subscribes and publishes; the work is done by :class:`Conversion` and the model's odometry.
+    """Subscribes and publishes with a node of rclpy; see :class:`Parameters`.
 
-    Images are answered one after the other. ROS keeps a few that come meanwhile and drops the others, as for any
-    sensor.
-
-    Parameters
-    ----------
-    node
-        Of rclpy.
-    odometry
-        Of the model.
-    how
-        Names and limits.
-    compressed, silent_s
-        See :class:`Parameters`.
+    Images are answered one after the other. ROS keeps a few that come meanwhile and drops the others.
     """
 
     def __init__(
@@ -92,16 +78,16 @@ class PoseNode:
     ) -> None:
         self.odometry, self._node, self._silent_s = odometry, node, silent_s
         self._log = node.get_logger()
-        self._conversion = Conversion(how)
+        self._conversion = Conversion(how, make_message)
         self._kind = COMPRESSED if compressed else RAW
         self._last_s: float | None = None
         self._seen_ns: int | None = None
-        self._camera: Any = None  # what was last said of it
+        self._camera: Any = None  # as it was last published
         self._refused = ""
         odometry.reset()
         topic = self._conversion.how.topic
         self._publishers = {
-            name: node.create_publisher(message_class(kind.TYPE), topic(name), _DEPTH) for name, kind in TOPICS.items()
+            name: node.create_publisher(message_class(kind), topic(name), _DEPTH) for name, kind in TOPICS.items()
         }
         sensor = import_module("rclpy.qos").qos_profile_sensor_data
         node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
@@ -110,10 +96,10 @@ class PoseNode:
 
     def on_camera_info(self, message: Any) -> None:
         """Compare the camera with the model's; images of another one are answered as lost."""
-        said = (message.width, message.height, tuple(message.k), tuple(message.d), message.distortion_model)
-        if said == self._camera:
+        camera = (message.width, message.height, tuple(message.k), tuple(message.d), message.distortion_model)
+        if camera == self._camera:
             return
-        self._camera, before = said, self._refused
+        self._camera, before = camera, self._refused
         try:
             self.odometry.model.check_camera(camera_of_info(message, "camera_info"))
             self._refused = ""
@@ -126,8 +112,8 @@ class PoseNode:
     def on_image(self, message: Any) -> None:
         """Answer an image, with messages that have its time."""
         stamp = message.header.stamp
-        stamp_ns = stamp.sec * ros.NANOSECONDS + stamp.nanosec
-        time_s = stamp.sec + stamp.nanosec / ros.NANOSECONDS
+        stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
+        time_s = stamp.sec + stamp.nanosec / NANOSECONDS
         if not self._is_new(time_s):
             return
         self._publish(self._answer(message, time_s), stamp_ns)
@@ -143,11 +129,11 @@ class PoseNode:
         return self.odometry.step(image, time_s)
 
     def on_time(self) -> None:
-        """Say that the pose is lost where no image comes: nobody shall go on with the last one."""
+        """Publish that the pose is lost when no image comes."""
         now_ns = self._node.get_clock().now().nanoseconds
-        if self._seen_ns is not None and 0 <= now_ns - self._seen_ns < self._silent_s * ros.NANOSECONDS:
+        if self._seen_ns is not None and 0 <= now_ns - self._seen_ns < self._silent_s * NANOSECONDS:
             return
-        self._publish(_lost(now_ns / ros.NANOSECONDS, f"no image for {self._silent_s:g} s"), now_ns)
+        self._publish(_lost(now_ns / NANOSECONDS, f"no image for {self._silent_s:g} s"), now_ns)
 
     def _is_new(self, time_s: float) -> bool:
         """Whether a time follows the last one; if it lies far before it, a new recording has begun."""
@@ -163,23 +149,21 @@ class PoseNode:
 
     def _publish(self, estimate: Estimate, stamp_ns: int) -> None:
         for name, message in self._conversion.messages(estimate, stamp_ns).items():
-            self._publishers[name].publish(build(message, message_class))
+            self._publishers[name].publish(message)
 
 
 def message_class(kind: str) -> Any:
-    """ROS's own class of a type, such as ``geometry_msgs/msg/Pose``.
-
-    Raises
-    ------
-    MissingPackageError
-        If ROS is not there.
-    """
+    """ROS's own class of a type, such as ``geometry_msgs/msg/Pose``."""
     package, _, name = kind.split("/")
     with _require_ros():
-        found = getattr(import_module(f"{package}.msg"), name)
-    if kind != ros.DiagnosticStatus.TYPE:
-        return found
-    return lambda level, **rest: found(level=bytes([level]), **rest)  # ROS's Python has one byte as bytes
+        return getattr(import_module(f"{package}.msg"), name)
+
+
+def make_message(kind: str, **fields: Any) -> Any:
+    """A message in ROS's own class."""
+    if kind == "diagnostic_msgs/msg/DiagnosticStatus":
+        fields["level"] = bytes([fields["level"]])  # rclpy has a byte as bytes
+    return message_class(kind)(**fields)
 
 
 @contextmanager
@@ -200,13 +184,7 @@ def _lost(time_s: float, problem: str) -> Estimate:
 
 
 def _parameters_of(node: Any) -> Parameters:
-    """Declare the parameters and read what was given.
-
-    Raises
-    ------
-    RosError
-        If one cannot be used.
-    """
+    """Declare the parameters and read what was given."""
     given = {name: node.declare_parameter(name, value).value for name, value in vars(Parameters()).items()}
     found = Parameters(**given)
     if not found.model:
@@ -218,13 +196,7 @@ def _parameters_of(node: Any) -> Parameters:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the node until ROS or a signal ends it; returns an exit code.
-
-    Parameters
-    ----------
-    arguments
-        For ROS; by default those of the command line.
-    """
+    """Run the node until ROS or a signal ends it; returns an exit code."""
     try:
         with _require_ros():
             import rclpy  # noqa: PLC0415 - comes with ROS
@@ -234,10 +206,10 @@ def main(arguments: list[str] | None = None) -> int:
     rclpy.init(args=arguments)
     node = rclpy.create_node(_NAME)
     try:
-        said = _parameters_of(node)
-        how = Conventions(world_frame=said.world_frame, covariance=Covariance(said.covariance))
-        odometry = odometry_of(load_model(said.model), said.match_every)
-        PoseNode(node, odometry, how, compressed=said.compressed, silent_s=said.silent_s)
+        given = _parameters_of(node)
+        how = Conventions(world_frame=given.world_frame, covariance=Covariance(given.covariance))
+        odometry = odometry_of(load_model(given.model), given.match_every)
+        PoseNode(node, odometry, how, compressed=given.compressed, silent_s=given.silent_s)
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

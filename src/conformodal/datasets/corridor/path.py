@@ -22,21 +22,12 @@ Waypoint = tuple[float, float, float]  # x, y, yaw in degrees; yaw 0 looks along
 
 
 def drone_path(world: CorridorWorld, n_laps: int = 2, seed: int = 0) -> Trajectory:
-    """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames a second.
+    """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames per second.
 
-    A lap goes along the hall and back and looks into every room each time, always in the same manner, so that where
-    rooms look alike, nothing in the manner of flying tells them apart. Gusts move the drone by some centimetres and
-    degrees, fast enough that a frame is no more like its neighbours in time than like those of another visit. The
-    drone moves sideways where it has to: the camera never looks straight at the hall side opposite the rooms.
-
-    Parameters
-    ----------
-    world
-        The corridor.
-    n_laps
-        Times along the hall and back.
-    seed
-        Of the gusts.
+    Each of `n_laps` laps goes along the hall and back and into every room, always in the same manner, so that flying
+    does not tell rooms apart that look alike. Gusts move the drone by some centimetres and degrees, fast enough that a
+    frame is no more like its neighbours in time than like those of another visit. The drone moves sideways where it has
+    to: the camera never looks straight at the hall side opposite the rooms.
     """
     return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed))
 

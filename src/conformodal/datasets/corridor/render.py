@@ -18,15 +18,7 @@ CAMERA_NOISE_LEVELS = 2.0  # standard deviation, in grey levels of 255
 
 
 class Renderer:
-    """Renders views of a world.
-
-    Parameters
-    ----------
-    world
-        What to render.
-    camera
-        Intrinsics.
-    """
+    """Renders views of a world."""
 
     def __init__(self, world: Building, camera: PinholeCamera = CAMERA) -> None:
         self.world, self.camera = world, camera

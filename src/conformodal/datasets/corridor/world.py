@@ -36,11 +36,6 @@ class CorridorWorld(Building):
         Length of the hall, and seed of its textures.
     rearranged
         Whether desks and shelves have changed places and the poster is gone, as after furniture was moved.
-
-    Raises
-    ------
-    DatasetError
-        If there are fewer than two modules: nothing could look alike.
     """
 
     n_modules: int = 5

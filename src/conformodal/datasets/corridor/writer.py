@@ -59,11 +59,6 @@ def write_flight(
 
     Intrinsics and frame rate are written into the folder above, which may hold many recordings. Frame i has camera
     noise of seed ``noise_seed + i``. The recording is written beside its place and moved there at the end.
-
-    Raises
-    ------
-    DatasetError
-        If the folder of the recording is not empty, or cannot be written.
     """
     with staged(recording) as part:
         _write(part, renderer, poses_se3, noise_seed, progress)

@@ -5,6 +5,7 @@ A frame that cannot be used is left out and told; the others keep their times an
 
 from __future__ import annotations
 
+import re
 import warnings
 from bisect import bisect_left
 from collections.abc import Callable
@@ -17,15 +18,16 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
 
-from .decoding import image_fault
+from .decoding import image_fault, natural_key
 from .errors import DatasetError, DatasetWarning
-from .reading import Remark, read_lines, readable, shown
+from .reading import Note, read_lines, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
 
 NO_POSE = "no pose"
 _LEFT_OUT = "left out, "
+_BETWEEN_RECORDINGS_S = 10.0
 
 
 @dataclass(eq=False)
@@ -41,22 +43,22 @@ class FrameTable:
     times
         (n,) seconds; NaN where it is damaged.
     recording
-        (n,) numbers.
+        (n,) numbers; None for one recording.
     poses
         (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for a data set without.
     why
         Why a frame has no pose, where more is known than that it is missing.
-    remarks
+    notes
         What was found wrong so far.
     """
 
     name: str
     images: list[Path]
     times: FloatArray
-    recording: IntArray
+    recording: IntArray | None = None
     poses: FloatArray | None = None
     why: Damaged = field(default_factory=dict)
-    remarks: list[Remark] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
 
     def sequence(
         self, camera: PinholeCamera, *, require_poses: bool, given_test: npt.NDArray[np.bool_] | None = None
@@ -65,11 +67,6 @@ class FrameTable:
 
         Frames without a time in order, or with a name that is no text, are left out. With `require_poses`, so are
         those without a pose or an image.
-
-        Raises
-        ------
-        DatasetError
-            If no frame is left, or most times go back.
         """
         out = self._without_time()
         posed = np.zeros(len(self.images), dtype=np.bool_)
@@ -77,20 +74,21 @@ class FrameTable:
             posed |= np.isfinite(self.poses).all(axis=1)
         lacking = {} if self.poses is None else {i: self._pose_fault(i) for i in np.flatnonzero(~posed).tolist()}
         if require_poses:
-            out |= {i: Remark(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
+            out |= {i: Note(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
             size = camera.width, camera.height
             for i in (i for i in range(len(self.images)) if i not in out):
                 fault = image_fault(self.images[i], size)
                 if fault:
-                    out[i] = Remark(_LEFT_OUT + "image cannot be read", fault)
+                    out[i] = Note(_LEFT_OUT + "image cannot be read", fault)
         kept = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
         if not kept.size:
             first = out[min(out)].where if out else f"{self.name}: holds no frame"
             raise DatasetError(f"{first} ({len(out)} of {len(self.images)} frames cannot be used)")
-        remarks = [*self.remarks, *(out[i] for i in sorted(out))]
+        notes = [*self.notes, *(out[i] for i in sorted(out))]
         if not require_poses and posed[kept].any():
-            remarks += [Remark(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
-        _warn(self.name, remarks)
+            notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
+        _warn(self.name, notes)
+        recording = np.zeros(len(self.images), dtype=np.int64) if self.recording is None else self.recording
         with_pose = kept[posed[kept]]
         truth = self._trajectory(with_pose) if with_pose.size else None
         whole = len(with_pose) == len(kept)
@@ -98,12 +96,12 @@ class FrameTable:
             name=self.name,
             image_paths=tuple(self.images[i] for i in kept),
             timestamps_s=self.times[kept],
-            recording=self.recording[kept],
+            recording=recording[kept],
             camera=camera,
             truth=truth if whole else None,
             given_test=None if given_test is None else given_test[kept],
             known_poses=truth,
-            remarks=tuple(remarks),
+            notes=tuple(notes),
         )
 
     def _pose_fault(self, i: int) -> str:
@@ -114,15 +112,15 @@ class FrameTable:
         rows = self.poses[frames]
         return Trajectory(self.times[frames], rows[:, :3], rows[:, 3:])
 
-    def _without_time(self) -> dict[int, Remark]:
+    def _without_time(self) -> dict[int, Note]:
         """Frames that can be used in no way."""
         out = {
-            i: Remark(_LEFT_OUT + "name is not UTF-8", shown(f"{path.name}: its name is not UTF-8; rename it"))
+            i: Note(_LEFT_OUT + "name is not UTF-8", shown(f"{path.name}: its name is not UTF-8; rename it"))
             for i, path in enumerate(self.images)
             if not readable(str(path))
         }
         for i in np.flatnonzero(~np.isfinite(self.times)).tolist():
-            out.setdefault(i, Remark(_LEFT_OUT + "no time", f"{self.images[i].name}: its time is {self.times[i]}"))
+            out.setdefault(i, Note(_LEFT_OUT + "no time", f"{self.images[i].name}: its time is {self.times[i]}"))
         left = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
         back = np.setdiff1d(left, left[_longest_rise(self.times[left])])
         if back.size * 2 > left.size:
@@ -130,7 +128,7 @@ class FrameTable:
             raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.images[i]}) goes back")
         for i in back.tolist():
             what = f"{self.images[i].name}: its time, {self.times[i]:.9g} s, does not lie between its neighbours'"
-            out[i] = Remark(_LEFT_OUT + "time goes back or occurs twice", what)
+            out[i] = Note(_LEFT_OUT + "time goes back or occurs twice", what)
         return out
 
 
@@ -155,24 +153,18 @@ def _longest_rise(times: FloatArray) -> IntArray:
     return np.array(rise[::-1])
 
 
-def _warn(name: str, remarks: list[Remark]) -> None:
+def _warn(name: str, notes: list[Note]) -> None:
     counts: dict[str, list[str]] = {}
-    for remark in remarks:
-        counts.setdefault(remark.what, []).append(remark.where)
+    for note in notes:
+        counts.setdefault(note.what, []).append(note.where)
     for what, places in counts.items():
         warnings.warn(f"{name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=5)
 
 
 def listed(
-    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, remarks: list[Remark]
+    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, notes: list[Note]
 ) -> tuple[list[Path], FloatArray]:
-    """Images and times of a list with one a line; damaged lines are left out and told.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, lists no image, or no line can be read.
-    """
+    """Images and times of a list with one a line; damaged lines are left out and told."""
     images: list[Path] = []
     stamps: list[float] = []
     faults: list[str] = []
@@ -190,7 +182,7 @@ def listed(
         images.append(image)
     if not images:
         raise DatasetError(faults[0] if faults else f"{path}: lists no image")
-    remarks += [Remark(_LEFT_OUT + "line cannot be read", fault) for fault in faults]
+    notes += [Note(_LEFT_OUT + "line cannot be read", fault) for fault in faults]
     return images, np.array(stamps)
 
 
@@ -199,38 +191,22 @@ def paired_by_time(
     path: Path,
     times: FloatArray,
     max_difference_s: float,
-    remarks: list[Remark],
+    notes: list[Note],
 ) -> FloatArray:
-    """Poses (n, 7) of frames: the nearest in time, NaN where none is near.
+    """Poses (n, 7) of frames at `times`: the nearest in time, NaN where none is within `max_difference_s`.
 
-    Parameters
-    ----------
-    read
-        Gives the file's rows ``time x y z qw qx qy qz``, and takes up damaged ones.
-    path
-        The file.
-    times
-        (n,) of the frames; NaN where it is not known.
-    max_difference_s
-        Farther poses are none.
-    remarks
-        Takes up poses that cannot be used.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, or no frame has a pose; names the file.
+    `read` gives the file's rows ``time x y z qw qx qy qz``, and adds damaged ones to its second argument.
     """
     damaged: Damaged = {}
     try:
         rows = read(path, damaged)
-        remarks += [Remark("pose cannot be used", damaged[i]) for i in sorted(damaged)]
+        notes += [Note("pose cannot be used", damaged[i]) for i in sorted(damaged)]
         rows = rows[np.isfinite(rows).all(axis=1)]
         order = np.argsort(rows[:, 0], kind="stable")
         twice = np.flatnonzero((np.diff(rows[order, 0]) == 0) & (np.diff(rows[order], axis=0) != 0).any(axis=1))
         if twice.size:
             ambiguous = np.unique(rows[order[twice], 0])
-            remarks += [Remark("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
+            notes += [Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
             rows = rows[~np.isin(rows[:, 0], ambiguous)]
         asked = np.flatnonzero(np.isfinite(times))
         still = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(asked), 1))
@@ -239,8 +215,8 @@ def paired_by_time(
             Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:]),
             max_difference_s,
         )
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
+    except TrajectoryFileError:
+        raise
     except PoseError as exc:
         raise DatasetError(f"{path}: {exc}") from exc
     found = np.full((len(times), 7), np.nan)
@@ -249,13 +225,7 @@ def paired_by_time(
 
 
 def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
-    """Which line of a file is about which image: all in order, or the one whose number is the image's name.
-
-    Raises
-    ------
-    DatasetError
-        If there are more images than lines, or lines are left over and images are not numbered.
-    """
+    """Which line of a file is about which image: all in order, or the one whose number is the image's name."""
     stems = [image.stem for image in images]
     if all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems):
         numbers = np.array([int(stem) for stem in stems], dtype=np.int64)
@@ -266,3 +236,44 @@ def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
     elif n_rows == len(images):
         return np.arange(n_rows)
     raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
+
+
+def numbered_frames(
+    folder: Path, pattern: re.Pattern[str], digits: int, notes: list[Note] | None = None
+) -> list[tuple[int, Path]]:
+    """Numbers and paths of a folder's images, in order.
+
+    The first group of the pattern is the number, the second the suffix. Of several files with one number, png files
+    come first, and among them the name with the usual number of digits.
+    """
+    found: dict[int, Path] = {}
+    matches = [m for path in folder.iterdir() if (m := pattern.fullmatch(path.name))]
+    for match in sorted(matches, key=lambda m: (m[2].lower() != "png", len(m[1]) != digits, m[0])):
+        path = folder / match[0]
+        first = found.setdefault(int(match[1]), path)
+        if first is not path and notes is not None:
+            notes.append(Note("left out, another file has its number", f"{path}: {first.name} has its number"))
+    return sorted(found.items())
+
+
+def recording_folders(parent: Path, pattern: re.Pattern[str], name: str, notes: list[Note] | None) -> list[Path]:
+    """Folders of recordings in natural order; `notes` takes up others that begin like them."""
+    found = []
+    start = name.partition("NN")[0]
+    for path in sorted(parent.glob(f"{start}*"), key=lambda p: natural_key(p.name)):
+        if path.is_dir() and pattern.fullmatch(path.name):
+            found.append(path)
+        elif path.is_dir() and notes is not None:
+            kind = "scene" if start == "scene_" else "recording"
+            notes.append(Note(f"left out, no {kind}", f"{path}: is not called {name}"))
+    return found
+
+
+def joined(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> tuple[list[Path], FloatArray, IntArray]:
+    """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
+    times: list[float] = []
+    for frames in recordings:
+        start = times[-1] + _BETWEEN_RECORDINGS_S if times else 0.0
+        times += [start + i / rate_hz for i, _ in frames]
+    recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
+    return [path for frames in recordings for _, path in frames], np.array(times), recording
