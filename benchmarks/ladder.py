@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 import torch
 from common import RESULTS, ROOT
+from conformodal.reasoning.viterbi import viterbi
 from joblib import Parallel, delayed
 from ladder_parts import ALL, REMOVED, STEPS, SWITCHES, Frames, Paths, spaced
 from ladder_runs import ALPHA, PLACES, Models, Trained
@@ -35,7 +36,6 @@ from conformodal.localization.targets import pose_targets
 from conformodal.motion.essential import EssentialFrontEnd
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.smoother import smooth
-from conformodal.reasoning.viterbi import viterbi
 from conformodal.running.motions import measure_motions
 from conformodal.running.paper_odometry import PaperOdometry
 from conformodal.running.results.provenance import provenance

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from common import without_limits, without_rotation
+from conformodal.reasoning.bridging import bridge
+from conformodal.reasoning.online import online
+from conformodal.reasoning.viterbi import viterbi
 from ladder_runs import Trained
 
 from conformodal.conformal import SplitConformal
@@ -18,14 +21,11 @@ from conformodal.localization.localizer import Localizer
 from conformodal.localization.source import PoseSource
 from conformodal.model.model import Localization
 from conformodal.poses import RelativeMotion, Trajectory, trajectory_errors
-from conformodal.reasoning.bridging import bridge
 from conformodal.reasoning.candidates import Candidates, interval_runs
 from conformodal.reasoning.greedy import greedy
 from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.online import online
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
-from conformodal.reasoning.viterbi import viterbi
 from conformodal.running.motions import MotionRecord
 
 

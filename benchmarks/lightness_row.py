@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import onnxruntime
+from conformodal.reasoning.online import OnlineReasoner
 from scipy.special import erf, softmax
 from stream_row import peak_mb
 
@@ -20,7 +21,6 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.head_source import HeadSource
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model
-from conformodal.reasoning.online import OnlineReasoner
 from conformodal.running.estimator import VisualOdometry
 from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.onnx_backbone import OnnxBackbone

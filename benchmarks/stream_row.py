@@ -14,13 +14,13 @@ from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
+from conformodal.reasoning.online import OnlineReasoner  # noqa: E402
 
 from conformodal.datasets import read_image  # noqa: E402
 from conformodal.localization.landmarks import source as landmarks  # noqa: E402
 from conformodal.localization.neighbours import source as neighbours  # noqa: E402
 from conformodal.model.model import PoseModel  # noqa: E402
 from conformodal.motion.frontend import MotionFrontEnd  # noqa: E402
-from conformodal.reasoning.online import OnlineReasoner  # noqa: E402
 from conformodal.running.estimator import VisualOdometry  # noqa: E402
 from conformodal.vision.backbone import Backbone  # noqa: E402
 

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from common import RESULTS, mean_interval, without_limits, without_rotation, write_page
+from conformodal.reasoning.online import online
+from conformodal.reasoning.viterbi import viterbi
 from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
@@ -27,10 +29,8 @@ from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.online import online
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
-from conformodal.reasoning.viterbi import viterbi
 from conformodal.running.estimator import VisualOdometry
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache

@@ -118,21 +118,23 @@ class Conversion:
         return ros.Header(ros.Time.of(stamp_ns), self.how.world_frame)
 
     def _take(self, estimate: Estimate) -> bool:
-        """Revise the path; whether it is to be said."""
-        revised = estimate.revised
-        if revised is None:
+        """Add the pose to the path; where the path is to be published, also revise its last poses."""
+        if estimate.pose is None:
             return False
         if is_lost(estimate):
             self._lost.add(estimate.timestamp_s)
+        due = self._n_answered % self.how.path_every == 0
+        revised = (estimate.revised if due else None) or estimate.pose  # hindsight takes time
         first = float(revised.timestamps_s[0])
-        self._lost = {time_s for time_s in self._lost if time_s >= first}
+        if due:
+            self._lost = {time_s for time_s in self._lost if time_s >= first}
         while self._path and self._path[-1][0] >= first:
             self._path.pop()
         for time_s, pose in zip(revised.timestamps_s.tolist(), _poses(revised), strict=True):
             if time_s not in self._lost:
                 self._path.append((time_s, pose))
         self._n_answered += 1
-        return (self._n_answered - 1) % self.how.path_every == 0
+        return due
 
 
 def _poses(trajectory: Trajectory) -> list[ros.Pose]:

@@ -28,7 +28,8 @@ def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
         If `kind` is not one of :class:`Covariance`.
     """
     kind = as_member(kind, Covariance, "covariance", RosError)
-    pose, candidates = estimate.pose, estimate.candidates
+    pose = estimate.pose
+    candidates = estimate.candidates if estimate.posterior is None else estimate.posterior.hypotheses
     assert pose is not None
     assert candidates is not None
     if kind is Covariance.MIXTURE:
