@@ -49,7 +49,6 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.caching import default_cache_dir
 from conformodal.datasets import Sequence, SplitKind, held_out_together, read_sequence, read_sevenscenes
 from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.localization.belief import recognised_only
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.local_features import LocalFeatures, Matcher, extract_local_features
@@ -64,13 +63,12 @@ from conformodal.model.model import Localization, PoseModel
 from conformodal.model.store import load_model, save_model
 from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.poses import Trajectory, trajectory_errors
-from conformodal.reasoning.bridging import bridge
-from conformodal.reasoning.candidates import Candidates, interval_runs
+from conformodal.reasoning.candidates import interval_runs
+from conformodal.reasoning.filter import filter_posteriors, hindsight_posteriors
 from conformodal.reasoning.greedy import greedy
 from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.online import online
+from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.smoother import smooth
-from conformodal.reasoning.viterbi import viterbi
 from conformodal.running.motions import MotionRecord, measure_motions
 from conformodal.running.paper_odometry import PaperOdometry
 from conformodal.running.results.provenance import provenance
@@ -104,14 +102,13 @@ class Parts:
     submaps: bool = True
     rotations: bool = True
     limits: bool = True
-    search: str = "path"  # "path" for Viterbi over the whole path, "lag" for ten frames, "frame" for each alone
-    bridging: bool = True
+    posterior: str = "hindsight"  # "hindsight" from all frames, "online" from those so far, "frame" from each alone
     smoother: bool = True
 
 
 ALL = Parts()
-BARE = Parts(neighbours="none", landmarks=False, submaps=False, bridging=False, smoother=False)
-VITERBI = "Viterbi (each frame's most probable candidate)"
+BARE = Parts(neighbours="none", landmarks=False, submaps=False, smoother=False)
+POSTERIOR = "posterior (each frame's most probable hypothesis)"
 REMOVED = {
     "neighbours": replace(ALL, neighbours="none"),
     "neighbours by the network's map": replace(ALL, neighbours="thumbnail"),
@@ -121,9 +118,8 @@ REMOVED = {
     "relative rotations": replace(ALL, rotations=False),
     "limits on speed and turning": replace(ALL, limits=False),
     "limits and relative rotations": replace(ALL, limits=False, rotations=False),
-    VITERBI: replace(ALL, search="frame"),
-    "the frames after the next ten (online search)": replace(ALL, search="lag"),
-    "bridging of unknown frames": replace(ALL, bridging=False),
+    POSTERIOR: replace(ALL, posterior="frame"),
+    "later frames (the filter alone)": replace(ALL, posterior="online"),
     "smoother": replace(ALL, smoother=False),
 }
 RETRAINED = {  # by what is left out: the model without it
@@ -139,14 +135,13 @@ SWITCHES = {
     for limits in ("limits", "no limits")
     for motion in ("rotations", "no rotations")
 }
-STEPS = {  # from the search on, each with one part more than the one before
-    "modes of the softmax, Viterbi over them": replace(BARE, limits=False),
+STEPS = {  # from the posterior on, each with one part more than the one before
+    "modes of the softmax, posterior over them": replace(BARE, limits=False),
     "limits on speed and turning": BARE,
     "neighbours": replace(BARE, neighbours="both"),
     "landmarks": replace(BARE, neighbours="both", landmarks=True),
     "smoother": replace(BARE, neighbours="both", landmarks=True, smoother=True),
-    "submaps": replace(ALL, bridging=False),
-    "bridging of unknown frames: ours": ALL,
+    "submaps: ours": ALL,
 }
 # Files, stages of training and times per frame that belong to one part alone.
 FILES = {
@@ -155,13 +150,12 @@ FILES = {
     "submaps": ["motion/submaps.py", "motion/bundle.py", "poses/submap.py", "reasoning/submap_alignment.py"],
     "relative rotations": ["motion/relative_pose.py", "motion/two_view.py", "motion/tracker.py", "motion/frontend.py"],
     "limits on speed and turning": ["reasoning/prior.py"],
-    VITERBI: ["reasoning/viterbi.py"],
-    "bridging of unknown frames": ["reasoning/bridging.py"],
+    POSTERIOR: ["reasoning/filter.py", "reasoning/places.py"],
     "smoother": ["reasoning/smoother.py", "reasoning/orientations.py"],
     "projection": ["vision/projection.py"],
 }
 STAGES = {"neighbours": ("neighbours",), "landmarks": ("local features", "landmarks")}
-TIMES = {**STAGES, VITERBI: ("Viterbi",), "smoother": ("smoother",)}
+TIMES = {**STAGES, POSTERIOR: ("posterior",), "smoother": ("smoother",)}
 
 
 # ---- models
@@ -340,23 +334,15 @@ class Paths:
         model, seen, found = self.trained.model, self.seen, self.localization(parts)
         prior = model.prior if parts.limits else without_limits(model.prior)
         motions = seen.relative if parts.rotations else [without_rotation(m) for m in seen.relative]
-        candidates = found.candidates
-        if parts.bridging:
-            known = found.known if found.known.any() else found.beliefs.recognised
-            estimates = found.beliefs.estimates
-
-            def recognised(t: int, here: Candidates) -> Candidates:
-                return model.localizer.update(here, [recognised_only(estimates[t])]).candidates
-
-            candidates = bridge(candidates, known, motions, seen.times, model.prior, recognised)
         submaps = seen.motions.submaps_of(seen.frames) if parts.submaps else []
-        given = Observations(candidates, motions, seen.times, submaps)
-        if parts.search == "frame":
+        given = Observations(found.candidates, motions, seen.times, submaps, found.known | found.beliefs.recognised)
+        if parts.posterior == "frame":
             best = [int(np.argmax(c.log_mass)) for c in given.candidates]
             chosen = PosePath.choose(given.candidates, given.timestamps_s, best)
         else:
-            chosen = viterbi(given, prior) if parts.search == "path" else online(given, prior)
-        return smooth(chosen, given, prior) if parts.smoother else chosen
+            posteriors = (hindsight_posteriors if parts.posterior == "hindsight" else filter_posteriors)(given, prior)
+            chosen, _ = choose_places(posteriors, given.timestamps_s, prior)
+        return smooth(own_hypotheses(chosen, given, prior), given, prior) if parts.smoother else chosen
 
     def localization(self, parts: Parts) -> Localization:
         """Answers of the chosen pose sources, frame by frame."""
@@ -387,7 +373,7 @@ class Paths:
 
 
 def first_steps(models: Models, seen: Frames, ours: Paths) -> dict[str, list[float]]:
-    """Errors from the paper's system to the search, each with one change more than the one before."""
+    """Errors from the paper's system to the filter, each with one change more than the one before."""
     paper, model = models.trained("paper"), ours.trained.model
     assert paper is not None
     front_end = EssentialFrontEnd(models.sequence.camera)
@@ -443,7 +429,7 @@ def milliseconds(trained: Trained, models: Models, seen: Frames) -> dict[str, fl
     return {
         "local features": ms(lambda: extract_local_features(image, models.sequence.camera), 1),
         **{s.name: ms(partial(s.answer, evidence)) for s in model.localizer.sources},
-        "Viterbi": ms(lambda: viterbi(given, model.prior)),
+        "posterior": ms(lambda: hindsight_posteriors(given, model.prior)),
         "smoother": ms(lambda: smooth(chosen, given, model.prior)),
     }
 

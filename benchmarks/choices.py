@@ -23,20 +23,21 @@ from ablation import ALL, EVERY, Frames, Models, Paths
 from common import ROOT, write_table
 
 from conformodal.localization.settings import BELIEF
-from conformodal.reasoning.settings import CANDIDATES, SEARCH
+from conformodal.reasoning.settings import CANDIDATES, FILTER
 
 PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
 # By the settings' object and attribute: other values than the present one.
 OTHERS = {
     ("CANDIDATES", "least_mass"): (1e-4, 1e-5),
-    ("SEARCH", "own_share"): (1e-9, 0.1, 0.9),
-    ("SEARCH", "rotation_sigma_factor"): (1.0, 4.0, 8.0),
+    ("FILTER", "tempering"): (0.25, 1.0),
+    ("FILTER", "wrong_if_unknown"): (0.1, 0.99),
+    ("FILTER", "rotation_sigma_factor"): (1.0, 4.0, 8.0),
     ("BELIEF", "alone"): (0.01, 0.2),
 }
-PRESENT = {"CANDIDATES": CANDIDATES, "SEARCH": SEARCH, "BELIEF": BELIEF}
+PRESENT = {"CANDIDATES": CANDIDATES, "FILTER": FILTER, "BELIEF": BELIEF}
 READERS = {
     "CANDIDATES": ("reasoning.candidates", "localization.fusion"),
-    "SEARCH": ("reasoning.bridging", "reasoning.prior"),
+    "FILTER": ("reasoning.filter", "reasoning.prior"),
     "BELIEF": ("localization.fusion",),
 }
 

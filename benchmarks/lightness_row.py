@@ -20,7 +20,7 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.head_source import HeadSource
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model
-from conformodal.reasoning.online import OnlineReasoner
+from conformodal.reasoning.filter import PoseFilter
 from conformodal.running.estimator import VisualOdometry
 from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.onnx_backbone import OnnxBackbone
@@ -54,12 +54,12 @@ def regions(model: PoseModel) -> Answer:
 
 
 def search(model: PoseModel) -> Answer:
-    """The same and the search over candidates; the camera's motion is not measured."""
-    reasoner, frame = OnlineReasoner(model.prior), iter(range(10**9))
+    """The same and the filter over hypotheses; the camera's motion is not measured."""
+    pose_filter, frame = PoseFilter(model.prior), iter(range(10**9))
 
     def answer(image: Image) -> Any:
         found = model.localize(FrameEvidence(model.backbone.features_of(image)))
-        return found.regions, reasoner.push(found.candidates[0], None, next(frame) / 30)
+        return found.regions, pose_filter.push(found.candidates[0], None, next(frame) / 30)
 
     return answer
 

@@ -20,7 +20,7 @@ from conformodal.localization.landmarks import source as landmarks  # noqa: E402
 from conformodal.localization.neighbours import source as neighbours  # noqa: E402
 from conformodal.model.model import PoseModel  # noqa: E402
 from conformodal.motion.frontend import MotionFrontEnd  # noqa: E402
-from conformodal.reasoning.online import OnlineReasoner  # noqa: E402
+from conformodal.reasoning.filter import PoseFilter  # noqa: E402
 from conformodal.running.estimator import VisualOdometry  # noqa: E402
 from conformodal.vision.backbone import Backbone  # noqa: E402
 
@@ -68,7 +68,7 @@ def watch(odometry: Any, spent: dict[str, float]) -> None:
         (landmarks.LandmarkSource, "answer", "landmarks"),
         (neighbours.NeighbourSource, "answer", "neighbours"),
         (PoseModel, "regions", "regions"),
-        (OnlineReasoner, "push", "search"),
+        (PoseFilter, "push", "filter"),
     ]
 
     def wrap(inner: Callable[..., Any], name: str) -> Callable[..., Any]:

@@ -25,11 +25,11 @@ from conformodal.model.config import ModelConfig
 from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.filter import filter_posteriors, hindsight_posteriors
 from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.online import online
+from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
-from conformodal.reasoning.viterbi import viterbi
 from conformodal.running.estimator import VisualOdometry
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
@@ -112,12 +112,13 @@ def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajecto
         motions = whole.motions if rotation else [without_rotation(m) for m in whole.motions]
         seen = replace(whole, motions=motions, submaps=whole.submaps if rotation else ())
         usual = prior if limits else without_limits(prior)
-        best = viterbi(seen, usual)
+        forward = filter_posteriors(seen, usual)
+        best, _ = choose_places(hindsight_posteriors(seen, usual, forward), seen.timestamps_s, usual)
         setting = ", ".join((name, *(str(int(on)) for on in (limits, rotation))))
         for reasoner, path in (
-            ("viterbi", best),
-            ("smoothed", smooth(best, seen, usual)),
-            ("online", online(seen, usual)),
+            ("hindsight", best),
+            ("smoothed", smooth(own_hypotheses(best, seen, usual), seen, usual)),
+            ("online", choose_places(forward, seen.timestamps_s, usual)[0]),
         ):
             found[f"{setting}, {reasoner}"] = errors(path, truth)
     return found | {f"evidence, {name}": evidence(*observed[name]) for name in EVERY}
@@ -168,7 +169,7 @@ def evidence_blocks(seeds: list[int], results: list[Numbers]) -> list[str | list
     for name in EVERY:
         for seed, numbers in zip(seeds, results, strict=True):
             lobby, inside, agreed, alike = numbers[f"evidence, {name}"]
-            wrong = numbers[f"{name}, 1, 1, viterbi"][0]
+            wrong = numbers[f"{name}, 1, 1, hindsight"][0]
             nats = [f"{lobby:+.1f}", f"{inside:+.1f}", f"{agreed:.1f}"]
             rows.append([name, str(seed), *nats, f"{alike:.2f}", f"{wrong:.3f}"])
     return [

@@ -37,6 +37,6 @@ if __name__ == "__main__":
         run = VisualOdometry(model).process(sequence, model.split.test)
         truth = sequence.require_truth()[run.frames]
         seen = run.observations(np.arange(len(run.frames)))
-        paths = {"nearest": as_trajectory(nearest(seen, model.prior)), "viterbi": run.trajectories["viterbi"]}
+        paths = {"nearest": as_trajectory(nearest(seen, model.prior)), "hindsight": run.trajectories["hindsight"]}
         for name, path in paths.items():
             print(f"{name}: {trajectory_errors(path, truth)['rmse_m']:.3f} m")

@@ -22,7 +22,7 @@ METHODS = {
     "paper_tuned": "tuned regressor, paper's features",
     "smoothed": "conformal, smoothed",
     "no_landmarks": "conformal, smoothed, without landmarks",
-    "viterbi": "conformal, global search",
+    "hindsight": "conformal, with hindsight",
     "greedy": "conformal, greedy over our intervals",
     "softmax_mean": "softmax mean",
     "plain": "plain regressor",

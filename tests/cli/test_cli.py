@@ -56,9 +56,9 @@ def test_run_writes_everything(results):
     assert metrics["provenance"]["packages"]["torch"] == version("torch")
     assert metrics["split"] == "interleaved"
     assert metrics["n_answered"] == len(read_tum(results / "trajectory.tum"))
-    assert set(metrics["errors"]) == {"smoothed", "viterbi", "online"}
+    assert set(metrics["errors"]) == {"smoothed", "hindsight", "online"}
     assert next(iter(metrics["errors"])) == "online"
-    assert {path.stem for path in (results / "methods").iterdir()} == {"viterbi", "online"}
+    assert {path.stem for path in (results / "methods").iterdir()} == {"hindsight", "online"}
     assert "exchangeable" in metrics["coverage"]["assumption"]
     records = read_region_records(results / "regions.jsonl")
     assert len(records) == metrics["n_answered"]

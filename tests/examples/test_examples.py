@@ -12,7 +12,7 @@ SAID = {
     "custom_baseline.py": ("ours: ", "forest: "),
     "custom_pose_source.py": ("sources: head, nearest",),
     "custom_reader.py": ("poses: ", "frames of"),
-    "custom_reasoner.py": ("nearest: ", "viterbi: "),
+    "custom_reasoner.py": ("nearest: ", "hindsight: "),
     "custom_score.py": ("covered: ", "intervals: "),
     "images.py": (": its region has ", "covered: ", "path: "),
     "stream.py": ("frame-000011.color.png: x ", "region in x: "),

@@ -83,9 +83,9 @@ def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
     frames, run = batch
     assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
     found = read_trajectories(tmp_path)
-    for name in ("smoothed", "viterbi", "online"):
+    for name in ("smoothed", "hindsight", "online"):
         np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)
-    off = np.linalg.norm(found["viterbi"].positions_xyz - run.trajectories["viterbi"].positions_xyz, axis=1)
+    off = np.linalg.norm(found["hindsight"].positions_xyz - run.trajectories["hindsight"].positions_xyz, axis=1)
     assert np.mean(off < 1e-3) > 0.8
     online = np.linalg.norm(found["online"].positions_xyz - run.trajectories["online"].positions_xyz, axis=1)
     assert np.mean(online < 1e-3) > 0.97  # knows no windows

@@ -117,7 +117,7 @@ def progress_bars() -> Iterator[StageProgress]:
 _NAMES = {
     "online": "online, as a robot gets it",
     "smoothed": "smoothed, with hindsight",
-    "viterbi": "viterbi, with hindsight",
+    "hindsight": "hindsight, not smoothed",
 }
 
 

@@ -13,11 +13,10 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.choices import as_member
 from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Split
-from conformodal.localization.belief import Beliefs, recognised_only
+from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
-from conformodal.localization.measurement import PoseMeasurement
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.prior import MotionPrior
@@ -162,10 +161,6 @@ class PoseModel:
         """Level sets of n beliefs at thresholds (n, 7) of the score."""
         parts = self.localizer.marginals_by_part(beliefs)
         return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])
-
-    def with_recognised(self, candidates: Candidates, estimates: list[PoseMeasurement]) -> Candidates:
-        """Candidates of an image, updated with the recognised places among its estimates."""
-        return self.localizer.update(candidates, [recognised_only(estimates)]).candidates
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""

@@ -18,7 +18,6 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import logsumexp
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.core.arrays import FloatArray
@@ -60,7 +59,7 @@ class Candidates:
 
     def normalised(self, log_share: float = 0.0) -> Self:
         """The same candidates with probabilities that sum to ``exp(log_share)``."""
-        return replace(self, log_mass=self.log_mass - logsumexp(self.log_mass) + log_share)
+        return replace(self, log_mass=self.log_mass - np.logaddexp.reduce(self.log_mass) + log_share)
 
 
 def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:

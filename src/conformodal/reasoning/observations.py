@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.poses import RelativeMotion, Submap
 
 from .candidates import Candidates
@@ -30,6 +30,8 @@ class Observations:
         (n,) seconds, increasing.
     submaps
         Frames numbered 0 to n - 1.
+    known
+        (n,) whether each image shows a known place; None if all do.
 
     Raises
     ------
@@ -41,6 +43,7 @@ class Observations:
     motions: Sequence[RelativeMotion | None]
     timestamps_s: FloatArray
     submaps: Sequence[Submap] = ()
+    known: BoolArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.candidates)
@@ -49,6 +52,8 @@ class Observations:
                 f"observations need as many candidates as motions and timestamps, at least one: got {n} candidates, "
                 f"{len(self.motions)} motions, {len(self.timestamps_s)} timestamps"
             )
+        if self.known is not None and len(self.known) != n:
+            raise ReasoningError(f"known must have one value per frame, {n}, got {len(self.known)}")
         not_later = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
         if not_later.size:
             t = int(not_later[0])
@@ -56,6 +61,11 @@ class Observations:
         for submap in self.submaps:
             if submap.frames[0] < 0 or submap.frames[-1] >= n:
                 raise ReasoningError(f"a submap of frames {submap.frames.tolist()} is not one of {n} frames")
+
+    @property
+    def is_known(self) -> BoolArray:
+        """(n,) whether each image shows a known place."""
+        return np.ones(len(self.candidates), dtype=np.bool_) if self.known is None else self.known
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from conformodal.core.arrays import FloatArray
 from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
 
 from .errors import ReasoningError
-from .settings import MOTION_PRIOR, SEARCH
+from .settings import FILTER, MOTION_PRIOR
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class MotionPrior:
         Variance of velocity changes per second, m^2/s^3 and per axis.
     depth_m, depth_spread
         Median depth of the corners in view, and the spread of its logarithm; NaN where nothing is known.
+    volume_m3
+        Of the box around the training positions, at least a millimetre wide.
     """
 
     turn_rate_rad_s: float
@@ -39,6 +41,7 @@ class MotionPrior:
     acceleration_density: tuple[float, ...]
     depth_m: float = math.nan
     depth_spread: float = math.nan
+    volume_m3: float = 1.0
 
     def reach_m(self, step_s: float) -> float:
         """How far the camera can get within a time step, in metres."""
@@ -52,7 +55,7 @@ class MotionPrior:
 
 def rotation_sigma(motion: RelativeMotion) -> float:
     """Standard deviation of a relative rotation in radians, beside the errors of candidates."""
-    return SEARCH.rotation_sigma_factor * motion.rotation_sigma_rad
+    return FILTER.rotation_sigma_factor * motion.rotation_sigma_rad
 
 
 def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> MotionPrior:
@@ -90,6 +93,7 @@ def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> Mot
         intervals_s=intervals,
         top_speed_mps=tuple(max(v, 1e-9) for v in speeds),
         acceleration_density=tuple(max(q, 1e-12) for q in densities),
+        volume_m3=float(np.prod(np.maximum(np.ptp(truth.positions_xyz, axis=0), 1e-3))),
     )
 
 

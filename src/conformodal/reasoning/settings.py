@@ -32,37 +32,52 @@ class _CandidateSettings:
 
 
 @dataclass(frozen=True)
-class _SearchSettings:
-    """Prices of the search over the whole path, in nats.
-
-    Chosen on seeds 20 and 21 of the world of turned rooms (benchmarks/turned_rooms.py reports seeds 10 to 14).
+class _FilterSettings:
+    """Of the filter over pose hypotheses. Chosen on seeds 20 to 22 of the demo and of redkitchen `blocks`.
 
     Attributes
     ----------
+    tempering
+        Power to which the density of an image's belief is raised: consecutive images err alike.
+    wrong, wrong_if_unknown
+        Probability that an image says nothing of the pose, where it shows a known place and where it does not.
     jump
-        The most that one step can cost: the price of a cut, or of a gross mistake.
+        Probability that the camera is anywhere in the next frame: a cut, or a gross mistake.
     followed_jump
-        The same where corners were followed from one frame to the next, which rules a cut out. Images of consecutive
-        frames err alike, so that their evidence, summed up, would soon pay a lower price.
+        The same where corners were followed from one frame to the next, which rules a cut out.
     rotation_outlier
-        The price of a measured relative rotation that is an outlier.
+        Probability that a measured relative rotation is an outlier.
     rotation_sigma_factor
-        Errors of relative rotations beside errors of candidates, over what pairs of images claim alone: rotations over
+        Errors of relative rotations beside errors of hypotheses, over what pairs of images claim alone: rotations over
         several frames share the errors of rolling shutters and lenses. Chosen on seeds 20 and 21 of redkitchen
         `interleaved` (benchmarks/results/choices.md); one path of the corridor speaks for 1.
-    own_share
-        Probability that a frame which is taken for unknown keeps its own candidates; the rest is its neighbour's. A
-        known place is taken for unknown with the probability of the novelty level. Chosen on the same seeds, where 0.5
-        and 0.9 are alike and less is worse in the corridor.
+    unknown_spread, unknown_spread_rad
+        Least spreads, as a share of the scene's depth and in radians, with which an image that shows no known place goes
+        into the smoother.
+    least_mass
+        Hypotheses of less probability are dropped.
+    place, place_rad
+        Hypotheses of one place are no further from its most probable one than this share of the scene's depth, and
+        turned no more than this angle.
+    reliable
+        Least probability of the chosen place with which a pose counts as reliable.
     lag
-        Frames of a stream whose answer may still change.
+        Frames of a stream whose answer is revised in hindsight.
     """
 
-    jump: float = 25.0
-    followed_jump: float = 100.0
-    rotation_outlier: float = 16.0
+    tempering: float = 0.5
+    wrong: float = 0.02
+    wrong_if_unknown: float = 0.5
+    jump: float = 1e-4
+    followed_jump: float = 1e-9
+    rotation_outlier: float = 1e-6
     rotation_sigma_factor: float = 2.0
-    own_share: float = 0.5
+    unknown_spread: float = 0.2
+    unknown_spread_rad: float = 0.5
+    least_mass: float = 1e-7
+    place: float = 0.1
+    place_rad: float = 0.35
+    reliable: float = 0.9
     lag: int = 10
 
 
@@ -110,5 +125,5 @@ class _SmootherSettings:
     submap_scale_reset: float = 5.0
 
 
-CANDIDATES, SEARCH, SMOOTHER = _CandidateSettings(), _SearchSettings(), _SmootherSettings()
+CANDIDATES, FILTER, SMOOTHER = _CandidateSettings(), _FilterSettings(), _SmootherSettings()
 MOTION_PRIOR = _MotionPriorSettings()

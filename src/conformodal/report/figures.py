@@ -114,7 +114,7 @@ def error_figure(trajectories: dict[str, Trajectory], truth: Trajectory) -> str:
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     axis = figure.subplots()
     styles = {"smoothed": ("-", COLOURS["smoothed"]), "classical": ("-", COLOURS["classical"])}
-    styles |= {"viterbi": ("--", COLOURS["smoothed"]), "online": ("-.", COLOURS["smoothed"])}
+    styles |= {"hindsight": ("--", COLOURS["smoothed"]), "online": ("-.", COLOURS["smoothed"])}
     styles |= {"greedy": (":", COLOURS["alike"])}
     share = (np.arange(len(truth)) + 1) / len(truth)
     for name, (line, colour) in styles.items():

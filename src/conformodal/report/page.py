@@ -22,8 +22,8 @@ with require_extra("run", "a page of results"):
 
 _LABELS = {
     "online": "conformal, online: each pose when its frame comes, as a robot gets it",
-    "smoothed": "conformal, with hindsight: global search and smoothing (trajectory.tum)",
-    "viterbi": "conformal, with hindsight: global search",
+    "smoothed": "conformal, with hindsight and smoothed (trajectory.tum)",
+    "hindsight": "conformal, with hindsight, not smoothed",
     "greedy": "the paper's system: its greedy answer",
     "classical": "classical regressor on the same features",
 }

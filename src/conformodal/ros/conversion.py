@@ -33,7 +33,8 @@ def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
     not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
     """
     kind = as_member(kind, Covariance, "covariance", RosError)
-    pose, candidates = estimate.pose, estimate.candidates
+    pose = estimate.pose
+    candidates = estimate.candidates if estimate.posterior is None else estimate.posterior.hypotheses
     assert pose is not None
     assert candidates is not None
     if kind is Covariance.MIXTURE:
@@ -228,18 +229,20 @@ class Conversion:
         return self.make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
 
     def _extend_path(self, estimate: Estimate) -> bool:
-        """Revise the path; whether it is to be published."""
-        revised = estimate.revised
-        if revised is None:
+        """Add the pose to the path; where the path is to be published, also revise its last poses."""
+        if estimate.pose is None:
             return False
         if is_lost(estimate):
             self._lost.add(estimate.timestamp_s)
+        due = self._n_answered % self.how.path_every == 0
+        revised = (estimate.revised if due else None) or estimate.pose  # hindsight takes time
         first = float(revised.timestamps_s[0])
-        self._lost = {time_s for time_s in self._lost if time_s >= first}
+        if due:
+            self._lost = {time_s for time_s in self._lost if time_s >= first}
         while self._path and self._path[-1][0] >= first:
             self._path.pop()
         for time_s, pose in zip(revised.timestamps_s.tolist(), self.poses(revised), strict=True):
             if time_s not in self._lost:
                 self._path.append((time_s, pose))
         self._n_answered += 1
-        return (self._n_answered - 1) % self.how.path_every == 0
+        return due

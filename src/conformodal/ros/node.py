@@ -180,7 +180,7 @@ def _require_ros() -> Iterator[None]:
 
 
 def _lost(time_s: float, problem: str) -> Estimate:
-    return Estimate(time_s, None, None, None, None, None, False, problem)
+    return Estimate(time_s, None, None, None, None, False, problem)
 
 
 def _parameters_of(node: Any) -> Parameters:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,10 @@ from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Submap, Trajectory
 from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.filter import Posterior
 from conformodal.reasoning.observations import Observations
+from conformodal.reasoning.places import Place
+from conformodal.reasoning.settings import FILTER
 
 from .paths import METHODS
 
@@ -31,16 +35,13 @@ class Estimate:
     timestamp_s
         Seconds.
     pose
-        The candidate that the motion so far speaks for, as a trajectory of one, or None without an image. A point
-        estimate: the guarantee is the region's.
-    revised
-        The best path through the last frames, oldest first, this one last; or None without an image. What was said of
-        a frame may change until `lag` frames have followed it.
+        The mean of the most probable place given all frames so far, as a trajectory of one, or None without an image. A
+        point estimate: the guarantee is the region's.
     region
         Calibrated region of this frame alone (length 1), or None without an image. Where landmarks were looked for, it
         rests on them too, and is smaller.
     candidates
-        Candidate poses, or None without an image.
+        Hypotheses of this image alone, or None without an image.
     relative_motion
         Motion since the last usable frame, or None.
     tracks
@@ -60,10 +61,17 @@ class Estimate:
         while the path is bridged by motion alone.
     matched
         Whether local features were matched.
+    posterior
+        Hypotheses given all frames so far, and the probability that none is right; or None without an image.
+    places
+        The places that they make up, most probable first; the first gives the pose. Empty without an image.
+    revise
+        Gives :attr:`revised`.
     localization
         Belief and region of this frame alone; None without an image.
     reliable
-        False where image or motion could not be used, or the image shows no place that is known; `problem` says why.
+        False where image or motion could not be used, the image shows no place that is known, or other places than the
+        chosen one are probable; `problem` says why.
 
     Raises
     ------
@@ -73,7 +81,6 @@ class Estimate:
 
     timestamp_s: float
     pose: Trajectory | None
-    revised: Trajectory | None
     region: Regions | None
     candidates: Candidates | None
     relative_motion: RelativeMotion | None
@@ -88,10 +95,21 @@ class Estimate:
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
     matched: bool = False
+    posterior: Posterior | None = None
+    places: list[Place] = field(default_factory=list)
+    revise: Callable[[], Trajectory] | None = None
 
     def __post_init__(self) -> None:
         if self.evidence is not None:
             object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceType, "evidence", OdometryError))
+
+    @property
+    def revised(self) -> Trajectory | None:
+        """The last frames in hindsight, oldest first, this one last; None without an image. Worked out when asked for.
+
+        A frame's pose may change until `lag` frames have followed it.
+        """
+        return self.pose if self.revise is None else self.revise()
 
 
 @dataclass(eq=False)
@@ -116,6 +134,8 @@ class OdometryRun:
         Which of them is the answer.
     unreadable
         Frames that could not be decoded, and why.
+    certainty
+        (m,) probability of the place that the frames up to each speak for; None where it is not known.
     """
 
     frames: IntArray
@@ -127,6 +147,7 @@ class OdometryRun:
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
     answer: str = METHODS[0]
+    certainty: npt.NDArray[np.float64] | None = None
 
     @property
     def regions(self) -> Regions:
@@ -150,13 +171,16 @@ class OdometryRun:
 
     @property
     def reliable(self) -> npt.NDArray[np.bool_]:
-        """(m,) whether a frame shows a known place, and motion since the frame before, if any, could be used."""
+        """(m,) whether a frame shows a known place, motion could be used, and no other place was probable by then."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
-        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN))
+        sure = np.ones(len(moving)) if self.certainty is None else self.certainty
+        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN) & (sure >= FILTER.reliable))
 
     def observations(self, at: IntArray) -> Observations:
         """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""
         places = {place: k for k, place in enumerate(at.tolist())}
         submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
         motions = [self.motions[t] for t in at]
-        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps)
+        found = self.localization
+        known = found.known[at] | found.beliefs.recognised[at]
+        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps, known)

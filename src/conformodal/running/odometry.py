@@ -66,7 +66,7 @@ class Odometry(ABC):
         timestamp_s = as_time(timestamp_s, self._seen_s)
         usable = as_image(image, self.model.camera)
         if isinstance(usable, str):
-            estimate = Estimate(timestamp_s, None, None, None, None, None, False, usable)
+            estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
         else:
             estimate = self._answer(usable, timestamp_s)
         self._seen_s = timestamp_s

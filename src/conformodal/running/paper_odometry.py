@@ -65,7 +65,6 @@ class PaperOdometry(Odometry):
         return Estimate(
             timestamp_s,
             pose,
-            pose,
             region,
             interval_candidates(proba, region)[0],
             motion,

@@ -13,6 +13,7 @@ import numpy as np
 from conformodal.core.arrays import IntArray
 from conformodal.core.process import release_freed_memory
 from conformodal.datasets.streams.frames import Frame, SourceError
+from conformodal.localization.belief import recognised_only
 from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
@@ -38,6 +39,7 @@ class _Pending:
 
     timestamp_s: float
     candidates: Candidates
+    known: bool
     motion: RelativeMotion | None
     corners: Corners
 
@@ -45,7 +47,7 @@ class _Pending:
 class StreamRunner:
     """Takes frames one by one and writes what a model makes of them.
 
-    Regions and poses are written as frames come. Whole paths (smoothed, Viterbi) follow for a window of
+    Regions and poses are written as frames come. Whole paths (hindsight, smoothed) follow for a window of
     frames at a time; sources of no more than 2000 frames are one window.
     As a context it ends the thread that answers windows, whatever error ends the stream; :meth:`finish` writes.
 
@@ -206,7 +208,8 @@ class StreamRunner:
             self.writer.poses(self.odometry.answer, pose)
             return
         self.writer.poses(ONLINE, pose)
-        self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, motion, estimate.corners))
+        known = estimate.evidence is not EvidenceType.UNKNOWN or bool(recognised_only(estimate.estimates))
+        self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, known, motion, estimate.corners))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
@@ -231,7 +234,8 @@ class StreamRunner:
         prior, camera = self.odometry.model.prior, self.odometry.model.camera
         times = np.array([p.timestamp_s for p in pending])
         submaps = build_submaps([p.corners for p in pending], camera)
-        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps)
+        known = np.array([p.known for p in pending])
+        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps, known)
         for name, trajectory in whole_paths(seen, prior).items():
             self.writer.poses(name, trajectory[wanted])
         release_freed_memory()

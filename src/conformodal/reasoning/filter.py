@@ -1,0 +1,392 @@
+"""From the beliefs of single images to one posterior per frame: a Gaussian-sum filter over pose hypotheses.
+
+Each frame's posterior is a mixture. Motion predicts where its hypotheses lead (reach and measured rotation), the next
+image's belief weighs them, and hypotheses that explain each other are merged. No mistake is final: a hypothesis that
+loses keeps its probability for later evidence. The mass of a place is the sum over its hypotheses, so that a place with
+many vague hypotheses is not beaten by one with a single sharp one, as it is in a search for the best path.
+
+Two passes, one from each end of a recording, give the posterior in hindsight.
+
+Source: Alspach and Sorenson (1972) for the filter, Kitagawa (1994) for the two-filter smoother.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import FloatArray
+from conformodal.poses import RelativeMotion
+
+from .candidates import Candidates
+from .errors import ReasoningError
+from .observations import Observations
+from .prior import MotionPrior, rotation_sigma
+from .settings import CANDIDATES, FILTER
+
+_ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation vectors
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known of a frame's pose: hypotheses, or that it is anywhere.
+
+    Attributes
+    ----------
+    hypotheses
+        Most probable first; their probabilities sum to one.
+    elsewhere
+        Probability that none of them is right, and the pose anywhere in the volume.
+    """
+
+    hypotheses: Candidates
+    elsewhere: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Where the hypotheses of a frame lead, a time step later or earlier.
+
+    Attributes
+    ----------
+    hypotheses
+        Turned by the measured rotation, spread by what the camera can have moved and turned.
+    unturned_quats_wxyz, unturned_spreads_rad
+        (m, 4) and (m,) orientations if the measured rotation is an outlier, or if there is none.
+    measured
+        Whether there is a measured rotation.
+    elsewhere
+        Probability that the camera is anywhere, as after a cut.
+    """
+
+    hypotheses: Candidates
+    unturned_quats_wxyz: FloatArray
+    unturned_spreads_rad: FloatArray
+    measured: bool
+    elsewhere: float
+
+
+def predict(
+    neighbour: Posterior, motion: RelativeMotion | None, step_s: float, prior: MotionPrior, *, back: bool = False
+) -> Prediction:
+    """Predict a frame from its neighbour in time.
+
+    Parameters
+    ----------
+    neighbour
+        Its posterior.
+    motion
+        From the earlier frame to the later one; None where nothing is known of it.
+    step_s
+        Seconds between the two, positive.
+    prior
+        Speeds and turning rates to expect.
+    back
+        Whether the neighbour is the later frame.
+    """
+    hypotheses = neighbour.hypotheses
+    quats, spreads = hypotheses.orientations_quat_wxyz, hypotheses.orientation_spreads_rad
+    loose = np.minimum(np.hypot(spreads, prior.turn_rate_rad_s * step_s), np.pi)
+    turned, sharp = quats, loose
+    measured = motion is not None and motion.R_prev_next is not None
+    if motion is not None and motion.R_prev_next is not None:
+        rotation = Rotation.from_matrix(motion.R_prev_next)
+        along = rotation.inv() if back else rotation
+        turned = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
+        sharp = np.minimum(np.hypot(spreads, rotation_sigma(motion)), np.pi)
+    reach2 = prior.reach_m(step_s) ** 2 / 5  # variance per axis of a ball that is filled evenly
+    ahead = replace(
+        hypotheses,
+        position_spreads=np.sqrt(hypotheses.position_spreads**2 + reach2),
+        orientations_quat_wxyz=turned,
+        orientation_spreads_rad=sharp,
+    )
+    followed = motion is not None and motion.reliable
+    jump = FILTER.followed_jump if followed else FILTER.jump
+    return Prediction(ahead, quats, loose, measured, jump + (1 - jump) * neighbour.elsewhere)
+
+
+def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
+    """The posterior of a frame: prediction times evidence.
+
+    Of each pair, a predicted hypothesis and one of the image, the product is merged with all others that have the same
+    sharper member.
+
+    Parameters
+    ----------
+    ahead
+        From the neighbour.
+    evidence
+        Hypotheses of the image, or of another independent source.
+    prior
+        Gives the volume of all positions.
+    wrong
+        Probability that the evidence says nothing of the pose.
+    tempering
+        Power to which the evidence's density is raised.
+    """
+    own = ahead.hypotheses.normalised()
+    seen = replace(evidence, log_mass=evidence.log_mass * tempering).normalised()
+    own_v, seen_v = own.position_spreads**2, seen.position_spreads**2
+    own_a, seen_a = own.orientation_spreads_rad**2, seen.orientation_spreads_rad**2
+    step = seen.positions_xyz[None] - own.positions_xyz[:, None]
+    total_v, total_a = own_v[:, None] + seen_v[None], own_a[:, None] + seen_a[None]
+    turn = _rotation_vectors(own.orientations_quat_wxyz, seen.orientations_quat_wxyz)
+    # densities relative to an even spread over the volume and all rotations
+    position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), tempering)
+    rotation = _log_density((turn**2).sum(axis=2) / total_a, 3 * np.log(total_a), tempering)
+    if ahead.measured:
+        loose = ahead.unturned_spreads_rad[:, None] ** 2 + seen_a[None]
+        apart = _rotation_vectors(ahead.unturned_quats_wxyz, seen.orientations_quat_wxyz)
+        unturned = _log_density((apart**2).sum(axis=2) / loose, 3 * np.log(loose), tempering)
+        rotation = np.logaddexp(rotation, unturned + np.log(FILTER.rotation_outlier))
+    anywhere = tempering * np.log(prior.volume_m3 * _ROTATIONS)
+    pairs = own.log_mass[:, None] + seen.log_mass[None] + position + rotation + anywhere
+    pairs += np.log1p(-wrong) + np.log1p(-ahead.elsewhere)
+    alone = own.log_mass + np.log(wrong) + np.log1p(-ahead.elsewhere)
+    fresh = seen.log_mass + np.log(ahead.elsewhere) + np.log1p(-wrong)
+    top = max(pairs.max(), alone.max(), fresh.max())
+    mass = np.exp(pairs - top)
+    share, share_a = own_v[:, None] / total_v, (own_a[:, None] / total_a)[..., None]
+    volume, volume_seen = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((own_v, own_a), (seen_v, seen_a)))
+    seen_is_sharper = volume_seen[None] <= volume[:, None]
+    between_v, between_a = own_v[:, None] * (1 - share), own_a[:, None] * (1 - share_a[..., 0])
+    by_seen = _merged(
+        seen,
+        np.exp(fresh - top),
+        np.where(seen_is_sharper, mass, 0).T,
+        np.swapaxes((share - 1) * step, 0, 1),
+        np.swapaxes(between_v, 0, 1),
+        np.swapaxes((share_a - 1) * turn, 0, 1),
+        between_a.T,
+    )
+    by_own = _merged(
+        own, np.exp(alone - top), np.where(seen_is_sharper, 0, mass), share * step, between_v, share_a * turn, between_a
+    )
+    joined = Candidates.concatenate((by_seen, by_own))
+    total = np.logaddexp.reduce(joined.log_mass)
+    nowhere = np.log(ahead.elsewhere) + np.log(wrong) - top
+    joined = joined.normalised()
+    order = np.argsort(-joined.log_mass, kind="stable")[: CANDIDATES.most]
+    kept = joined.take(order[joined.log_mass[order] >= np.log(FILTER.least_mass)]).normalised()
+    elsewhere = float(np.exp(nowhere - np.logaddexp(total, nowhere)))
+    return Posterior(kept, min(max(elsewhere, FILTER.least_mass), 1 - FILTER.least_mass))
+
+
+def start(evidence: Candidates, *, known: bool) -> Posterior:
+    """The posterior of a frame from its image alone, which shows a known place or does not."""
+    hypotheses = replace(evidence, log_mass=evidence.log_mass * FILTER.tempering).normalised()
+    return Posterior(hypotheses, FILTER.wrong if known else FILTER.wrong_if_unknown)
+
+
+def _log_density(distance2: FloatArray, log_determinant: FloatArray, tempering: float) -> FloatArray:
+    """Logarithm of a normal density in three dimensions, with its normaliser tempered."""
+    return np.asarray(-0.5 * (distance2 + tempering * (log_determinant + 3 * np.log(2 * np.pi))))
+
+
+def _merged(
+    anchors: Candidates,
+    alone: FloatArray,
+    mass: FloatArray,
+    offsets: FloatArray,
+    variances: FloatArray,
+    turns: FloatArray,
+    angle_variances: FloatArray,
+) -> Candidates:
+    """Each of m anchors with k products around it, by their first two moments.
+
+    Parameters
+    ----------
+    anchors
+        The m hypotheses.
+    alone
+        (m,) mass of each by itself.
+    mass
+        (m, k) masses of its products.
+    offsets, variances
+        (m, k, 3) their positions relative to the anchor, and variances.
+    turns, angle_variances
+        (m, k, 3) and (m, k): rotation vectors relative to the anchor, and variances.
+    """
+    total = mass.sum(axis=1) + alone
+    kept = total > 0
+    anchors, total, alone = anchors.take(np.flatnonzero(kept)), total[kept], alone[kept]
+    share, own = mass[kept] / total[:, None], alone / total
+    offsets, variances, turns, angles = offsets[kept], variances[kept], turns[kept], angle_variances[kept]
+    mean, turn = np.einsum("mk,mki->mi", share, offsets), np.einsum("mk,mki->mi", share, turns)
+    variance = np.einsum("mk,mki->mi", share, variances + (offsets - mean[:, None]) ** 2)
+    variance += own[:, None] * (anchors.position_spreads**2 + mean**2)
+    angle = np.einsum("mk,mk->m", share, angles + ((turns - turn[:, None]) ** 2).sum(axis=2) / 3)
+    angle += own * (anchors.orientation_spreads_rad**2 + (turn**2).sum(axis=1) / 3)
+    quats = Rotation.from_quat(anchors.orientations_quat_wxyz, scalar_first=True) * Rotation.from_rotvec(turn)
+    return Candidates(
+        anchors.positions_xyz + mean,
+        np.sqrt(variance),
+        quats.as_quat(scalar_first=True),
+        np.minimum(np.sqrt(angle), np.pi),
+        np.log(total),
+    )
+
+
+def _rotation_vectors(start: FloatArray, end: FloatArray) -> FloatArray:
+    """(m, k, 3) rotation vectors from each of m quaternions to each of k, wxyz, in the frame of the first."""
+    w0, x0, y0, z0 = (start * _CONJUGATE).T[..., None]
+    w1, x1, y1, z1 = end.T[:, None]
+    w = w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1
+    v = np.stack(
+        (
+            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
+            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
+            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
+        ),
+        axis=2,
+    )
+    sine = np.linalg.norm(v, axis=2)
+    angle = 2 * np.arctan2(sine, np.abs(w))
+    factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0) * np.where(w < 0, -1, 1)
+    return np.asarray(v * factor[..., None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    evidence: Candidates
+    known: bool
+    motion: RelativeMotion | None
+    timestamp_s: float
+    posterior: Posterior
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The last frames of a stream.
+
+    Attributes
+    ----------
+    seen
+        What is known of each.
+    forward
+        The posterior of each from the frames up to it.
+    """
+
+    seen: Observations
+    forward: Sequence[Posterior]
+
+    def hindsight(self, prior: MotionPrior) -> list[Posterior]:
+        """The posterior of each from all frames up to the last one."""
+        return _two_filters(self.forward, self.seen, prior)
+
+
+class PoseFilter:
+    """Posteriors of a stream: each from the frames so far, and in hindsight those of the last frames.
+
+    Parameters
+    ----------
+    prior
+        Speeds and turning rates to expect.
+    lag
+        Frames before the newest that :meth:`window` holds, at least 0.
+
+    Raises
+    ------
+    ReasoningError
+        If `lag` is negative.
+    """
+
+    def __init__(self, prior: MotionPrior, lag: int = FILTER.lag) -> None:
+        if lag < 0:
+            raise ReasoningError(f"lag must be at least 0 frames, got {lag}")
+        self.prior = prior
+        self._steps: deque[_Step] = deque(maxlen=lag + 1)
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self._steps.clear()
+
+    def push(
+        self, evidence: Candidates, motion: RelativeMotion | None, timestamp_s: float, *, known: bool = True
+    ) -> Posterior:
+        """Take the next frame and give its posterior.
+
+        Parameters
+        ----------
+        evidence
+            Hypotheses of its image.
+        motion
+            From the frame before, None where nothing is known of it.
+        timestamp_s
+            Seconds, later than before.
+        known
+            Whether the image shows a known place. Where it does not, its hypotheses count less.
+
+        Raises
+        ------
+        ReasoningError
+            If the timestamp is not later than the one before.
+        """
+        if not self._steps:
+            posterior = start(evidence, known=known)
+        else:
+            before = self._steps[-1]
+            step_s = timestamp_s - before.timestamp_s
+            if not step_s > 0:
+                raise ReasoningError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
+            ahead = predict(before.posterior, motion, step_s, self.prior)
+            posterior = weigh(ahead, evidence, self.prior, known=known)
+        self._steps.append(_Step(evidence, known, motion, timestamp_s, posterior))
+        return posterior
+
+    def window(self) -> Window:
+        """The last frames, at most `lag` before the newest; they stay the same when others are pushed."""
+        steps = list(self._steps)
+        seen = Observations(
+            [step.evidence for step in steps],
+            [step.motion for step in steps],
+            np.array([step.timestamp_s for step in steps]),
+            known=np.array([step.known for step in steps]),
+        )
+        return Window(seen, [step.posterior for step in steps])
+
+
+def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
+    """The posterior of a frame from its prediction and its image, which shows a known place or does not."""
+    wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
+    return update(ahead, evidence, prior, wrong=wrong, tempering=FILTER.tempering)
+
+
+def filter_posteriors(seen: Observations, prior: MotionPrior) -> list[Posterior]:
+    """The posterior of each frame of a recording, from the frames up to it."""
+    pose_filter = PoseFilter(prior, lag=0)
+    frames = zip(seen.candidates, seen.motions, seen.timestamps_s.tolist(), seen.is_known.tolist(), strict=True)
+    return [pose_filter.push(c, motion, t, known=known) for c, motion, t, known in frames]
+
+
+def hindsight_posteriors(
+    seen: Observations, prior: MotionPrior, forward: Sequence[Posterior] | None = None
+) -> list[Posterior]:
+    """The posterior of each frame of a recording, from all of its frames.
+
+    Parameters
+    ----------
+    seen, prior
+        As for :func:`filter_posteriors`.
+    forward
+        What that gave, if it is known already.
+    """
+    return _two_filters(filter_posteriors(seen, prior) if forward is None else forward, seen, prior)
+
+
+def _two_filters(forward: Sequence[Posterior], seen: Observations, prior: MotionPrior) -> list[Posterior]:
+    """Forward posteriors times what the frames after each predict for it."""
+    found = list(forward)
+    later = start(seen.candidates[-1], known=bool(seen.is_known[-1]))  # from this frame on
+    for t in range(len(found) - 2, -1, -1):
+        step_s = float(seen.timestamps_s[t + 1] - seen.timestamps_s[t])
+        ahead = predict(later, seen.motions[t + 1], step_s, prior, back=True)
+        found[t] = update(ahead, forward[t].hypotheses, prior, wrong=forward[t].elsewhere, tempering=1.0)
+        later = weigh(ahead, seen.candidates[t], prior, known=bool(seen.is_known[t]))
+    return found

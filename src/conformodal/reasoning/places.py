@@ -1,0 +1,125 @@
+"""Places: the hypotheses of a posterior that mean the same pose, taken together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from conformodal.core.arrays import FloatArray
+
+from .candidates import Candidates
+from .filter import Posterior
+from .observations import Observations, PosePath
+from .prior import MotionPrior
+from .settings import FILTER
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """One place where the camera may be.
+
+    Attributes
+    ----------
+    probability
+        Posterior mass of its hypotheses.
+    position_xyz, position_spreads
+        (3,) metres, world: mean and standard deviations.
+    orientation_quat_wxyz, orientation_spread_rad
+        (4,) world from camera, and the standard deviation of each component of a small rotation.
+    """
+
+    probability: float
+    position_xyz: FloatArray
+    position_spreads: FloatArray
+    orientation_quat_wxyz: FloatArray
+    orientation_spread_rad: float
+
+
+def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
+    """The places of a posterior, most probable first; their probabilities and that of elsewhere sum to one.
+
+    Going down from the most probable hypothesis, each joins the first place whose most probable hypothesis is near.
+
+    Parameters
+    ----------
+    posterior
+        Of a frame.
+    prior
+        Gives the scene's depth, of which near is a share, see the settings of the filter.
+    """
+    its = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
+    near = FILTER.place * (prior.depth_m if np.isfinite(prior.depth_m) else 1.0)
+    free = np.argsort(-its.log_mass, kind="stable")
+    found = []
+    while free.size:
+        off = np.linalg.norm(its.positions_xyz[free] - its.positions_xyz[free[0]], axis=1)
+        turned = np.abs(its.orientations_quat_wxyz[free] @ its.orientations_quat_wxyz[free[0]])
+        joins = (off <= near) & (turned >= np.cos(FILTER.place_rad / 2))
+        joins[0] = True
+        found.append(_summarised(its.take(free[joins])))
+        free = free[~joins]
+    return sorted(found, key=lambda place: -place.probability)
+
+
+def _summarised(its: Candidates) -> Place:
+    mass = np.exp(its.log_mass)
+    share = mass / mass.sum()
+    position = share @ its.positions_xyz
+    variance = share @ (its.position_spreads**2 + (its.positions_xyz - position) ** 2)
+    quats = (
+        its.orientations_quat_wxyz
+        * np.where(its.orientations_quat_wxyz @ its.orientations_quat_wxyz[0] < 0, -1, 1)[:, None]
+    )
+    mean = share @ quats
+    quat = mean / np.linalg.norm(mean)
+    apart = 2 * np.arccos(np.clip(np.abs(quats @ quat), 0, 1))
+    angle = float(np.sqrt(share @ (its.orientation_spreads_rad**2 + apart**2 / 3)))
+    return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle)
+
+
+def choose_places(
+    posteriors: Sequence[Posterior], timestamps_s: FloatArray, prior: MotionPrior
+) -> tuple[PosePath, FloatArray]:
+    """The mean of each frame's most probable place, and the (n,) probabilities of these places."""
+    best = [find_places(posterior, prior)[0] for posterior in posteriors]
+    path = PosePath(
+        np.asarray(timestamps_s, dtype=np.float64),
+        np.array([place.position_xyz for place in best]),
+        np.array([place.position_spreads for place in best]),
+        np.array([place.orientation_quat_wxyz for place in best]),
+        np.array([place.orientation_spread_rad for place in best]),
+    )
+    return path, np.array([place.probability for place in best])
+
+
+def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
+    """The hypotheses of single images that a path stands for, with the spreads that the images give them.
+
+    This is what a smoother starts from: it weighs in the neighbours in time itself. An image that shows no known place
+    says little of its pose, and gets wide spreads.
+
+    Parameters
+    ----------
+    path
+        From :func:`choose_places`.
+    seen, prior
+        What it was chosen from.
+    """
+    depth_m = prior.depth_m if np.isfinite(prior.depth_m) else 1.0
+    positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
+    quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()
+    for t, its in enumerate(seen.candidates):
+        off = np.linalg.norm(its.positions_xyz - positions[t], axis=1)
+        same = np.abs(its.orientations_quat_wxyz @ quats[t]) >= np.cos(FILTER.place_rad / 2)
+        rows = np.flatnonzero(same & (off <= FILTER.place * depth_m))
+        if rows.size:
+            wide2 = (its.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
+            best = rows[np.argmax(its.log_mass[rows] - 0.5 * off[rows] ** 2 / wide2)]
+            positions[t], spreads[t] = its.positions_xyz[best], its.position_spreads[best]
+            quats[t], turns[t] = its.orientations_quat_wxyz[best], its.orientation_spreads_rad[best]
+    unknown = ~seen.is_known
+    spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * depth_m)
+    turns[unknown] = np.maximum(turns[unknown], FILTER.unknown_spread_rad)
+    return PosePath(path.timestamps_s, positions, spreads, quats, turns)
