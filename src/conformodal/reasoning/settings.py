@@ -52,7 +52,7 @@ class _FilterSettings:
         several frames share the errors of rolling shutters and lenses. Chosen on seeds 20 and 21 of redkitchen
         `interleaved` (benchmarks/results/choices.md); one path of the corridor speaks for 1.
     unknown_spread, unknown_spread_rad
-        Least spreads, as a share of the scene's depth and in radians, with which an image that shows no known place goes
+        Least spreads, as a share of the depth and in radians, with which an image that shows no known place goes
         into the smoother.
     least_mass
         Hypotheses of less probability are dropped.
