@@ -7,22 +7,22 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2830,
-    "conformal": 6090,
-    "core": 510,
-    "datasets": 5050,
-    "localization": 2110,
-    "model": 1270,
-    "motion": 1220,
-    "networks": 910,
-    "poses": 1130,
-    "quality": 1400,
-    "reasoning": 1320,
-    "report": 1210,
-    "ros": 1100,
+    "cli": 2550,
+    "conformal": 5310,
+    "core": 430,
+    "datasets": 4780,
+    "localization": 2100,
+    "model": 1250,
+    "motion": 990,
+    "networks": 810,
+    "poses": 930,
+    "quality": 1230,
+    "reasoning": 1500,
+    "report": 1140,
+    "ros": 790,
     "running": 2240,
-    "training": 590,
-    "vision": 580,
+    "training": 580,
+    "vision": 470,
 }
 
 
