@@ -127,3 +127,8 @@ def test_counts_agree_with_their_nouns():
     assert [counted(n, "stretch", "stretches") for n in (1, 3)] == ["1 stretch", "3 stretches"]
     assert [noun_for(n, "is", "are") for n in (1, 2)] == ["is", "are"]
     assert counted(np.int64(1), "frame") == "1 frame"
+
+
+def test_a_place_that_is_one_of_several_is_told_with_its_probability():
+    assert "had a probability of 0.46" in describe_frame(frame([HERE] * 3, reliable=False, place_p=0.46))
+    assert "probability" not in describe_frame(frame([HERE] * 3, place_p=0.98))

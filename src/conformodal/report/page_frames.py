@@ -49,8 +49,8 @@ class PageFrame:
 
     Attributes
     ----------
-    name, time_s, reliable, motion, known_p, evidence
-        As in the region's record; the last two are None in runs of earlier versions.
+    name, time_s, reliable, motion, known_p, evidence, place_p
+        As in the region's record; the last three are None in runs of earlier versions.
     position_xyz, quat_wxyz
         Of the chosen pose.
     intervals
@@ -74,6 +74,7 @@ class PageFrame:
     error_m: float | None = None
     error_deg: float | None = None
     classical_xyz: npt.NDArray[np.float64] | None = None
+    place_p: float | None = None
 
     @property
     def unknown(self) -> bool:
@@ -153,6 +154,7 @@ def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[Float
         error_m=None if errors is None else float(errors[0][i]),
         error_deg=None if errors is None else float(errors[1][i]),
         classical_xyz=None if paths.classical is None else paths.classical.positions_xyz[i],
+        place_p=record.get("place_p"),
     )
 
 

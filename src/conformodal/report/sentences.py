@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import floor, log10, sqrt
 
 from conformodal.core.words import counted, listed, noun_for
+from conformodal.reasoning.settings import FILTER
 
 from .page_frames import PageFrame, lengths
 
@@ -13,7 +14,10 @@ from .page_frames import PageFrame, lengths
 def describe_frame(frame: PageFrame) -> str:
     """A frame in words: the region first, then the chosen pose."""
     parts = [_describe_region(frame), _describe_pose(frame)]
-    if not frame.reliable and not frame.unknown:
+    ambiguous = frame.place_p is not None and frame.place_p < FILTER.reliable
+    if ambiguous:
+        parts.append(f"When the frame came, its most probable place had a probability of {frame.place_p:.2f}.")
+    if not frame.reliable and not frame.unknown and not ambiguous:
         parts.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
     return " ".join(part for part in parts if part)
 

@@ -196,7 +196,7 @@ class StreamRunner:
         if motion is not None:
             self.motion[str(motion.status)] += 1
         self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
-        said = estimate.known_p, estimate.evidence
+        said = estimate.known_p, estimate.evidence, estimate.places[0].probability if estimate.places else None
         self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
         here = self.true_pose(frame)
         if here is not None:

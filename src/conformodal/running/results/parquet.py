@@ -1,8 +1,8 @@
 """Regions as a Parquet file (extra ``arrow``): one row a frame, one column a target.
 
-``timestamp_s`` and ``known_p`` double, ``reliable`` bool, ``frame``, ``evidence`` and ``motion`` strings; then for each
-target a column ``list<fixed_size_list<double>[2]>``: sorted, disjoint intervals, ``[-inf, inf]`` for the whole line, an
-empty list for an empty set. It holds what ``regions.jsonl`` holds.
+``timestamp_s``, ``place_p`` and ``known_p`` double, ``reliable`` bool, ``frame``, ``evidence`` and ``motion`` strings;
+then for each target a column ``list<fixed_size_list<double>[2]>``: sorted, disjoint intervals, ``[-inf, inf]`` for the
+whole line, an empty list for an empty set. It holds what ``regions.jsonl`` holds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .records import REGIONS, iter_region_records
 
 FILE = "regions.parquet"
 _ROWS_AT_A_TIME = 2000
-_PLAIN = ("timestamp_s", "frame", "reliable", "known_p", "evidence", "motion")
+_PLAIN = ("timestamp_s", "frame", "reliable", "place_p", "known_p", "evidence", "motion")
 
 
 def write_region_parquet(folder: Path) -> Path:
@@ -34,7 +34,7 @@ def write_region_parquet(folder: Path) -> Path:
     """
     pa, pq = _pyarrow()
     interval = pa.list_(pa.list_(pa.float64(), 2))
-    kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64()}
+    kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64(), "place_p": pa.float64()}
     fields = [(name, kinds.get(name, pa.string())) for name in _PLAIN]
     schema = pa.schema([*fields, *((name, interval) for name in TARGET_NAMES)])
     path = folder / FILE
@@ -42,7 +42,10 @@ def write_region_parquet(folder: Path) -> Path:
         coming = iter_region_records(folder / REGIONS)
         while records := list(islice(coming, _ROWS_AT_A_TIME)):  # itertools.batched came with Python 3.12
             rows = [
-                {**{name: _text(r[name]) for name, _ in fields}, **{k: _bounded(v) for k, v in r["intervals"].items()}}
+                {
+                    **{name: _text(r.get(name)) for name, _ in fields},
+                    **{k: _bounded(v) for k, v in r["intervals"].items()},
+                }
                 for r in records
             ]
             writer.write_table(pa.Table.from_pylist(rows, schema))

@@ -16,6 +16,7 @@ from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.errors import ResultsError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory
+from conformodal.reasoning.settings import FILTER
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
 _ANY_SIGN = [1.0, 0.1, 0.01, 0.001]  # tells q from -q
@@ -28,6 +29,7 @@ def region_record(
     intervals: Sequence[npt.NDArray[np.float64]],
     known_p: float | None = None,
     kind: EvidenceType = EvidenceType.GLOBAL,
+    place_p: float | None = None,
 ) -> dict[str, Any]:
     """The record of a frame.
 
@@ -39,6 +41,8 @@ def region_record(
         (m, 2) a target.
     known_p, kind
         See :class:`~conformodal.running.estimates.Estimate`.
+    place_p
+        Probability of the chosen place when the frame came; None where it is not known.
 
     Raises
     ------
@@ -49,7 +53,10 @@ def region_record(
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
-        "reliable": bool(motion is None or motion.reliable) and kind is not EvidenceType.UNKNOWN,
+        "reliable": bool(motion is None or motion.reliable)
+        and kind is not EvidenceType.UNKNOWN
+        and (place_p is None or place_p >= FILTER.reliable),
+        "place_p": None if place_p is None else float(f"{place_p:.4g}"),
         "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
         "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),

@@ -46,8 +46,9 @@ def write_run(
         if truth is not None:
             writer.truth(truth)
         for i, name in enumerate(frame_names):
-            said = float(run.known_p[i]), EvidenceType(int(run.kinds[i]))
-            writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i), *said)
+            place_p = None if run.certainty is None else float(run.certainty[i])
+            evidence = float(run.known_p[i]), EvidenceType(int(run.kinds[i])), place_p
+            writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i), *evidence)
 
 
 def read_trajectories(folder: Path) -> dict[str, Trajectory]:

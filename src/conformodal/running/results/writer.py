@@ -83,9 +83,10 @@ class ResultsWriter:
         intervals: Sequence[npt.NDArray[np.float64]],
         known_p: float | None = None,
         kind: EvidenceType = EvidenceType.GLOBAL,
+        place_p: float | None = None,
     ) -> dict[str, Any]:
         """Write the region of the next frame; returns its record."""
-        record = region_record(name, timestamp_s, motion, intervals, known_p, kind)
+        record = region_record(name, timestamp_s, motion, intervals, known_p, kind, place_p)
         self._lines(REGIONS, [json.dumps(record)])
         self._n_regions += 1
         return record
