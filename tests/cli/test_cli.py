@@ -275,7 +275,7 @@ def test_training_says_what_landmarks_found(small_world):
 
 def test_the_status_line_says_whether_a_place_is_known():
     region = Regions(QuantileBins(2).fit(np.arange(9.0)[:, None]), [np.ones((1, 2), bool)], np.zeros((1, 1), bool))
-    seen = Estimate(0.0, None, None, region, None, None, True, known_p=0.43, evidence=EvidenceType.LANDMARKS)
+    seen = Estimate(0.0, None, region, None, None, True, known_p=0.43, evidence=EvidenceType.LANDMARKS)
     assert state_of(seen) == "reliable, known p 0.43, intervals x:1"
     assert state_of(replace(seen, known_p=0.003, evidence=EvidenceType.UNKNOWN)) == "unknown place (p = 0.003)"
     assert state_of(replace(seen, region=None, problem="no image")) == "no answer: no image"

@@ -31,7 +31,7 @@ from experiments.conditions import TrainingTask
 ROWS = np.arange(4)
 STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
 PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
-LOST = (None,) * 5
+LOST = (None,) * 4
 TASK = {"seed": 0, "used": 0.8, "network": "efficientnet_lite0", "sigmas": (0.0,), "epochs": 1, "data": ""}
 
 # name: how a value gets there, and what the message calls it
@@ -105,7 +105,7 @@ def test_the_papers_method_by_name_is_checked_as_the_papers():
 
 
 def test_an_estimate_without_a_known_place_is_lost_whatever_number_says_so():
-    assert is_lost(Estimate(0.0, STILL[:1], *(None,) * 4, False, evidence=3))
+    assert is_lost(Estimate(0.0, STILL[:1], *(None,) * 3, False, evidence=3))
 
 
 def test_functions_take_text_as_the_member():

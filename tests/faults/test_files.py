@@ -196,7 +196,7 @@ def test_two_poses_for_one_time_are_no_pose(tmp_path):
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, " ".join([lines[3].split()[0], "7", *lines[3].split()[2:]])]) + "\n")
     expect(folder, Layout.TUM, before, 2, "2.png: no pose within")
-    assert "two poses for time" in read_sequence(folder).remarks[0].where
+    assert "two poses for time" in read_sequence(folder).notes[0].where
 
 
 @pytest.mark.parametrize("layout", WRITERS)
@@ -215,7 +215,7 @@ def expect_the_same(folder, before):
     with warnings.catch_warnings():
         warnings.simplefilter("error", DatasetWarning)
         after = read_sequence(folder)
-    assert (after.image_paths, after.camera, after.remarks) == (before.image_paths, before.camera, ())
+    assert (after.image_paths, after.camera, after.notes) == (before.image_paths, before.camera, ())
     np.testing.assert_array_equal(after.timestamps_s, before.timestamps_s)
     np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
 

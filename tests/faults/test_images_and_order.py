@@ -300,7 +300,7 @@ def test_files_that_look_like_a_7_scenes_frame_do_not_replace_it(tmp_path, name)
     assert len([w for w in caught if issubclass(w.category, DatasetWarning)]) == STRANGERS[name]
     assert len(sequence) == N
     assert values(sequence) == [10 * i for i in range(N)]
-    assert all(name in where for _, where in sequence.remarks)
+    assert all(name in where for _, where in sequence.notes)
 
 
 @pytest.mark.parametrize("name", ["00003-color.PNG", "3-color.png", "000003-color.png", "x00003-color.png"])
@@ -311,7 +311,7 @@ def test_files_that_look_like_an_rgbd_scenes_frame_do_not_replace_it(tmp_path, n
     assert len(sequence) == N
     if name != "00003-color.PNG":  # which of the two it is, nobody knows; one of them is told
         assert values(sequence) == [10 * i for i in range(N)]
-    assert len(sequence.remarks) == (0 if name.startswith("x") else 1)
+    assert len(sequence.notes) == (0 if name.startswith("x") else 1)
 
 
 @pytest.mark.parametrize("name", ["seq-01-old", "seq-01 (copy)", "seq-bad", "seq-01.bak"])

@@ -46,22 +46,23 @@ def make_estimate():
 
     def make(time_s=1.5, kind=EvidenceType.GLOBAL, seed=0, revised=None, candidates=None, region=None, **given):
         if kind is None:
-            return Estimate(time_s, None, None, None, None, None, False, "no image")
+            return Estimate(time_s, None, None, None, None, False, "no image")
         rng = np.random.default_rng(seed)
         found = random_candidates(rng) if candidates is None else candidates
         pose = Trajectory([time_s], found.positions_xyz[:1], found.orientations_quat_wxyz[:1])
+        pose = pose if revised is None else revised[-1:]
         unknown = kind is EvidenceType.UNKNOWN
         given = {"position_spread_m": 0.3, "orientation_spread_rad": 0.05, "known_p": 0.5, **given}
         return Estimate(
             time_s,
             pose,
-            pose if revised is None else revised,
             some_region(rng, unbounded=unknown) if region is None else region,
             found,
             None,
             not unknown,
             "like no place that is known" if unknown else "",
             evidence=kind,
+            revise=None if revised is None else lambda: revised,
             **given,
         )
 

@@ -199,7 +199,7 @@ def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
     assert said == [True, False, False, True, False, False, True]
     path = conversion.path(6_000_000_000)
     found = [(p.header.stamp.sec, p.pose.position.y) for p in path.poses]
-    assert found == [(2, 3), (3, 4), (5, 6), (6, 6)]  # each as the frame after it has it; 4 was lost
+    assert found == [(2, 3), (3, 3), (5, 6), (6, 6)]  # revised when the path was published; 4 was lost
     conversion.reset()
     assert conversion.path(0).poses == []
 
