@@ -18,9 +18,9 @@ BUDGET = {
     "poses": 930,
     "quality": 1230,
     "reasoning": 1500,
-    "report": 1140,
+    "report": 1150,
     "ros": 790,
-    "running": 2240,
+    "running": 2250,
     "training": 580,
     "vision": 470,
 }
@@ -40,4 +40,4 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6600
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6620
