@@ -1,1 +1,1 @@
-"""Small things that every floor shares: array types, progress, robust statistics, files."""
+"""Small things that every layer shares: array types, progress, robust statistics, files."""

@@ -1,4 +1,4 @@
-"""Errors of the datasets floor."""
+"""Errors of the datasets layer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _MOST = 2000  # characters of a message
 
 
 class DatasetError(ConformodalError):
-    """A folder, pose file or intrinsics file that is not what its layout promises; names the file."""
+    """A folder, pose file or intrinsics file that does not follow its layout; names the file."""
 
     def __init__(self, message: str = "") -> None:  # hostile names would fill the screen
         long = len(message) > _MOST

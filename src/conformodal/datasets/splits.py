@@ -2,7 +2,7 @@
 
 ``interleaved`` holds out frames at random: calibration and test frames are exchangeable, so coverage follows its
 exact law, but a test frame's neighbours are in the training part. ``blocks`` holds out contiguous stretches:
-harder, closer to use, and not exchangeable; coverage measured there is an observation, not a promise.
+harder, closer to use, and not exchangeable; coverage measured there is an observation, not a guarantee.
 ``recordings`` holds out whole recordings at random: recordings are exchangeable, frames are not. ``given`` tests on the
 frames that the data set's own lists name: its authors chose them, so neither recordings nor frames are exchangeable.
 """

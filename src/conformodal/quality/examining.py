@@ -76,7 +76,7 @@ def examine(
     cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> RecordingQuality:
-    """Judge a recording, with a model or by its poses alone.
+    """Assess a recording, with a model or by its poses alone.
 
     Parameters
     ----------

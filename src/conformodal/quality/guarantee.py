@@ -27,7 +27,7 @@ class EvidenceGuarantee:
     evidence
         The type.
     alpha
-        The rate that the model promises.
+        The miscoverage rate in force.
     n_frames, n_units
         Frames of this type that calibrate; and what is exchangeable: these frames, or the stretches or recordings they
         are of.

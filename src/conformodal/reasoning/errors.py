@@ -1,4 +1,4 @@
-"""Errors of the reasoning floor."""
+"""Errors of the reasoning layer."""
 
 from __future__ import annotations
 

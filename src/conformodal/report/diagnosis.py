@@ -20,7 +20,7 @@ _BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 
 
 def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
-    """Draw a diagnosis: one row a promise, coverages on the left and p-values on the right.
+    """Draw a diagnosis: one row per guarantee, coverages on the left and p-values on the right.
 
     For an example see ``docs/tutorial.md``.
 

@@ -53,11 +53,11 @@ def calibrate_selection(
         Trained on other recordings.
     sequence
         Recordings to calibrate on, the more the better: fewer than ``1 / alpha - 1`` leave the radius infinite.
-    alpha, promise, method
+    alpha, guarantee, method
         See :class:`PoseRadius`.
     metres_per_rad
         How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
-        promise is exact as long as the true poses of these recordings had no part in choosing it.
+        guarantee is exact as long as the true poses of these recordings had no part in choosing it.
     cache, progress
         As for :meth:`~conformodal.VisualOdometry.process`.
 

@@ -29,7 +29,7 @@ _ASSUMPTION_EACH = (
     "For the whole pose there is no exact law."
 )
 _ASSUMPTION_MIXED = (
-    "Frames were split at random, so calibration and test frames are exchangeable, and every region keeps its promise. "
+    "Frames were split at random, so calibration and test frames are exchangeable, and the guarantee holds. "
     "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
 )
 _ASSUMPTION_SHARED = (
@@ -78,7 +78,7 @@ def coverage_table(
         split.
     matched_all
         Whether local features were matched in all of them. Otherwise there were two calibrations, each of which keeps
-        its promise. A band is stated for frames that are exchangeable and have one calibration.
+        its guarantee. A band is stated for frames that are exchangeable and have one calibration.
     seen
         Whether they are of the training or the calibration part.
     """
@@ -244,5 +244,5 @@ def _regions_from(model: PoseModel, *, matched_all: bool) -> str:
 
 
 def _finite(value: np.floating[Any] | float) -> float | None:
-    """JSON has no infinity; None says whole space."""
+    """JSON has no infinity; None stands for an unbounded region."""
     return float(value) if np.isfinite(value) else None
