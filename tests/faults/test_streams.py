@@ -179,7 +179,7 @@ def test_a_blank_first_frame_is_not_reliable_without_the_test_of_novelty(small_w
     model.set_novelty_level(0.0)
     first = VisualOdometry(model).step(BLANK[what], 0.0)
     assert not first.reliable
-    assert first.problem == "too_few_corners"
+    assert first.problem.startswith("too_few_corners")
 
 
 FRAMES = [[-1, 2], [0, 10**6], [3, 2], [2, 2], np.ones(5, bool), [0.5, 1.5], [[0, 1]], ["a"], 3]

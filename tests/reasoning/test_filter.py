@@ -73,15 +73,18 @@ def test_a_measured_rotation_turns_hypotheses():
     assert angle_between_quats(found.orientation_quat_wxyz, turned[1]) < 0.005  # the measured turn is the likelier one
 
 
+WIDE = replace(PRIOR, volume_m3=1e6)
+
+
 def transition(before, after, step_s):
     """Densities of positions and orientations by SciPy, relative to an even spread."""
     found = np.empty((len(before.log_mass), len(after.log_mass)))
     for (j, p), (k, q) in product(enumerate(before.positions_xyz), enumerate(after.positions_xyz)):
-        v = before.position_spreads[j] ** 2 + after.position_spreads[k] ** 2 + PRIOR.reach_m(step_s) ** 2 / 5
+        v = before.position_spreads[j] ** 2 + after.position_spreads[k] ** 2 + WIDE.reach_m(step_s) ** 2 / 5
         a = before.orientation_spreads_rad[j] ** 2 + after.orientation_spreads_rad[k] ** 2
-        a += (PRIOR.turn_rate_rad_s * step_s) ** 2
+        a += (WIDE.turn_rate_rad_s * step_s) ** 2
         turned = multivariate_normal(np.zeros(3), a * np.eye(3)).pdf(np.zeros(3))
-        found[j, k] = multivariate_normal(p, np.diag(v)).pdf(q) * turned * PRIOR.volume_m3 * 8 * np.pi**2
+        found[j, k] = multivariate_normal(p, np.diag(v)).pdf(q) * turned * WIDE.volume_m3 * 8 * np.pi**2
     return found
 
 
@@ -99,13 +102,13 @@ def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
         joint[a, b, c] = np.prod(masses) * steps[0][a, b] * steps[1][b, c]
     joint /= joint.sum()
     expected = [joint.sum(axis=(1, 2)), joint.sum(axis=(0, 2)), joint.sum(axis=(0, 1))]
-    for frame, posterior, mass in zip(frames, hindsight_posteriors(seen, PRIOR), expected, strict=True):
-        places = [p for p in find_places(posterior, PRIOR) if p.probability > 1e-5]
+    for frame, posterior, mass in zip(frames, hindsight_posteriors(seen, WIDE), expected, strict=True):
+        places = [p for p in find_places(posterior, WIDE) if p.probability > 1e-5]
         order = np.argsort(-mass)
         np.testing.assert_allclose([p.probability for p in places], mass[order], rtol=2e-3)
         np.testing.assert_allclose([p.position_xyz for p in places], frame.positions_xyz[order], atol=0.01)
     first_two = np.einsum("a,ab,b->b", np.exp(frames[0].log_mass), steps[0], np.exp(frames[1].log_mass))
-    found = find_places(filter_posteriors(seen, PRIOR)[1], PRIOR)
+    found = find_places(filter_posteriors(seen, WIDE)[1], WIDE)
     np.testing.assert_allclose([p.probability for p in found], np.sort(first_two / first_two.sum())[::-1], rtol=2e-3)
 
 
@@ -215,3 +218,26 @@ def test_what_a_stream_cannot_use_is_refused():
         pose_filter.push(one, None, 1.0)
     pose_filter.reset()
     pose_filter.push(one, None, 1.0)
+
+
+def test_an_outlier_of_the_rotation_does_not_turn_what_image_and_past_agree_on():
+    _, positions, rotations = path(2)
+    motion = replace(exact_motions(positions, rotations)[1], R_prev_next=Rotation.from_rotvec([0, 0, 1.0]).as_matrix())
+    ahead = predict(Posterior(hypotheses([0.0], [1.0]), 1e-7), motion, 0.1, PRIOR)
+    found = find_places(update(ahead, hypotheses([0.0], [1.0]), PRIOR, wrong=1e-6, tempering=1.0), PRIOR)[0]
+    assert angle_between_quats(found.orientation_quat_wxyz, FACING) < np.radians(0.5)
+
+
+@pytest.mark.parametrize(
+    ("step_s", "volume_m3", "speed"),
+    [(60.0, 50.0, 1.0), (2.0, 0.025, 1.0), (5.0, 1e-5, 1.0), (3.0, 50.0, 1e6)],
+    ids=["a long gap", "a plane", "a line", "any speed"],
+)
+def test_images_decide_where_the_prediction_is_vaguer_than_the_volume(step_s, volume_m3, speed):
+    x = np.array([0.0, 5.0, 0.0, 5.0, 2.0])
+    seen = Observations([hypotheses([here], [1.0]) for here in x], [None] * 5, step_s * np.arange(5))
+    prior = replace(PRIOR, top_speed_mps=(speed, speed), volume_m3=volume_m3)
+    for reasoner in (filter_posteriors, hindsight_posteriors):
+        found, probability = choose_places(reasoner(seen, prior), seen.timestamps_s, prior)
+        assert np.abs(found.positions_xyz[:, 0] - x).max() < 0.1
+        assert probability.min() > 0.9

@@ -130,5 +130,5 @@ def test_counts_agree_with_their_nouns():
 
 
 def test_a_place_that_is_one_of_several_is_told_with_its_probability():
-    assert "had a probability of 0.46" in describe_frame(frame([HERE] * 3, reliable=False, place_p=0.46))
+    assert "had a probability of 0.460" in describe_frame(frame([HERE] * 3, reliable=False, place_p=0.46))
     assert "probability" not in describe_frame(frame([HERE] * 3, place_p=0.98))

@@ -266,7 +266,7 @@ def _finite(record: dict[str, Any]) -> dict[str, Any]:
 def _prior(record: dict[str, Any]) -> MotionPrior:
     tables = {k: tuple(record[k]) for k in _PRIOR_TABLES}
     depths = {k: math.nan if record[k] is None else float(record[k]) for k in _PRIOR_DEPTHS}
-    return MotionPrior(**{**record, **tables, **depths})
+    return MotionPrior(**{**record, **tables, **depths, "volume_m3": float(record["volume_m3"])})
 
 
 def _radius(record: dict[str, Any] | None, folder: Path) -> PoseRadius | None:

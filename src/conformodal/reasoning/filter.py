@@ -55,7 +55,8 @@ class Prediction:
     Attributes
     ----------
     hypotheses
-        Turned by the measured rotation, spread by what the camera can have moved and turned.
+        Turned by the measured rotation, spread by what the camera can have moved and turned. Only ratios of their
+        probabilities count.
     unturned_quats_wxyz, unturned_spreads_rad
         (m, 4) and (m,) orientations if the measured rotation is an outlier, or if there is none.
     measured
@@ -108,7 +109,14 @@ def predict(
     )
     followed = motion is not None and motion.reliable
     jump = FILTER.followed_jump if followed else FILTER.jump
-    return Prediction(ahead, quats, loose, measured, jump + (1 - jump) * neighbour.elsewhere)
+    # a hypothesis that is vaguer than the volume says no more than elsewhere does
+    widths = np.log(ahead.position_spreads).sum(axis=1) + 3 * np.log(sharp) + 3 * np.log(2 * np.pi)
+    ahead = replace(
+        ahead,
+        log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0),
+    )
+    elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
+    return Prediction(ahead, quats, loose, measured, min(max(elsewhere, jump), 1 - FILTER.least_mass))
 
 
 def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
@@ -128,23 +136,29 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     wrong
         Probability that the evidence says nothing of the pose.
     tempering
-        Power to which the evidence's density is raised.
+        Power to which masses and normalisers of the evidence are raised; distances count in full.
     """
     own = ahead.hypotheses.normalised()
     seen = replace(evidence, log_mass=evidence.log_mass * tempering).normalised()
     own_v, seen_v = own.position_spreads**2, seen.position_spreads**2
     own_a, seen_a = own.orientation_spreads_rad**2, seen.orientation_spreads_rad**2
     step = seen.positions_xyz[None] - own.positions_xyz[:, None]
-    total_v, total_a = own_v[:, None] + seen_v[None], own_a[:, None] + seen_a[None]
+    total_v, pair_a = own_v[:, None] + seen_v[None], np.repeat(own_a[:, None], len(seen_a), axis=1)
     turn = _rotation_vectors(own.orientations_quat_wxyz, seen.orientations_quat_wxyz)
     # densities relative to an even spread over the volume and all rotations
     position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), tempering)
-    rotation = _log_density((turn**2).sum(axis=2) / total_a, 3 * np.log(total_a), tempering)
+    rotation = _log_density((turn**2).sum(axis=2) / (pair_a + seen_a), 3 * np.log(pair_a + seen_a), tempering)
+    volume, volume_seen = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((own_v, own_a), (seen_v, seen_a)))
+    seen_is_sharper = volume_seen[None] <= volume[:, None]
     if ahead.measured:
-        loose = ahead.unturned_spreads_rad[:, None] ** 2 + seen_a[None]
+        loose = np.repeat(ahead.unturned_spreads_rad[:, None] ** 2, len(seen_a), axis=1)
         apart = _rotation_vectors(ahead.unturned_quats_wxyz, seen.orientations_quat_wxyz)
-        unturned = _log_density((apart**2).sum(axis=2) / loose, 3 * np.log(loose), tempering)
-        rotation = np.logaddexp(rotation, unturned + np.log(FILTER.rotation_outlier))
+        unturned = _log_density((apart**2).sum(axis=2) / (loose + seen_a), 3 * np.log(loose + seen_a), tempering)
+        unturned += np.log(FILTER.rotation_outlier)
+        outlier = unturned > rotation
+        rotation = np.logaddexp(rotation, unturned)
+        turn, pair_a = np.where(outlier[..., None], apart, turn), np.where(outlier, loose, pair_a)
+        seen_is_sharper = seen_is_sharper | outlier  # the predicted ones are turned
     anywhere = tempering * np.log(prior.volume_m3 * _ROTATIONS)
     pairs = own.log_mass[:, None] + seen.log_mass[None] + position + rotation + anywhere
     pairs += np.log1p(-wrong) + np.log1p(-ahead.elsewhere)
@@ -152,10 +166,8 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     fresh = seen.log_mass + np.log(ahead.elsewhere) + np.log1p(-wrong)
     top = max(pairs.max(), alone.max(), fresh.max())
     mass = np.exp(pairs - top)
-    share, share_a = own_v[:, None] / total_v, (own_a[:, None] / total_a)[..., None]
-    volume, volume_seen = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((own_v, own_a), (seen_v, seen_a)))
-    seen_is_sharper = volume_seen[None] <= volume[:, None]
-    between_v, between_a = own_v[:, None] * (1 - share), own_a[:, None] * (1 - share_a[..., 0])
+    share, share_a = own_v[:, None] / total_v, (pair_a / (pair_a + seen_a))[..., None]
+    between_v, between_a = own_v[:, None] * seen_v / total_v, pair_a * seen_a / (pair_a + seen_a)
     by_seen = _merged(
         seen,
         np.exp(fresh - top),

@@ -65,7 +65,8 @@ class Observations:
     @property
     def is_known(self) -> BoolArray:
         """(n,) whether each image shows a known place."""
-        return np.ones(len(self.candidates), dtype=np.bool_) if self.known is None else self.known
+        known = np.ones(len(self.candidates)) if self.known is None else self.known
+        return np.asarray(known, dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,6 +126,8 @@ class PageFrame:
         }
         if self.evidence is not None:
             frame |= {"kp": self.known_p, "ev": self.evidence}
+        if self.place_p is not None:
+            frame["pp"] = self.place_p
         if image is not None:
             frame["img"] = base64.b64encode(image).decode()
         if self.classical_xyz is not None:

@@ -10,14 +10,15 @@ from conformodal.reasoning.settings import FILTER
 
 from .page_frames import PageFrame, lengths
 
+_UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
+
 
 def describe_frame(frame: PageFrame) -> str:
     """A frame in words: the region first, then the chosen pose."""
     parts = [_describe_region(frame), _describe_pose(frame)]
-    ambiguous = frame.place_p is not None and frame.place_p < FILTER.reliable
-    if ambiguous:
-        parts.append(f"When the frame came, its most probable place had a probability of {frame.place_p:.2f}.")
-    if not frame.reliable and not frame.unknown and not ambiguous:
+    if frame.place_p is not None and frame.place_p < FILTER.reliable:
+        parts.append(f"When the frame came, its most probable place had a probability of {frame.place_p:.3f}.")
+    if frame.motion in _UNUSABLE and not frame.unknown:
         parts.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")
     return " ".join(part for part in parts if part)
 

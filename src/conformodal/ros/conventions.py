@@ -18,8 +18,8 @@ class RosError(ConformodalError):
 class Covariance(StrEnum):
     """What the covariance of the chosen pose is computed from."""
 
-    MIXTURE = "mixture"  # all candidates: ambiguity makes it large
-    CHOSEN = "chosen"  # the spread of the chosen candidate alone
+    MIXTURE = "mixture"  # all hypotheses of the posterior: ambiguity makes it large
+    CHOSEN = "chosen"  # the spread of the chosen place alone
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,13 @@ def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
     """
     kind = as_member(kind, Covariance, "covariance", RosError)
     pose = estimate.pose
-    candidates = estimate.candidates if estimate.posterior is None else estimate.posterior.hypotheses
+    candidates = estimate.candidates
     assert pose is not None
     assert candidates is not None
+    if estimate.posterior is not None:  # where none of its hypotheses is right, those of the image alone stand
+        elsewhere = estimate.posterior.elsewhere
+        parts = estimate.posterior.hypotheses.normalised(np.log1p(-elsewhere)), candidates.normalised(np.log(elsewhere))
+        candidates = Candidates.concatenate(parts)
     if kind is Covariance.MIXTURE:
         return mixture_covariance(candidates, pose.positions_xyz[0], pose.orientations_quat_wxyz[0])
     assert estimate.position_spread_m is not None

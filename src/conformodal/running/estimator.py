@@ -99,7 +99,7 @@ class VisualOdometry(Odometry):
         if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
         if best.probability < FILTER.reliable:
-            problems.append(f"one of several places (p = {best.probability:.2g})")
+            problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
             pose=Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None]),

@@ -70,7 +70,7 @@ def read_region_parquet(path: Path) -> list[dict[str, Any]]:
 def _records(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     for row in rows:
         intervals = {name: [[_open(a), _open(b)] for a, b in row.pop(name)] for name in TARGET_NAMES}
-        yield {**{k: row[k] for k in _PLAIN}, "intervals": intervals}
+        yield {**{k: row.get(k) for k in _PLAIN}, "intervals": intervals}
 
 
 def _bounded(parts: list[list[float | None]]) -> list[list[float]]:

@@ -50,13 +50,14 @@ def region_record(
         If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceType`.
     """
     kind = as_member(kind, EvidenceType, "kind", ResultsError)
+    place_p = None if place_p is None else float(f"{place_p:.4g}")
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
         "reliable": bool(motion is None or motion.reliable)
         and kind is not EvidenceType.UNKNOWN
         and (place_p is None or place_p >= FILTER.reliable),
-        "place_p": None if place_p is None else float(f"{place_p:.4g}"),
+        "place_p": place_p,
         "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
         "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),

@@ -24,7 +24,9 @@ function facts(f) {
   if (f.kp != null) rows.push(["known place?", isUnknown(f) ? `no, p = ${p3(f.kp)}` : `yes, p = ${p3(f.kp)}`]);
   if (f.ev && !isUnknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
   const motion = f.m === "first" ? "none, the first frame" : f.m.replaceAll("_", " ");
-  rows.push(["motion", `${f.ok || isUnknown(f) ? "" : "not reliable: "}${motion}`]);
+  const unusable = ["lost", "too_few_corners", "inconsistent"].includes(f.m);
+  rows.push(["motion", `${unusable ? "not reliable: " : ""}${motion}`]);
+  if (f.pp != null) rows.push(["most probable place", `p = ${p3(f.pp)} when the frame came`]);
   return rows;
 }
 
