@@ -17,7 +17,7 @@ BUDGET = {
     "networks": 810,
     "poses": 930,
     "quality": 1230,
-    "reasoning": 1500,
+    "reasoning": 1520,
     "report": 1150,
     "ros": 790,
     "running": 2250,
