@@ -127,18 +127,20 @@ def test_poses_are_the_online_trajectory_and_the_last_path_has_them_revised(reco
     np.testing.assert_allclose(at_once, expected.positions_xyz[kept], atol=1e-5)
     turned = angles([pose.orientation for pose in said], expected.orientations_quat_wxyz[kept])
     assert turned.max() < 1e-4
-    assert np.mean(np.linalg.norm(at_once - places, axis=1) < 1e-4) > 0.5  # the rest was revised
+    assert 0.5 < np.mean(np.linalg.norm(at_once - places, axis=1) < 0.05) < 1  # the rest was revised
 
 
-def test_candidates_hold_the_pose_and_weights_sum_to_one(recorded):
+def test_candidates_are_near_the_pose_and_weights_sum_to_one(recorded):
     found = read(recorded[1])
     topics = [found[f"/conformodal/{name}"] for name in ("pose", "candidates", "candidate_weights")]
+    nearest = []
     for (_, pose), (_, candidates), (_, weights) in zip(*topics, strict=True):
         assert len(candidates.poses) == len(weights.data) == weights.layout.dim[0].size
         if len(weights.data):
             assert weights.data.sum() == pytest.approx(1)
             near = [np.linalg.norm(np.subtract(position(one), position(pose.pose.pose))) for one in candidates.poses]
-            assert min(near) < 1e-9
+            nearest.append(min(near))
+    assert np.median(nearest) < 0.1
 
 
 def test_images_are_those_of_the_source(recorded, small_world):

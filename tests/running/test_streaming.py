@@ -5,6 +5,8 @@ from conformodal.datasets import read_sequence
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.model.store import load_model
+from conformodal.reasoning.filter import filter_posteriors
+from conformodal.reasoning.places import choose_places
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
@@ -74,9 +76,9 @@ def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, b
     # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
     assert np.mean(np.linalg.norm(online[:n] - said, axis=1) < 1e-3) > 0.9
     for cut in (5, 12, 20):
-        np.testing.assert_array_equal(
-            VisualOdometry(model)._online(run, np.arange(cut)).positions_xyz, online[:cut], err_msg=f"{cut}"
-        )
+        seen = run.observations(np.arange(cut))
+        path, _ = choose_places(filter_posteriors(seen, model.prior), seen.timestamps_s, model.prior)
+        np.testing.assert_array_equal(path.positions_xyz, online[:cut], err_msg=f"{cut}")
 
 
 def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
