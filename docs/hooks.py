@@ -167,12 +167,15 @@ def package_page(name: str) -> str:
     known = exported(SOURCE / name)
     parts = [f"# {dotted}\n\n::: {dotted}\n"]
     shown = "    options: {show_root_heading: true, show_root_toc_entry: true, show_root_full_path: false}\n"
-    if known:
-        names = [identifier(f"{dotted}.{n}") for n in known]
-        return "\n".join(parts + [f"::: {n}\n{shown}" for n in names if n.count(".") > 2])
     modules: dict[str, list[str]] = {}
-    for full in defined(name).values():
-        modules.setdefault(full.rpartition(".")[0], []).append(full)
+    if known:
+        parts += [f"::: {n}\n{shown}" for n in (identifier(f"{dotted}.{n}") for n in known) if n.count(".") > 2]
+        for inner in sorted((SOURCE / name).glob("*/__init__.py")):
+            own = [defined(name)[n] for n in exported(inner.parent) if n not in known and n in defined(name)]
+            modules |= {f"{dotted}.{inner.parent.name}": own} if own else {}
+    else:
+        for full in defined(name).values():
+            modules.setdefault(full.rpartition(".")[0], []).append(full)
     deeper = shown.replace("{", "{heading_level: 3, ")
     for module, names in sorted(modules.items()):
         parts += [f"## {module.removeprefix(dotted + '.')}\n", *(f"::: {n}\n{deeper}" for n in names)]
