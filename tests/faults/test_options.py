@@ -238,7 +238,10 @@ def test_options_are_checked_of_every_command():
 SAY_NOTHING = {
     "a topic of a folder": (("run", "MODEL", "DATA", "--topic", "/image"), "--topic is for ROS recordings"),
     "convert: a topic": (("data", "convert", "DATA", "--topic", "/image"), "--topic is for ROS recordings"),
-    "convert: a camera": (("data", "convert", "DATA", "--camera", "DATA"), "--camera is for sources without calibration"),
+    "convert: a camera": (
+        ("data", "convert", "DATA", "--camera", "DATA"),
+        "--camera is for sources without calibration",
+    ),
     "paper: a level of novelty": (("run", "PAPER", "DATA", "--novelty-level", "0.1"), "no test for unknown places"),
     "paper: matching at times": (("run", "PAPER", "DATA", "--match-every", "3"), "looks at no local features"),
 }

@@ -90,7 +90,7 @@ def transition(before, after, step_s):
 
 def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
     # sharp hypotheses, out of each other's reach within a place but for steps that take long
-    for name, value in {"tempering": 1.0, "wrong": 1e-12, "jump": 1e-12}.items():
+    for name, value in {"tempering": 1.0, "sharpness": 1.0, "wrong": 1e-12, "jump": 1e-12}.items():
         monkeypatch.setitem(FILTER.__dict__, name, value)
     rng = np.random.default_rng(0)
     frames = [hypotheses(np.array([0.0, 3.0, 7.0]) + rng.normal(size=3), m, 1e-3) for m in rng.dirichlet(np.ones(3), 3)]

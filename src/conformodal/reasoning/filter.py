@@ -136,7 +136,7 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     wrong
         Probability that the evidence says nothing of the pose.
     tempering
-        Power to which masses and normalisers of the evidence are raised; distances count in full.
+        Power to which masses of the evidence are raised, and with a factor normalisers; distances count in full.
     """
     own = ahead.hypotheses.normalised()
     seen = replace(evidence, log_mass=evidence.log_mass * tempering).normalised()
@@ -146,20 +146,21 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     total_v, pair_a = own_v[:, None] + seen_v[None], np.repeat(own_a[:, None], len(seen_a), axis=1)
     turn = _rotation_vectors(own.orientations_quat_wxyz, seen.orientations_quat_wxyz)
     # densities relative to an even spread over the volume and all rotations
-    position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), tempering)
-    rotation = _log_density((turn**2).sum(axis=2) / (pair_a + seen_a), 3 * np.log(pair_a + seen_a), tempering)
+    normaliser = tempering * FILTER.sharpness
+    position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), normaliser)
+    rotation = _log_density((turn**2).sum(axis=2) / (pair_a + seen_a), 3 * np.log(pair_a + seen_a), normaliser)
     volume, volume_seen = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((own_v, own_a), (seen_v, seen_a)))
     seen_is_sharper = volume_seen[None] <= volume[:, None]
     if ahead.measured:
         loose = np.repeat(ahead.unturned_spreads_rad[:, None] ** 2, len(seen_a), axis=1)
         apart = _rotation_vectors(ahead.unturned_quats_wxyz, seen.orientations_quat_wxyz)
-        unturned = _log_density((apart**2).sum(axis=2) / (loose + seen_a), 3 * np.log(loose + seen_a), tempering)
+        unturned = _log_density((apart**2).sum(axis=2) / (loose + seen_a), 3 * np.log(loose + seen_a), normaliser)
         unturned += np.log(FILTER.rotation_outlier)
         outlier = unturned > rotation
         rotation = np.logaddexp(rotation, unturned)
         turn, pair_a = np.where(outlier[..., None], apart, turn), np.where(outlier, loose, pair_a)
         seen_is_sharper = seen_is_sharper | outlier  # the predicted ones are turned
-    anywhere = tempering * np.log(prior.volume_m3 * _ROTATIONS)
+    anywhere = normaliser * np.log(prior.volume_m3 * _ROTATIONS)
     pairs = own.log_mass[:, None] + seen.log_mass[None] + position + rotation + anywhere
     pairs += np.log1p(-wrong) + np.log1p(-ahead.elsewhere)
     alone = own.log_mass + np.log(wrong) + np.log1p(-ahead.elsewhere)
@@ -196,9 +197,9 @@ def start(evidence: Candidates, *, known: bool) -> Posterior:
     return Posterior(hypotheses, FILTER.wrong if known else FILTER.wrong_if_unknown)
 
 
-def _log_density(distance2: FloatArray, log_determinant: FloatArray, tempering: float) -> FloatArray:
-    """Logarithm of a normal density in three dimensions, with its normaliser tempered."""
-    return np.asarray(-0.5 * (distance2 + tempering * (log_determinant + 3 * np.log(2 * np.pi))))
+def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
+    """Logarithm of a normal density in three dimensions, its normaliser raised to a power."""
+    return np.asarray(-0.5 * (distance2 + normaliser * (log_determinant + 3 * np.log(2 * np.pi))))
 
 
 def _merged(
