@@ -30,12 +30,12 @@ Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidate poses of one frame, most probable first.
+    """Pose hypotheses of one frame, most probable first: of its image, or of a posterior.
 
     Attributes
     ----------
     positions_xyz, position_spreads
-        (m, 3) metres: means, and standard deviations within the cuboid.
+        (m, 3) metres: means and standard deviations.
     orientations_quat_wxyz, orientation_spreads_rad
         (m, 4) unit quaternions, and (m,).
     log_mass

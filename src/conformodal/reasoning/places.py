@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.poses import angle_between_quats, fix_sign, normalise_quat
 
 from .candidates import Candidates
 from .filter import Posterior
@@ -50,31 +51,36 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
         Gives the scene's depth, of which near is a share, see the settings of the filter.
     """
     its = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
-    near = FILTER.place * (prior.depth_m if np.isfinite(prior.depth_m) else 1.0)
     free = np.argsort(-its.log_mass, kind="stable")
     found = []
     while free.size:
-        off = np.linalg.norm(its.positions_xyz[free] - its.positions_xyz[free[0]], axis=1)
-        turned = np.abs(its.orientations_quat_wxyz[free] @ its.orientations_quat_wxyz[free[0]])
-        joins = (off <= near) & (turned >= np.cos(FILTER.place_rad / 2))
+        first, rest = its.take(free[:1]), its.take(free)
+        joins = _is_near(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
         joins[0] = True
-        found.append(_summarised(its.take(free[joins])))
+        found.append(_summarise(rest.take(np.flatnonzero(joins))))
         free = free[~joins]
     return sorted(found, key=lambda place: -place.probability)
 
 
-def _summarised(its: Candidates) -> Place:
+def _is_near(its: Candidates, position_xyz: FloatArray, quat_wxyz: FloatArray, prior: MotionPrior) -> BoolArray:
+    """(m,) whether each hypothesis is of the place of a pose."""
+    off = np.linalg.norm(its.positions_xyz - position_xyz, axis=1)
+    turned = angle_between_quats(its.orientations_quat_wxyz, quat_wxyz)
+    return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
+
+
+def _depth_m(prior: MotionPrior) -> float:
+    return prior.depth_m if np.isfinite(prior.depth_m) else 1.0
+
+
+def _summarise(its: Candidates) -> Place:
+    """One place by the first two moments of its hypotheses."""
     mass = np.exp(its.log_mass)
     share = mass / mass.sum()
     position = share @ its.positions_xyz
     variance = share @ (its.position_spreads**2 + (its.positions_xyz - position) ** 2)
-    quats = (
-        its.orientations_quat_wxyz
-        * np.where(its.orientations_quat_wxyz @ its.orientations_quat_wxyz[0] < 0, -1, 1)[:, None]
-    )
-    mean = share @ quats
-    quat = mean / np.linalg.norm(mean)
-    apart = 2 * np.arccos(np.clip(np.abs(quats @ quat), 0, 1))
+    quat = normalise_quat(share @ fix_sign(its.orientations_quat_wxyz, its.orientations_quat_wxyz[0]))
+    apart = angle_between_quats(its.orientations_quat_wxyz, quat)
     angle = float(np.sqrt(share @ (its.orientation_spreads_rad**2 + apart**2 / 3)))
     return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle)
 
@@ -107,19 +113,17 @@ def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> Po
     seen, prior
         What it was chosen from.
     """
-    depth_m = prior.depth_m if np.isfinite(prior.depth_m) else 1.0
     positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
     quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()
     for t, its in enumerate(seen.candidates):
-        off = np.linalg.norm(its.positions_xyz - positions[t], axis=1)
-        same = np.abs(its.orientations_quat_wxyz @ quats[t]) >= np.cos(FILTER.place_rad / 2)
-        rows = np.flatnonzero(same & (off <= FILTER.place * depth_m))
+        rows = np.flatnonzero(_is_near(its, positions[t], quats[t], prior))
         if rows.size:
+            off2 = ((its.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
             wide2 = (its.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
-            best = rows[np.argmax(its.log_mass[rows] - 0.5 * off[rows] ** 2 / wide2)]
+            best = rows[np.argmax(its.log_mass[rows] - 0.5 * off2 / wide2)]
             positions[t], spreads[t] = its.positions_xyz[best], its.position_spreads[best]
             quats[t], turns[t] = its.orientations_quat_wxyz[best], its.orientation_spreads_rad[best]
     unknown = ~seen.is_known
-    spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * depth_m)
+    spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * _depth_m(prior))
     turns[unknown] = np.maximum(turns[unknown], FILTER.unknown_spread_rad)
     return PosePath(path.timestamps_s, positions, spreads, quats, turns)

@@ -54,7 +54,7 @@ class MotionPrior:
 
 
 def rotation_sigma(motion: RelativeMotion) -> float:
-    """Standard deviation of a relative rotation in radians, beside the errors of candidates."""
+    """Standard deviation of a relative rotation in radians, beside the errors of hypotheses."""
     return FILTER.rotation_sigma_factor * motion.rotation_sigma_rad
 
 

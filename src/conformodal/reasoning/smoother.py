@@ -1,4 +1,4 @@
-"""Smoothing: chosen candidates, relative rotations and submaps into a trajectory finer than a bin.
+"""Smoothing: chosen hypotheses, relative rotations and submaps into a trajectory finer than a bin.
 
 Rotations first; then positions, which with rotations known is a linear least squares problem but for the robust
 weights. Both are sparse and banded, so time is linear in frames.
@@ -26,7 +26,7 @@ from .submap_alignment import SubmapAlignment
 
 
 def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
-    """A path finer than candidates: orientations first, then positions; spreads stay those of the path given.
+    """A path finer than hypotheses: orientations first, then positions; spreads stay those of the path given.
 
     Parameters
     ----------

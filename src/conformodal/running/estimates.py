@@ -57,8 +57,8 @@ class Estimate:
     evidence
         What the region rests on; None without an image.
     position_spread_m, orientation_spread_rad
-        How far off the pose may be, by its own account: spreads of the path's errors; None without an image. They grow
-        while the path is bridged by motion alone.
+        Standard deviations of the most probable place; None without an image. They grow while motion alone tells where
+        the camera is.
     matched
         Whether local features were matched.
     posterior
@@ -66,7 +66,7 @@ class Estimate:
     places
         The places that they make up, most probable first; the first gives the pose. Empty without an image.
     revise
-        Gives :attr:`revised`.
+        Called for :attr:`revised`.
     localization
         Belief and region of this frame alone; None without an image.
     reliable
@@ -125,7 +125,7 @@ class OdometryRun:
     localization
         Belief, region and novelty of each frame alone.
     candidates, motions
-        One a frame; ``motions[t]`` leads from the frame before.
+        One per frame; ``motions[t]`` leads from the frame before.
     submaps
         Of these frames, by their place in `frames`.
     trajectories

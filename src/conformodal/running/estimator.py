@@ -1,4 +1,4 @@
-"""The estimator: from frames to regions, candidates and a trajectory."""
+"""The estimator: from frames to regions, places and a trajectory."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class VisualOdometry(Odometry):
     model
         Trained and calibrated.
     lag
-        Frames of a stream whose answer may still change, see :attr:`Estimate.revised`. :meth:`run` waits for the end.
+        Frames of a stream that :attr:`Estimate.revised` goes back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
         Regions of the others are wider. :meth:`run` matches them in all.
