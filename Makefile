@@ -28,8 +28,8 @@ coverage: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 
 # quick tests, and those with the small trained model, with the oldest version of each package that pyproject.toml
-# allows, in an environment of its own. Python 3.11, for which all of them have wheels. Without the extra view: its package needs NumPy 2. Without an index of CPU
-# builds, torch brings gigabytes of CUDA.
+# allows, in an environment of its own. Python 3.11, for which all of them have wheels. Without the extra view: its
+# package needs NumPy 2. Without an index of CPU builds, torch brings gigabytes of CUDA.
 test-oldest:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { echo "the oldest versions have wheels for Python 3.11; found $$($(PYTHON) --version). Set PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(OLDEST)

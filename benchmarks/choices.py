@@ -1,4 +1,4 @@
-"""What the settings of belief and search were chosen by: errors with other values over errors with the present ones.
+"""What the settings of belief and filter were chosen by: errors with other values over errors with the present ones.
 
 python benchmarks/choices.py [--seeds 20 21] [--runs FOLDER]
 
@@ -89,7 +89,7 @@ def main() -> None:
         "present value is the better one. Models, frames, intervals as in ablation.md; frames calibrate in both splits."
     )
     line = f"python benchmarks/choices.py --seeds {' '.join(map(str, asked.seeds))}"
-    write_table("choices", "Settings of belief and search", line, header, rows, note)
+    write_table("choices", "Settings of belief and filter", line, header, rows, note)
 
 
 if __name__ == "__main__":

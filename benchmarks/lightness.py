@@ -29,8 +29,8 @@ JOULES = Path("/sys/class/powercap")
 WAYS = {
     "bare": "network with its head",
     "regions": "+ calibrated regions",
-    "search": "+ calibrated regions, search",
-    "whole": "+ calibrated regions, search, measured motion (a stream's whole answer, head alone)",
+    "search": "+ calibrated regions, filter",
+    "whole": "+ calibrated regions, filter, measured motion (a stream's whole answer, head alone)",
     "whole, three sources": "a stream's whole answer, three sources",
     "head dropout": "MC dropout x 30, head alone",
     "network dropout, shared": "MC dropout x 30, head and network, passes from the first dropout on",
@@ -147,8 +147,8 @@ def main() -> None:
         "answer of a bare network is the mean of its softmaxes, that of MC dropout and ensembles mean and standard "
         "deviation of these means. Neither gives a region with guaranteed coverage, nor a path.",
         f"Uncertainty and reasoning together add {median['search'] / base - 1:.2f} times the bare network's time "
-        f"({median['regions'] / base - 1:.2f} without the search), and {median['whole'] / base - 1:.2f} times where "
-        "the camera's motion is measured for the search as well: corners and relative pose cost more than the network "
+        f"({median['regions'] / base - 1:.2f} without the filter), and {median['whole'] / base - 1:.2f} times where "
+        "the camera's motion is measured for the filter as well: corners and relative pose cost more than the network "
         "does. MC dropout depends on what has dropout. In the head alone, on a frozen network, thirty passes are one "
         f"matrix product, {median['head dropout'] / base:.2f} times the bare network. The network has dropout too, in "
         f"{n_blocks} blocks of these (residual branches that are left out at random, as EfficientNet is trained): "

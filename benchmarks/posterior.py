@@ -1,6 +1,6 @@
 """Errors and probabilities of the posterior: from one image, from the frames so far, and in hindsight.
 
-python benchmarks/posterior.py [--seeds 10 11 12] [--runs ablation-out]
+python benchmarks/posterior.py [--seeds 10 12] [--runs ablation-out]
 
 Models are those of ablation.py and cached with it.
 """
@@ -76,7 +76,7 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 11, 12])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 12])
     parser.add_argument("--runs", type=Path, default=ROOT / "ablation-out")
     asked = parser.parse_args()
     rows = []

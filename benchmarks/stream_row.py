@@ -25,7 +25,7 @@ from conformodal.running.estimator import VisualOdometry  # noqa: E402
 from conformodal.vision.backbone import Backbone  # noqa: E402
 
 WARM = 10
-PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "search")
+PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")
 
 
 def answer(model: Path, images: list[str], match_every: int) -> dict[str, Any]:

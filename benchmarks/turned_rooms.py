@@ -37,7 +37,7 @@ from conformodal.vision.features import FeatureCache
 N_VISITS = 12
 EVERY = {"0.2 s": 2, "1 s": 10, "3 s": 30}
 NEAR_M, NEAR_RAD = 0.5, np.radians(30)
-LEAST_MASS = 1e-6  # of a pose without any candidate nearby: what the search keeps candidates down to
+LEAST_MASS = 1e-6  # of a pose without any candidate nearby: what the filter keeps hypotheses down to
 
 # by setting and reasoner: share in the wrong room, rmse_m, rmse_deg; by interval: image evidence for the true side
 Numbers = dict[str, list[float]]
@@ -178,7 +178,7 @@ def evidence_blocks(seeds: list[int], results: list[Numbers]) -> list[str | list
         f"Nats: log of the mass of candidates within {NEAR_M} m and {np.degrees(NEAR_RAD):.0f} degrees of the true "
         "pose, less that of candidates near its half-turn, summed over frames. In rooms both views are equal to the "
         "pixel, so that honest evidence is zero there; in the lobby the poster tells the sides apart. Correlation: of "
-        "neighbouring frames in rooms. Wrong room: Viterbi with limits and rotations.",
+        "neighbouring frames in rooms. Wrong room: hindsight with limits and rotations.",
     ]
 
 
