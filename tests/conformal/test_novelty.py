@@ -78,6 +78,29 @@ def test_samples_of_another_shape_are_refused(samples):
         NoveltyTest(np.eye(2), [0, 1]).scores(samples)
 
 
+def test_those_that_are_novel_are_the_same_whichever_sample_joins_them():
+    """Of n + 1 exchangeable scores: where the new one is not novel, it does not matter which others are."""
+    rng = np.random.default_rng(3)
+    level, n = 0.15, 19
+    for _ in range(50):
+        scores = rng.normal(size=n + 1)
+        test = NoveltyTest(rng.normal(size=(5, 2)), np.arange(5)).rescored(scores[:n], np.arange(n))
+        if test.p_values(scores[n:])[0] <= level:
+            continue
+        among_all = (scores[None] >= scores[:n, None]).sum(axis=1) / (n + 1) <= level
+        np.testing.assert_array_equal(test.left_out_p_values() <= level, among_all)
+
+
+def test_p_values_of_other_scores_are_uniform_on_their_ranks():
+    rng = np.random.default_rng(4)
+    test, p = NoveltyTest(rng.normal(size=(5, 2)), np.arange(5)), []
+    for _ in range(2000):
+        scores = rng.normal(size=10)
+        p.append(test.rescored(scores[:9], np.arange(9)).p_values(scores[9:])[0])
+    counts = np.bincount(np.rint(np.array(p) * 10).astype(int), minlength=11)[1:]
+    assert stats.chisquare(counts).pvalue > 1e-4
+
+
 def test_left_out_p_values_are_those_of_the_other_groups():
     rng = np.random.default_rng(5)
     references, groups = rng.normal(size=(30, 3)), np.repeat(np.arange(6), 5)
@@ -85,4 +108,4 @@ def test_left_out_p_values_are_those_of_the_other_groups():
     for i in (0, 7, 29):
         others = groups != groups[i]
         shares = [np.mean(test.scores_[groups == g] >= test.scores_[i]) for g in np.unique(groups[others])]
-        assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 6)
+        assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 7)

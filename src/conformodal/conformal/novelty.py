@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -56,17 +57,30 @@ class NoveltyTest:
         self._double = as_finite(references, "references", "(n, k)")
         if self._double.size == 0:
             raise ConformalError(f"references must be finite, of shape (n, k), got shape {self._double.shape}")
-        self.groups = as_groups(groups, len(self._double))
-        _, group = factorise(self.groups)
-        sizes = np.bincount(group)
-        if len(sizes) < 2:
-            raise ConformalError(f"a novelty test needs two groups of reference samples or more, got {len(sizes)}")
+        own = as_groups(groups, len(self._double))
+        group = factorise(own)[1]
+        if not group.any():
+            raise ConformalError("a novelty test needs two groups of reference samples or more, got 1")
         given = as_array(references, "references")  # float16 stays: it takes a quarter of the room
         self.references = given.astype(given.dtype.newbyteorder("=")) if given.dtype.char in "efd" else self._double
+        self._square = _squares(self._double, "references")
+        self._rank(self._nearest(self._double, group), own)
+
+    def rescored(self, scores: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
+        """The test with other scores (m,) of known samples, in groups (m,), to rank new scores of their kind among.
+
+        The samples need not be the references; exact where neither they nor the new one had a part in the score.
+        """
+        other, own = copy(self), as_scores(scores)
+        other._rank(np.asarray(own, dtype=np.float64), as_groups(groups, len(own)))
+        return other
+
+    def _rank(self, scores: FloatArray, groups: npt.NDArray[Any]) -> None:
+        self.scores_, self.groups = scores, groups
+        group = factorise(groups)[1]
+        sizes = np.bincount(group)
         self.n_groups = len(sizes)
         self.weights_: FloatArray = 1 / sizes[group]
-        self._square = _squares(self._double, "references")
-        self.scores_ = self._nearest(self._double, group)
         order = np.argsort(self.scores_, kind="stable")
         self._sorted = self.scores_[order]
         # weight of all reference samples from a rank on: what scores at least as much
@@ -86,7 +100,10 @@ class NoveltyTest:
         return np.asarray((1 + at_least) / (self.n_groups + 1))
 
     def left_out_p_values(self) -> FloatArray:
-        """P-values (n,) of the reference samples, each among the other groups alone."""
+        """P-values (n,) of the known samples among the other groups, in the unit of :meth:`p_values`.
+
+        Those of at most u are the same samples whichever new sample, with a larger p-value, joins them.
+        """
         own = np.empty(len(self.scores_))
         _, group = factorise(self.groups)
         for code in range(self.n_groups):
@@ -94,7 +111,7 @@ class NoveltyTest:
             ranked = np.sort(self.scores_[mine])
             own[mine] = 1 - np.searchsorted(ranked, self.scores_[mine], side="left") / len(mine)
         at_least = self._from[np.searchsorted(self._sorted, self.scores_, side="left")]
-        return np.asarray((1 + at_least - own) / self.n_groups)
+        return np.asarray((1 + at_least - own) / (self.n_groups + 1))
 
     @property
     def least_p(self) -> float:
