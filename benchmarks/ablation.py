@@ -53,6 +53,7 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.local_features import LocalFeatures, Matcher, extract_local_features
 from conformodal.localization.localizer import Localizer
+from conformodal.localization.motions import MotionRecord, measure_motions
 from conformodal.localization.neighbours.source import NeighbourSource
 from conformodal.localization.neighbours.tuning import fit_local
 from conformodal.localization.source import PoseSource
@@ -69,7 +70,6 @@ from conformodal.reasoning.greedy import greedy
 from conformodal.reasoning.observations import Observations, PosePath
 from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.smoother import smooth
-from conformodal.running.motions import MotionRecord, measure_motions
 from conformodal.running.paper_odometry import PaperOdometry
 from conformodal.running.results.provenance import provenance
 from conformodal.training.training import prepare_training_data, train_model

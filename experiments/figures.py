@@ -21,13 +21,13 @@ from conformodal.cli.sources import Cache, Data, DataLayout
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.motions import MotionRecord
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.errors import ResultsError
 from conformodal.model.identity import data_digest
 from conformodal.model.store import load_model, save_model
 from conformodal.motion.tracker import CornerTracker, grey_image
-from conformodal.running.motions import MotionRecord
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import read_metrics, write_metrics, write_run

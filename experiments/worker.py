@@ -17,14 +17,15 @@ from conformodal.conformal import Regions, SplitConformal
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import PixelNoise, Sequence
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.motions import MotionRecord
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method
 from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory, concatenate, normalise_quat
 from conformodal.reasoning.candidates import Candidates, interval_runs, softmax_mean
+from conformodal.reasoning.filter import hindsight_posteriors
 from conformodal.reasoning.greedy import greedy
 from conformodal.running.estimates import OdometryRun
-from conformodal.running.motions import MotionRecord
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.paths import as_trajectory, rows_by_recording, whole_paths
 from conformodal.running.results.evaluation import error_table
@@ -174,7 +175,9 @@ def add_trajectories(
         choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "tuned_landmarks": single}
         for name, candidates in choices.items():
             seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
-            found[name] = concatenate([whole_paths(part, model.prior)["smoothed"] for part in seen])
+            found[name] = concatenate(
+                [whole_paths(hindsight_posteriors(part, model.prior), part, model.prior)["smoothed"] for part in seen]
+            )
         positions, quats = mean[:, :3].copy(), mean[:, 3:].copy()
         for t, its in enumerate(estimates):
             if its:

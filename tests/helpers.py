@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
+
+from conformodal.localization.regions import PoseRegions, Support
+from conformodal.reasoning.candidates import Candidates
+
 
 def invoke(*arguments):
     from typer.testing import CliRunner  # not before a test of the command line runs
@@ -32,3 +37,11 @@ class Missing:
 
     def __bool__(self):
         raise TypeError("boolean value of NA is ambiguous")
+
+
+def pose_regions_of(bins, masks, unbounded, candidates=None):
+    """Regions of poses from sets by hand: their product, or what an image's candidates support of it."""
+    nothing = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.eye(4)[:1], np.ones(1), np.zeros(1))
+    its = [nothing] * len(unbounded) if candidates is None else candidates
+    supports = [Support.of(one, bins, np.eye(4)[0]) for one in its]
+    return PoseRegions(bins, masks, unbounded, supports, np.ones(len(its)), product=candidates is None)

@@ -12,15 +12,16 @@ from scipy.spatial.transform import Rotation
 from conformodal.cli.console import state_of
 from conformodal.cli.main import COMMANDS, app
 from conformodal.cli.model_notes import describe_landmarks, describe_repeated
-from conformodal.conformal import QuantileBins, Regions
+from conformodal.conformal import QuantileBins
 from conformodal.datasets import read_sequence
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.poses import Trajectory, read_tum, write_tum
+from conformodal.reasoning.candidates import Candidates
 from conformodal.running.estimates import Estimate
 from conformodal.running.results.parquet import read_region_parquet
 from conformodal.running.results.records import read_region_records
-from tests.helpers import invoke
+from tests.helpers import invoke, pose_regions_of
 
 
 @pytest.fixture(scope="module")
@@ -274,9 +275,11 @@ def test_training_says_what_landmarks_found(small_world):
 
 
 def test_the_status_line_says_whether_a_place_is_known():
-    region = Regions(QuantileBins(2).fit(np.arange(9.0)[:, None]), [np.ones((1, 2), bool)], np.zeros((1, 1), bool))
+    bins = QuantileBins.from_edges([[-2, 0, 2]] * 7)
+    here = Candidates(np.ones((1, 3)), np.ones((1, 3)), np.eye(4)[:1], np.ones(1), np.zeros(1))
+    region = pose_regions_of(bins, [np.ones((1, 2), bool)] * 7, np.zeros((1, 7), bool), [here])
     seen = Estimate(0.0, None, region, None, None, True, known_p=0.43, evidence=EvidenceType.LANDMARKS)
-    assert state_of(seen) == "reliable, known p 0.43, intervals x:1"
+    assert state_of(seen) == "reliable, known p 0.43, 1 place"
     assert state_of(replace(seen, known_p=0.003, evidence=EvidenceType.UNKNOWN)) == "unknown place (p = 0.003)"
     assert state_of(replace(seen, region=None, problem="no image")) == "no answer: no image"
 

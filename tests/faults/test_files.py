@@ -21,6 +21,7 @@ from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PoseError, Trajectory, associate, matrix_from_quat_wxyz
 from conformodal.running.paths import METHODS
+from conformodal.running.results.records import region_record
 from conformodal.running.results.runs import write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from tests.datasets.test_layouts import WRITERS, N
@@ -451,7 +452,7 @@ def test_evaluate_follows_names_out_of_the_truth_only_when_told(tmp_path):
     truth = read_sequence(folder, follow_outside=True).require_truth()
     with ResultsWriter(tmp_path / "out") as writer:
         for i in range(N):
-            writer.region(f"{i}", truth.timestamps_s[i], None, [np.array([[-np.inf, np.inf]])] * 7)
+            writer.region(region_record(f"{i}", truth.timestamps_s[i], None, [np.array([[-np.inf, np.inf]])] * 7))
         for method in METHODS:
             writer.poses(method, truth)
     write_metrics(tmp_path / "out", {"command": "run", "configuration": {}})

@@ -19,7 +19,7 @@ from conformodal.model.errors import ResultsError
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import Trajectory, write_tum
 from conformodal.running.results.folders import UNFINISHED, lock_output, recover, result_digests
-from conformodal.running.results.records import read_region_records
+from conformodal.running.results.records import read_region_records, region_record
 from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from tests.datasets.test_layouts import write_sevenscenes
@@ -151,7 +151,7 @@ def write_results(folder, n=6, shift=0.0, truth=True, after=None):
             if i == after:
                 raise OSError(errno.ENOSPC, "No space left on device")
             parts = [np.array([[v - 0.2, v + 0.2]]) for v in (*path.positions_xyz[i], 1.0, 0.0, 0.0, 0.0)]
-            writer.region(f"frame-{i}", float(path.timestamps_s[i]), None, parts)
+            writer.region(region_record(f"frame-{i}", float(path.timestamps_s[i]), None, parts))
             writer.poses("online", path[i : i + 1])
         if n == after:
             raise KeyboardInterrupt

@@ -13,7 +13,7 @@ from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import json_in_script, make_viewer
 from conformodal.running.results.parquet import read_region_parquet, write_region_parquet
-from conformodal.running.results.records import read_region_records
+from conformodal.running.results.records import read_region_records, region_record
 from conformodal.running.results.writer import ResultsWriter
 from tests.helpers import invoke
 
@@ -91,7 +91,7 @@ def run_of(name, folder):
     with ResultsWriter(folder) as writer:
         writer.poses("smoothed", Trajectory(times, np.eye(3), np.tile([1.0, 0, 0, 0], (3, 1))))
         for t in times:
-            writer.region(f"{name}{t:.0f}", t, None, [np.array([[-2.0, 2.0]])] * 7)
+            writer.region(region_record(f"{name}{t:.0f}", t, None, [np.array([[-2.0, 2.0]])] * 7))
 
 
 def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):

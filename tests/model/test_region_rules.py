@@ -175,6 +175,8 @@ def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins,
         length=np.ones((100, 7)),
         n_intervals=np.ones((100, 7), dtype=np.int64),
         kinds=np.where(np.arange(100) < n_new, LANDMARKS, UNMATCHED).astype(np.int64),
+        held=np.ones(100, dtype=bool),
+        n_places=np.ones(100, dtype=np.int64),
     )
     sources = SimpleNamespace(sources=[SimpleNamespace(name="landmarks")])
     model = SimpleNamespace(rules=rules, n_calibration=80, localizer=sources, comparison=None)

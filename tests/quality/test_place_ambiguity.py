@@ -5,12 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, Regions
+from conformodal.conformal import QuantileBins
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.quality.advice import Names, describe_quality, record_next
 from conformodal.quality.place_ambiguity import ambiguity
 from conformodal.quality.views import ViewScale
+from tests.helpers import pose_regions_of
 
 SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)
 BINS = QuantileBins.from_edges([np.linspace(0, 20, 41), *[np.array([-2.0, 0.0, 2.0])] * 6])
@@ -37,7 +38,7 @@ def regions(*parts):
         masks[0][i] = False
         for low, high in intervals:
             masks[0][i] |= (BINS.centers[0] > low) & (BINS.centers[0] < high)
-    return Regions(BINS, masks, unbounded)
+    return pose_regions_of(BINS, masks, unbounded)
 
 
 def judged(parts, truth, known=X, frames=None):

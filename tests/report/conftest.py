@@ -9,6 +9,7 @@ import pytest
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.report.thumbnails import Thumbnails
+from conformodal.running.results.records import region_record
 from conformodal.running.results.writer import ResultsWriter
 
 CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
@@ -85,7 +86,7 @@ def made_up_run(folder, n=60, truth=True, whole_line=False):
                 around[1] = np.array([[-np.inf, np.inf]])
             if i == 7:
                 around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceType.UNKNOWN, 0.003
-            writer.region(f"frame-{i:03d}", times[i], None, around, p, kind)
+            writer.region(region_record(f"frame-{i:03d}", times[i], None, around, p, kind))
             pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     return pictures.kept
 

@@ -1,3 +1,5 @@
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ LINE = [[None, None]]
 def frame(intervals, position=(0.0, 0.0, 0.0), truth=None, error=0.042, **other):
     known = {} if truth is None else {"truth_xyz": np.array(truth), "error_m": error, "error_deg": 0.9}
     given = {"reliable": True, "motion": "ok", "known_p": 0.4, "evidence": "landmarks"} | other
+    given["places"] = [(list(box), None) for box in product(*intervals)]
     return PageFrame(
         "f", 0.0, position_xyz=np.array(position), quat_wxyz=np.eye(4)[0], intervals=intervals, **given, **known
     )

@@ -13,6 +13,7 @@ from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.thumbnails import Thumbnails
 from conformodal.report.viewer import make_viewer
+from conformodal.running.results.records import region_record
 from conformodal.running.results.writer import ResultsWriter
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
@@ -127,8 +128,8 @@ def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
     whole = [np.array([[-np.inf, np.inf]])] * 7
     with ResultsWriter(tmp_path) as writer:
         writer.poses("smoothed", one)
-        writer.region("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS)
-        writer.region("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN)
+        writer.region(region_record("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS))
+        writer.region(region_record("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN))
     viewer = make_viewer(tmp_path, {}, 0.01)
     assert viewer.known
     data = json.loads(viewer.json)
@@ -143,7 +144,7 @@ def test_names_cannot_leave_the_script(tmp_path):
     with ResultsWriter(tmp_path) as writer:
         one = Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
         writer.poses("smoothed", one)
-        writer.region("</script><b>", 0.0, None, [np.array([[0.0, 1.0]])] * 7)
+        writer.region(region_record("</script><b>", 0.0, None, [np.array([[0.0, 1.0]])] * 7))
     text = page_of(tmp_path, {}, title="<i>").read_text()
     assert "</script><b>" not in text
     assert "<i>" not in text

@@ -8,11 +8,12 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, Regions
+from conformodal.conformal import QuantileBins
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import Candidates
 from conformodal.running.estimates import Estimate
+from tests.helpers import pose_regions_of
 
 
 def random_candidates(rng, m=4):
@@ -20,7 +21,7 @@ def random_candidates(rng, m=4):
     mass = rng.dirichlet(np.ones(m))
     order = np.argsort(-mass)
     return Candidates(
-        rng.normal(size=(m, 3)) * (1, 2, 3),
+        np.clip(rng.normal(size=(m, 3)), -2.9, 2.9),
         rng.uniform(0.05, 0.5, (m, 3)),
         quats / np.linalg.norm(quats, axis=1, keepdims=True),
         rng.uniform(0.01, 0.1, m),
@@ -28,11 +29,14 @@ def random_candidates(rng, m=4):
     )
 
 
-def some_region(rng, n_bins=12, unbounded=False):
-    """Of one frame: 12 bins of half a metre an axis, some of them in the set."""
+def some_region(rng, found, n_bins=12, unbounded=False):
+    """Of one frame: 12 bins of half a metre an axis, some of them in the set; of these, what candidates support."""
     edges = [np.linspace(-3, 3, n_bins + 1)] * 3 + [np.linspace(-1, 1, n_bins + 1)] * 4
-    masks = [rng.random((1, n_bins)) < 0.5 for _ in edges]
-    return Regions(QuantileBins.from_edges(edges), masks, np.full((1, 7), unbounded))
+    masks = [rng.random((1, n_bins)) < 0.8 for _ in edges]
+    quat = np.sign(found.orientations_quat_wxyz[0, 0]) * found.orientations_quat_wxyz[0]
+    for mask, its, value in zip(masks, edges, (*np.clip(found.positions_xyz[0], -2.9, 2.9), *quat), strict=True):
+        mask[0, np.searchsorted(its, value) - 1] = True  # the most probable one supports a box
+    return pose_regions_of(QuantileBins.from_edges(edges), masks, np.full((1, 7), unbounded), [found])
 
 
 @pytest.fixture
@@ -56,7 +60,7 @@ def make_estimate():
         return Estimate(
             time_s,
             pose,
-            some_region(rng, unbounded=unknown) if region is None else region,
+            some_region(rng, found, unbounded=unknown) if region is None else region,
             found,
             None,
             not unknown,

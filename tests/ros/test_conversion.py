@@ -1,7 +1,5 @@
 """Messages against independent oracles: SciPy's rotations, sampling, and the region's own intervals."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,6 +10,7 @@ from conformodal.reasoning.candidates import Candidates
 from conformodal.ros.conventions import TOPICS, Conventions, Covariance, RosError
 from conformodal.ros.conversion import Conversion, mixture_covariance
 from conformodal.ros.messages import make_pose, rosbags_factory
+from tests.helpers import pose_regions_of
 
 pytest.importorskip("rosbags")
 
@@ -143,8 +142,8 @@ def test_before_the_first_answer_the_covariance_is_very_large(make_estimate):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_boxes_are_the_region(make_estimate, seed):
     estimate = make_estimate(seed=seed)
-    intervals = estimate.region.intervals(0)[:3]
-    expected = sorted(tuple(np.ravel(box)) for box in product(*intervals))
+    expected = sorted(tuple(np.ravel(box[:3])) for box in estimate.region.box_edges(0))
+    assert expected
     clear, *markers = Conversion().messages(estimate)["region"].markers
     assert clear.action == 3
     assert [marker.type for marker in markers] == [1] * len(markers)
@@ -159,8 +158,8 @@ def test_boxes_are_the_region(make_estimate, seed):
     np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
 
 
-def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate):
-    estimate = make_estimate()
+def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates):
+    estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate)["region"].markers[1:]
     few = Conversion(Conventions(most_boxes=3)).messages(estimate)
     assert [m.pose for m in few["region"].markers[1:]] == [m.pose for m in all_of_them[:3]]
@@ -172,7 +171,7 @@ def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate
 
 def test_a_whole_line_ends_in_the_distance(make_estimate):
     estimate = make_estimate()
-    region = type(estimate.region)(estimate.region.bins, estimate.region.masks, np.ones((1, 7), bool))
+    region = pose_regions_of(estimate.region.bins, estimate.region.masks, np.ones((1, 7), bool), [estimate.candidates])
     (_, marker) = Conversion(Conventions(range_m=10)).messages(make_estimate(region=region))["region"].markers
     assert (marker.scale.x, marker.scale.y, marker.scale.z) == (20, 20, 20)
 

@@ -4,11 +4,12 @@ import pytest
 from conformodal.datasets import read_sequence
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.localization.targets import pose_targets
 from conformodal.model.store import load_model
 from conformodal.reasoning.filter import filter_posteriors
 from conformodal.reasoning.places import choose_places
 from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.records import read_region_records
+from conformodal.running.results.records import read_region_records, records_hold
 from conformodal.running.results.runs import read_trajectories
 from conformodal.running.results.statistics import RegionStatistics
 from conformodal.running.results.writer import ResultsWriter
@@ -60,6 +61,30 @@ def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch
     assert runner.n_unreliable == int(np.sum(~run.reliable))
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]
+    # what is on disk holds the poses that the regions hold
+    sign, truth = world[1].sign_reference, runner.truth
+    np.testing.assert_array_equal(records_hold(records, truth, sign), statistics.held)
+    on_path, table = records_hold(records, truth, sign, "path_places"), runner.path_coverage
+    assert table["online"]["coverage"] == pytest.approx(on_path.mean())
+    targets = pose_targets(truth, sign)
+    for path, regions in run.path_regions.items():
+        assert table[path]["coverage"] == pytest.approx(regions.contains(targets, joint=True).mean(), abs=0.03)
+    assert table["n_reliable_and_elsewhere"] <= table["n_reliable_and_missed"] <= table["n_reliable"]
+
+
+def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were_calibrated_on(world, small_world):
+    """Sources of a model that frames calibrate have not seen these: run as one stream, they are what calibrated it."""
+    sequence, model = world
+    frames = model.split.calibration
+    run = VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    targets = pose_targets(sequence.truth[frames], model.sign_reference)
+    for path, rule in model.path_rules.items():
+        held = run.path_regions[path].contains(targets, joint=True)
+        expected = rule.scores_[:, 0] <= rule.thresholds_[0]
+        assert np.mean(held == expected) > 0.97, path
+        assert expected.sum() >= min(rule.rank, len(frames)), path
+    other = model.path_rules["online"].at(0.5)
+    assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
 
 
 def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):

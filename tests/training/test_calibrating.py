@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.localization import source as registry
+from conformodal.localization.regions import Support
 from conformodal.localization.source import SourceAnswer, SourceState, register_source
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.errors import OdometryError
@@ -53,6 +54,10 @@ def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_w
         train_model(data, config)
 
 
+def hypothesis_at(targets, cells):
+    return Support(None, cells.encode(np.clip(targets, -3.9, 3.9)[None]), np.zeros(1))
+
+
 class Recognises:
     """Beliefs that are the same for all images; in some, a place is recognised."""
 
@@ -64,7 +69,11 @@ class Recognises:
         self.recognised = recognised
 
     def beliefs(self, evidence):
-        return SimpleNamespace(recognised=self.recognised[: len(evidence)])
+        recognised = self.recognised[: len(evidence)]
+        return SimpleNamespace(recognised=recognised, recognition=50.0 * recognised)
+
+    def supports(self, beliefs):
+        return [hypothesis_at(np.zeros(7), self.cells)] * len(beliefs.recognised)
 
     def marginals_by_part(self, beliefs):
         n = len(beliefs.recognised)
@@ -87,7 +96,7 @@ def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_fr
     order = np.arange(n_frames + 20)
     folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
     config = ModelConfig(joint="bonferroni", score="lac")
-    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config)
+    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config).rules
     assert rules.overall.joint == rules.matched.joint == joint
     kinds = np.array([EvidenceType.GLOBAL, EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
     assert np.isfinite(rules.thresholds(kinds)).all()
@@ -106,7 +115,11 @@ class Claims:
     def beliefs(self, evidence):
         rng = np.random.default_rng(int(1e6 * np.abs(evidence.features).sum()))
         noise = rng.normal(0, self.error, (len(evidence), 7))
-        return SimpleNamespace(means=evidence.features + noise, recognised=np.zeros(len(evidence), dtype=bool))
+        none = np.zeros(len(evidence), dtype=bool)
+        return SimpleNamespace(means=evidence.features + noise, recognised=none, recognition=0.0 * none)
+
+    def supports(self, beliefs):
+        return [hypothesis_at(mean, self.cells) for mean in beliefs.means]
 
     def marginals_by_part(self, beliefs):
         edges = self.cells.edges_[0]
@@ -123,7 +136,7 @@ def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sur
     order, parts = np.arange(280), np.arange(280) // 56
     folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
     localizers = [Claims(1.0, 1.0)] * 5
-    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd"))
+    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd")).rules
     found = compare_sources(data, localizers, Claims(0.8, claimed), None, rules, np.arange(280, 400))
     assert found.n_frames == 120
     by_model, by_folds = found.covered

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import ImageError, read_sevenscenes
+from conformodal.localization.motions import measure_motions
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import PoseError, matrix_from_quat_wxyz
 from conformodal.running.estimator import VisualOdometry
-from conformodal.running.motions import measure_motions
 from conformodal.training.depths import measure_depths
 
 

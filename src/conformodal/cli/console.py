@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from conformodal.core.progress import StageProgress
+from conformodal.core.words import counted
 from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 
@@ -175,6 +176,7 @@ def state_of(estimate: Estimate) -> str:
         motion = estimate.relative_motion
         lost = "" if motion is None or motion.reliable else f", {motion.status}"
         return f"unknown place (p = {estimate.known_p:.2g}){lost}"
-    counts = " ".join(f"{name}:{k}" for name, k in zip("xyz", estimate.region.n_intervals[0], strict=False))
+    region = estimate.path_region or estimate.region
+    places = counted(int(region.n_places[0]), "place")
     p = "" if estimate.known_p is None else f", known p {estimate.known_p:.2f}"
-    return f"{'reliable' if estimate.reliable else estimate.problem}{p}, intervals {counts}"
+    return f"{'reliable' if estimate.reliable else estimate.problem}{p}, {places}"

@@ -27,6 +27,7 @@ from conformodal.report.viewer import make_viewer
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.paths import METHODS, ONLINE
+from conformodal.running.results.evaluation import path_coverage_table
 from conformodal.running.results.runs import write_run
 from conformodal.running.results.statistics import RegionStatistics
 from conformodal.training.plain import train_plain
@@ -99,7 +100,13 @@ def answer_test_part(
         "stopped": "",
         "seconds": seconds,
     }
-    known = GroundTruth(truth, RegionStatistics.of(result.regions, truth, model.sign_reference, result.kinds))
+    sign = model.sign_reference
+    on_path = {path: RegionStatistics.of(its, truth, sign) for path, its in result.path_regions.items()}
+    coverage = None
+    if on_path:
+        coverage = path_coverage_table(on_path, model, result.trajectories[ONLINE], truth, result.reliable)
+    its = RegionStatistics.of(result.regions, truth, sign, result.kinds)
+    known = GroundTruth(truth, its, paths=coverage)
     metrics = run_metrics(model, Part.TEST, result.trajectories, known, counts)
     return Outcome(result, truth, metrics)
 

@@ -19,7 +19,14 @@ from conformodal.poses.metrics import KITTI_LENGTHS_M
 from conformodal.running.results.evaluation import bounded_coverage, error_table
 from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.running.results.provenance import provenance
-from conformodal.running.results.records import METRICS, REGIONS, read_region_records, record_bounded, records_contain
+from conformodal.running.results.records import (
+    METRICS,
+    REGIONS,
+    read_region_records,
+    record_bounded,
+    records_contain,
+    records_hold,
+)
 from conformodal.running.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
 from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
@@ -51,10 +58,10 @@ def evaluate(
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
         answer = next(iter(found.trajectories.values()), None)
         here = matched if alignment is Alignment.NONE or answer is None else align(matched, answer[mine], alignment)
-        inside = records_contain(
-            [found.records[i] for i in mine], here, None if sign is None else np.array(sign, dtype=np.float64)
-        )
-        bounded = np.array([record_bounded(found.records[i]) for i in mine], dtype=np.bool_)
+        records = [found.records[i] for i in mine]
+        sign = None if sign is None else np.array(sign, dtype=np.float64)
+        inside, held = records_contain(records, here, sign), records_hold(records, here, sign)
+        bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
         result: dict[str, Any] = {
             "command": "evaluate",
             "results": result_digests(out),
@@ -67,10 +74,13 @@ def evaluate(
             "errors": errors,
             "coverage": {
                 "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
-                "joint_coverage": float(inside.all(axis=1).mean()),
+                "joint_coverage": float(held.mean()),
                 "n_evaluated": len(mine),
                 "abstained": float((~bounded).mean()),
-                **bounded_coverage(np.asarray(inside.all(axis=1)), bounded),
+                **bounded_coverage(held, bounded),
+                "path_coverage": float(records_hold(records, here, sign, "path_places").mean())
+                if all(record.get("path_places") is not None for record in records)
+                else None,
                 "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
                 "frames relate to the calibration frames",
             },

@@ -16,7 +16,7 @@ from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.running.paths import ONLINE
+from conformodal.running.paths import HINDSIGHT, ONLINE
 from conformodal.running.results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.statistics import RegionStatistics
@@ -45,11 +45,14 @@ class GroundTruth:
         Of the frames.
     frames
         Which of the answered frames they are, counted from 0; None for all.
+    paths
+        Coverage of their regions from posteriors; None without such regions.
     """
 
     truth: Trajectory
     regions: RegionStatistics
     frames: IntArray | None = None
+    paths: dict[str, Any] | None = None
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
@@ -138,6 +141,7 @@ def run_metrics(
             matched_all=matched_all,
             seen=part in (Part.TRAIN, Part.CALIBRATION),
         )
+        metrics["path_coverage"] = known.paths
     return metrics
 
 
@@ -195,6 +199,25 @@ def report_outcome(metrics: dict[str, Any], *, unbounded: bool) -> None:
             f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
             f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
+        if metrics.get("path_coverage"):
+            report_line(describe_paths(metrics["path_coverage"]))
+
+
+def describe_paths(paths: dict[str, Any]) -> str:
+    """How often regions from posteriors hold the pose, how many places they name, and confident mistakes."""
+    named = {ONLINE: "from the frames so far", HINDSIGHT: "with hindsight"}
+    parts = [
+        f"{what}, regions hold the pose in {100 * its['coverage']:.1f} % of the frames and name "
+        f"{its['mean_places'] or 0:.2f} places on average"
+        for path, what in named.items()
+        if (its := paths.get(path))
+    ]
+    missed = f"{paths['n_reliable_and_missed']} of {counted(paths['n_reliable'], 'reliable frame')}"
+    text = (
+        f"{'; '.join(parts)}; the region from the frames so far misses the pose in {missed}, "
+        f"{paths['n_reliable_and_elsewhere']} of them with the pose at another place. {paths['assumption']}"
+    )
+    return text[0].upper() + text[1:]
 
 
 def _describe_unknown(metrics: dict[str, Any]) -> list[str]:

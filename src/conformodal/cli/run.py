@@ -236,7 +236,7 @@ def _write_results(
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None
     if runner.truth is not None:
-        known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known))
+        known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
     metrics = run_metrics(

@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
+from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.filter import Posterior
 
 from .fusion import Mixture
 from .measurement import PoseMeasurement
@@ -40,9 +42,25 @@ class Beliefs:
         """(n,) whether a place was recognised by local features."""
         return np.array([bool(recognised_only(its)) for its in self.estimates], dtype=np.bool_)
 
+    @property
+    def recognition(self) -> FloatArray:
+        """(n,) how strongly a place was recognised: inliers times the share of the image they cover; 0 if none was."""
+        strengths = ([one.n_inliers * one.image_share for one in recognised_only(its)] for its in self.estimates)
+        return np.array([max(its, default=0.0) for its in strengths])
+
     def part(self, rows: slice) -> Beliefs:
         """The beliefs about some of the images."""
         return Beliefs([p[rows] for p in self.proba], self.mixtures[rows], self.estimates[rows])
+
+    def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
+        """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief."""
+        mixtures = []
+        for own, posterior in zip(self.mixtures, posteriors, strict=True):
+            known = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
+            joined = Candidates.concatenate((known, own.candidates.normalised(np.log(posterior.elsewhere))))
+            measured = np.concatenate((np.ones(len(known.log_mass), dtype=np.bool_), own.measured))
+            mixtures.append(Mixture(joined, measured))
+        return Beliefs(self.proba, mixtures, self.estimates)
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
         """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""

@@ -18,6 +18,7 @@ from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import Mixture, fuse
 from .measurement import PoseMeasurement
+from .regions import Support
 from .source import PoseSource, SourceAnswer, find_source
 from .source_data import SourceData
 
@@ -88,6 +89,10 @@ class Localizer:
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""
         return beliefs.marginals(self.bins, self.cells, self.sign_reference)
+
+    def supports(self, beliefs: Beliefs) -> list[Support]:
+        """What supports the cuboids of each image's region: its hypotheses as cells."""
+        return [Support.of(m.candidates, self.cells, self.sign_reference) for m in beliefs.mixtures]
 
     def marginals_by_part(self, beliefs: Beliefs) -> Iterator[tuple[slice, list[FloatArray]]]:
         """The marginals in chunks of images, with the rows of each chunk: all at once would take much memory."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal
+from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.choices import as_member
@@ -17,9 +18,12 @@ from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
+from conformodal.localization.regions import PoseRegions, pose_regions
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.filter import Posterior
 from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.settings import FILTER
 from conformodal.vision.backbone import Backbone
 
 from .comparison import SourceComparison
@@ -29,6 +33,16 @@ from .identity import FrameIdentities
 from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import EvidenceType, RegionRules
+
+# What posteriors rest on: the frames up to each, or all frames of its recording.
+PATHS = ("online", "hindsight")
+
+
+def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
+    """The rule of regions from posteriors, yet to be calibrated: all targets together."""
+    rule = SplitConformal(cells, alpha, "hpd", "max")
+    rule.rule.keep_scale()
+    return rule
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +58,14 @@ class Localization:
     """
 
     beliefs: Beliefs
-    regions: Regions
+    regions: PoseRegions
     known_p: FloatArray
     kinds: IntArray
+
+    def row(self, i: int) -> Localization:
+        """That of image `i`, as n = 1."""
+        at = slice(i, i + 1)
+        return Localization(self.beliefs.part(at), self.regions[at], self.known_p[at], self.kinds[at])
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -56,7 +75,7 @@ class Localization:
     @property
     def known(self) -> BoolArray:
         """(n,) whether each image shows a known place."""
-        return np.asarray(self.kinds != EvidenceType.UNKNOWN)
+        return np.asarray((self.kinds != EvidenceType.UNKNOWN) | self.beliefs.recognised)
 
 
 @dataclass(eq=False)
@@ -88,6 +107,10 @@ class PoseModel:
         Of the chosen pose, see :class:`~conformodal.model.radius.PoseRadius`; None before it is calibrated.
     comparison
         Of the model's sources with those of the folds, where stretches calibrate.
+    path_rules
+        Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
+    reliable_p
+        A pose counts as reliable from this probability of its place.
     """
 
     backbone: Backbone
@@ -101,6 +124,8 @@ class PoseModel:
     configuration: dict[str, Any] = field(default_factory=dict)
     radius: PoseRadius | None = None
     comparison: SourceComparison | None = None
+    path_rules: dict[str, SplitConformal] = field(default_factory=dict)
+    reliable_p: float = FILTER.reliable
 
     @property
     def method(self) -> Method:
@@ -153,14 +178,33 @@ class PoseModel:
             evidence = evidence.without_local_features()
         beliefs = self.localizer.beliefs(evidence)
         novelty = self.novelty
-        p = np.full(len(evidence), np.nan) if novelty is None else novelty.p_values(evidence.features)
-        kinds = self.rules.kinds(p, evidence.has_local_features, beliefs.recognised)
+        looked = evidence.has_local_features
+        p = np.full(len(evidence), np.nan)
+        if novelty is not None:
+            p = novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
+        kinds = self.rules.kinds(p, looked, beliefs.recognised)
         return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
 
-    def regions(self, beliefs: Beliefs, thresholds: RealArray) -> Regions:
+    def regions(self, beliefs: Beliefs, thresholds: RealArray) -> PoseRegions:
         """Level sets of n beliefs at thresholds (n, 7) of the score."""
+        return self._level_sets(self.rules.overall, beliefs, thresholds)
+
+    def _level_sets(self, rule: SplitConformal, beliefs: Beliefs, thresholds: RealArray) -> PoseRegions:
+        supports = self.localizer.supports(beliefs)
         parts = self.localizer.marginals_by_part(beliefs)
-        return Regions.concatenate([self.rules.overall.regions_at(p, thresholds[rows]) for rows, p in parts])
+        return PoseRegions.concatenate(
+            [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in parts]
+        )
+
+    def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
+        """Regions of n images from posteriors; `path`, one of :data:`PATHS`, says which frames these rest on.
+
+        None where these are not calibrated.
+        """
+        rule = self.path_rules.get(path)
+        if rule is None:
+            return None
+        return self._level_sets(rule, beliefs.after(posteriors), np.tile(rule.thresholds_, (len(beliefs), 1)))
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""
@@ -175,6 +219,7 @@ class PoseModel:
             If `alpha` is outside (0, 1).
         """
         self.rules = self.rules.at(alpha)
+        self.path_rules = {path: rule.at(alpha) for path, rule in self.path_rules.items()}
 
     def set_novelty_level(self, level: float) -> None:
         """Flag images whose p-value is at most `level` as unknown; at 0, none.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -20,10 +20,22 @@ class PlaceNovelty:
 
     Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training data.
     The p-values are exact if the network was not trained on them.
+
+    Attributes
+    ----------
+    test
+        Of the image's appearance: its distance to the most similar known frame.
+    grid
+        Rows and columns of the network's map.
+    matched
+        Of images whose local features were matched: those in which a place was recognised rank below all others, the
+        more strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None
+        without local features.
     """
 
     test: NoveltyTest
-    grid: tuple[int, int]  # rows and columns of the network's map
+    grid: tuple[int, int]
+    matched: NoveltyTest | None = None
 
     @classmethod
     def fit(cls, features: npt.NDArray[np.float32], pieces: IntArray, grid: tuple[int, int]) -> Self | None:
@@ -32,9 +44,28 @@ class PlaceNovelty:
             return None
         return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
 
-    def p_values(self, features: npt.NDArray[np.float32]) -> FloatArray:
-        """(n,) p-values of features (n, F); a small one indicates an unknown place."""
-        return self.test.p_values(self.test.scores(_descriptors(features, self.grid)))
+    def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> Self:
+        """The test with what held-out frames (m,), exchangeable in their groups, are like with local features."""
+        matched = self.test.rescored(_with_recognition(distances, recognition), groups)
+        return replace(self, matched=matched)
+
+    def distances(self, features: npt.NDArray[np.float32]) -> FloatArray:
+        """(n,) distances of features (n, F) to those of the most similar known frame."""
+        return self.test.scores(_descriptors(features, self.grid))
+
+    def p_values(self, features: npt.NDArray[np.float32], recognition: FloatArray | None = None) -> FloatArray:
+        """(n,) p-values of features (n, F); a small one indicates an unknown place.
+
+        `recognition` (n,) is :attr:`~conformodal.localization.belief.Beliefs.recognition`, NaN where local features
+        were not extracted; None if nowhere.
+        """
+        distances = self.distances(features)
+        p = self.test.p_values(distances)
+        if self.matched is None or recognition is None:
+            return p
+        looked = np.isfinite(recognition)
+        p[looked] = self.matched.p_values(_with_recognition(distances, recognition)[looked])
+        return p
 
     def level(self, asked: float | None) -> float:
         """The significance level: the given one, or the default of :class:`~conformodal.model.config.ModelConfig`.
@@ -45,6 +76,11 @@ class PlaceNovelty:
             return asked
         by_frame = bool((self.test.weights_ == 1).all())
         return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, self.test.least_p)
+
+
+def _with_recognition(distances: FloatArray, recognition: FloatArray) -> FloatArray:
+    """Novelty scores of images whose local features were matched."""
+    return np.where(recognition > 0, -recognition, distances)
 
 
 def _descriptors(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float16]:

@@ -53,8 +53,14 @@ class RegionRules:
     overall: SplitConformal  # calibrated on beliefs without local features, on all frames
     matched: SplitConformal | None  # on beliefs with local features, on all frames; None if no source uses them
     recognised: BoolArray  # (n,) whether a place was recognised in each frame
-    known_p: FloatArray  # (n,) p-values of each frame, see PlaceNovelty
+    known_p: FloatArray  # (n,) p-values of each frame by its appearance, see PlaceNovelty
     level: float  # significance level of the novelty test
+    matched_p: FloatArray | None = None  # (n,) p-values with local features; None for those by appearance
+
+    @property
+    def known_with_local(self) -> BoolArray:
+        """(n,) whether each frame shows a known place, its local features matched."""
+        return np.asarray((self.known_p if self.matched_p is None else self.matched_p) > self.level)
 
     @cached_property
     def own(self) -> dict[EvidenceType, SplitConformal]:
@@ -62,6 +68,7 @@ class RegionRules:
         known = self.known_p > self.level
         rules = {EvidenceType.GLOBAL: _part(self.overall, known)}
         if self.matched is not None:
+            known = self.known_with_local
             rules[EvidenceType.UNMATCHED] = _part(self.matched, known & ~self.recognised)
             rules[EvidenceType.LANDMARKS] = _part(self.matched, known & self.recognised)
         return rules
@@ -69,7 +76,7 @@ class RegionRules:
     @cached_property
     def both(self) -> SplitConformal | None:
         """Calibrated on the frames of ``UNMATCHED`` and ``LANDMARKS`` together; None without local features."""
-        return None if self.matched is None else _part(self.matched, self.known_p > self.level)
+        return None if self.matched is None else _part(self.matched, self.known_with_local)
 
     @cached_property
     def sharing(self) -> Sharing:

@@ -35,12 +35,12 @@ from conformodal.vision.onnx_backbone import OnnxBackbone
 from .comparison import SourceComparison
 from .errors import ModelFileError
 from .identity import FrameIdentities
-from .model import PoseModel
+from .model import PATHS, PoseModel, path_rule
 from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-13"
+_FORMAT = "conformodal-model-14"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -74,13 +74,19 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
     arrays |= {"calibration.overall": rules.overall.scores_, "calibration.known_p": rules.known_p}
     arrays["calibration.recognised"] = rules.recognised
+    if rules.matched_p is not None:
+        arrays["calibration.matched_p"] = rules.matched_p
     if rules.overall.groups_ is not None:
         arrays["calibration.groups"] = rules.overall.groups_
     if rules.matched is not None:
         arrays["calibration.matched"] = rules.matched.scores_
+    arrays |= {f"calibration.{path}": rule.scores_[:, 0] for path, rule in model.path_rules.items()}
     if model.novelty is not None:
         test = model.novelty.test
         arrays |= {"novelty.references": test.references, "novelty.groups": test.groups}
+        if model.novelty.matched is not None:
+            matched = model.novelty.matched
+            arrays |= {"novelty.matched": matched.scores_, "novelty.matched_groups": matched.groups}
     if rules.overall.joint == "max":
         arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
     arrays["sign_reference"] = localizer.sign_reference
@@ -95,6 +101,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
             "score": rules.overall.score.name,
             "joint": rules.overall.joint,
             "novelty_level": rules.level,
+            "reliable_p": model.reliable_p,
         },
         "prior": _finite(asdict(model.prior)),
         "camera": asdict(model.camera),
@@ -203,11 +210,12 @@ def _assemble(
     bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
     sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
     how, split = record["calibration"], record["split"]
+    rules = _rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays)
     return PoseModel(
         backbone=backbone,
         localizer=Localizer(sources, bins, arrays["sign_reference"]),
         novelty=_novelty(arrays, backbone.config.grid),
-        rules=_rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays),
+        rules=rules,
         prior=_prior(record["prior"]),
         camera=_camera(record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
@@ -215,6 +223,10 @@ def _assemble(
         configuration=record["configuration"],
         radius=_radius(record["radius"], folder),
         comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
+        path_rules={
+            path: _path_rule(rules, arrays[name]) for path in PATHS if (name := f"calibration.{path}") in arrays
+        },
+        reliable_p=float(how["reliable_p"]),
     )
 
 
@@ -236,7 +248,8 @@ def _rules(cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArr
         matched = _calibration(cells, how, arrays, "calibration.matched")
     overall = _calibration(cells, how, arrays, "calibration.overall")
     recognised, known_p = arrays["calibration.recognised"], arrays["calibration.known_p"]
-    return RegionRules(overall, matched, recognised, known_p, float(how["novelty_level"]))
+    level, matched_p = float(how["novelty_level"]), arrays.get("calibration.matched_p")
+    return RegionRules(overall, matched, recognised, known_p, level, matched_p)
 
 
 def _calibration(
@@ -248,10 +261,18 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
 
 
+def _path_rule(rules: RegionRules, scores: npt.NDArray[np.float64]) -> SplitConformal:
+    rule = path_rule(rules.overall.bins, rules.overall.alpha)
+    return rule.calibrate_scores(np.repeat(scores[:, None], rule.bins.n_targets, axis=1), rules.overall.groups_)
+
+
 def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
-    return PlaceNovelty(NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), grid)
+    test, matched = NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), None
+    if "novelty.matched" in arrays:
+        matched = test.rescored(arrays["novelty.matched"], arrays["novelty.matched_groups"])
+    return PlaceNovelty(test, grid, matched)
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:

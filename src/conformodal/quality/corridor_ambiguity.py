@@ -68,13 +68,13 @@ def check_ambiguity(
     held_position: list[npt.NDArray[np.bool_]] = []
     for i, pose in enumerate(truth.poses_se3):
         others = same_views(renderer, pose)
-        inside = np.zeros((0, 7), dtype=np.bool_)
+        targets = np.zeros((0, 7))
         if len(others):
             there = Trajectory.from_poses_se3(np.arange(float(len(others))), others)
-            inside = run.regions[np.full(len(others), i)].contains(pose_targets(there, model.sign_reference))
+            targets = pose_targets(there, model.sign_reference)
         places.append(others[:, :3, 3])
-        held.append(np.asarray(inside.all(axis=1)))
-        held_position.append(np.asarray(inside[:, :3].all(axis=1)))
+        held.append(run.regions.holds(i, targets))
+        held_position.append(run.regions.holds(i, targets, 3))
         if progress is not None:
             progress(i + 1, len(truth))
     return AmbiguityCheck(places, held, held_position)

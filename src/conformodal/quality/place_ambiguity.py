@@ -8,7 +8,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from conformodal.conformal import Regions
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.model import Localization
@@ -87,15 +86,6 @@ class KnownPlaces:
         # heads of neighbouring places are up to twice as far apart as a frame from its head
         self._linked = np.array([scale.change(at, at[np.full(n, i)]) <= 2 * QUALITY.place for i in range(n)])
 
-    def held(self, regions: Regions) -> BoolArray:
-        """(m, k) whether each region holds each known frame."""
-        codes = regions.bins.encode(self.targets)
-        inside = np.ones((len(regions), len(codes)), dtype=np.bool_)
-        for j, mask in enumerate(regions.masks):
-            column = mask[:, np.maximum(codes[:, j], 0)] & (codes[:, j] >= 0)
-            inside &= column | regions.unbounded[:, j, None]
-        return inside
-
     def parts(self, held: BoolArray) -> IntArray:
         """Which of several separate places each known frame in a region is at: (k,) numbers, -1 outside the region."""
         there = np.unique(self.place[held])
@@ -125,7 +115,7 @@ def ambiguity(
     own = None if truth is None else KnownViews(known, scale).nearest(truth).index
     n_places, elsewhere = np.zeros(len(frames), dtype=np.int64), np.zeros((len(frames), len(known)), dtype=np.bool_)
     for i in np.flatnonzero(bounded).tolist():
-        held = places.held(regions[i : i + 1])[0]
+        held = regions.holds(i, places.targets)
         if own is not None:  # the frame's own place counts whether the region reaches a known frame of it or not
             held[own[i]] = True
         part = places.parts(held)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.poses import angle_between_quats, fix_sign, normalise_quat
+from conformodal.poses import Trajectory, angle_between_quats, fix_sign, normalise_quat
 
 from .candidates import Candidates
 from .filter import Posterior
@@ -29,6 +29,8 @@ class Place:
         (3,) metres, world: mean and standard deviations.
     orientation_quat_wxyz, orientation_spread_rad
         (4,) world from camera, and the standard deviation of each component of a small rotation.
+    box
+        (7, 2) lower and upper ends of the targets' intervals, of a place of a calibrated region; None of others.
     """
 
     probability: float
@@ -36,6 +38,13 @@ class Place:
     position_spreads: FloatArray
     orientation_quat_wxyz: FloatArray
     orientation_spread_rad: float
+    box: FloatArray | None = None
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(6, 6) covariance of position in metres and small rotation in radians, world axes."""
+        variances = np.concatenate((self.position_spreads**2, np.full(3, self.orientation_spread_rad**2)))
+        return np.asarray(np.diag(variances))
 
 
 def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
@@ -57,7 +66,7 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
         first, rest = its.take(free[:1]), its.take(free)
         joins = _is_near(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
         joins[0] = True
-        found.append(_summarise(rest.take(np.flatnonzero(joins))))
+        found.append(summarise(rest.take(np.flatnonzero(joins))))
         free = free[~joins]
     return sorted(found, key=lambda place: -place.probability)
 
@@ -73,8 +82,8 @@ def _depth_m(prior: MotionPrior) -> float:
     return prior.depth_m if np.isfinite(prior.depth_m) else 1.0
 
 
-def _summarise(its: Candidates) -> Place:
-    """One place by the first two moments of its hypotheses."""
+def summarise(its: Candidates, box: FloatArray | None = None) -> Place:
+    """One place by the first two moments of its hypotheses, of which there is at least one."""
     mass = np.exp(its.log_mass)
     share = mass / mass.sum()
     position = share @ its.positions_xyz
@@ -82,7 +91,7 @@ def _summarise(its: Candidates) -> Place:
     quat = normalise_quat(share @ fix_sign(its.orientations_quat_wxyz, its.orientations_quat_wxyz[0]))
     apart = angle_between_quats(its.orientations_quat_wxyz, quat)
     angle = float(np.sqrt(share @ (its.orientation_spreads_rad**2 + apart**2 / 3)))
-    return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle)
+    return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle, box)
 
 
 def choose_places(
@@ -98,6 +107,13 @@ def choose_places(
         np.array([place.orientation_spread_rad for place in best]),
     )
     return path, np.array([place.probability for place in best])
+
+
+def same_place(path: PosePath | Trajectory, truth: Trajectory, prior: MotionPrior) -> BoolArray:
+    """(n,) whether each pose of a path is of the place of the true one."""
+    off = np.linalg.norm(path.positions_xyz - truth.positions_xyz, axis=1)
+    turned = angle_between_quats(path.orientations_quat_wxyz, truth.orientations_quat_wxyz)
+    return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
 
 
 def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:

@@ -62,8 +62,9 @@ class _FilterSettings:
     place, place_rad
         Hypotheses of one place are no further from its most probable one than this share of the scene's depth, and
         turned no more than this angle.
-    reliable
-        Least probability of the chosen place with which a pose counts as reliable.
+    reliable, most_reliable, sure_and_wrong
+        Least probability of the chosen place with which a pose counts as reliable; training raises it, at most to
+        `most_reliable`, until held-out frames with a wrong place that is so probable have at most this share.
     lag
         Frames of a stream whose answer is revised in hindsight.
     """
@@ -82,6 +83,8 @@ class _FilterSettings:
     place: float = 0.1
     place_rad: float = 0.35
     reliable: float = 0.9
+    most_reliable: float = 0.99
+    sure_and_wrong: float = 0.01
     lag: int = 10
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets.streams.frames import Frame
+from conformodal.localization.regions import PoseRegions
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import Estimate
@@ -25,7 +25,8 @@ class LiveViewError(ConformodalError):
 
 
 class LiveView:
-    """Shows a run: image with tracks, all cuboids, candidates, the chosen trajectory, p-values, and the truth.
+    """Shows a run: image with tracks, places of the image and after motion, candidates, the chosen trajectory,
+    p-values, and the truth.
 
     Where an image shows no known place, the region is unbounded and no cuboid is drawn; the status says
     so.
@@ -81,7 +82,10 @@ class LiveView:
             return
         here = estimate.pose.positions_xyz[0]
         unknown = estimate.evidence is EvidenceType.UNKNOWN
-        self._log("world/region", rr.Clear(recursive=False) if unknown else self._cuboids(estimate, here))
+        drawn = rr.Clear(recursive=False) if unknown else self._cuboids(estimate.region, here, _REGION)
+        self._log("world/region", drawn)
+        if estimate.path_region is not None:
+            self._log("world/places", self._cuboids(estimate.path_region, here, _ANSWER))
         if estimate.known_p is not None:
             self._log("plots/known_p", rr.Scalars(estimate.known_p))
         if estimate.position_spread_m is not None:
@@ -97,25 +101,22 @@ class LiveView:
         if self._path:
             self._log("world/trajectory", rr.LineStrips3D([[self._path[-1], here]], colors=_ANSWER))
         self._path[:] = [here]
-        self._log("plots/intervals", rr.Scalars(float(estimate.region.n_intervals[0, :3].prod())))
+        self._log("plots/places", rr.Scalars(float(estimate.region.n_places[0])))
         if truth is not None:
             true = truth.positions_xyz[0]
             self._log("world/truth", rr.Points3D([true], radii=0.03, colors=_TRUTH))
             self._log("plots/error_m", rr.Scalars(float(np.linalg.norm(true - here))))
 
-    def _cuboids(self, estimate: Estimate, here: npt.NDArray[np.float64]) -> Any:
-        assert estimate.region is not None
-        parts = estimate.region.intervals(0)[:3]
-        inside = [np.clip(p, h - _RANGE_M, h + _RANGE_M) for p, h in zip(parts, here, strict=True)]
-        boxes = np.array(list(product(*inside))[:_MOST_CUBOIDS]).reshape(-1, 3, 2)
-        found = estimate.candidates
-        labels = []
-        for box in boxes:
-            assert found is not None
-            held = ((found.positions_xyz >= box[:, 0]) & (found.positions_xyz <= box[:, 1])).all(axis=1)
-            labels.append(f"{np.exp(found.log_mass[held]).sum():.2f}")
+    def _cuboids(self, region: PoseRegions, here: npt.NDArray[np.float64], colour: tuple[int, int, int]) -> Any:
+        around = np.stack((here - _RANGE_M, here + _RANGE_M), axis=1)
+        places = region.places(0)[:_MOST_CUBOIDS]
+        boxes = [np.clip(one.box[:3], around[:, :1], around[:, 1:]) for one in places if one.box is not None]
+        found = np.array(boxes).reshape(-1, 3, 2)
         return self._rr.Boxes3D(
-            centers=boxes.mean(axis=2), half_sizes=np.ptp(boxes, axis=2) / 2, colors=_REGION, labels=labels
+            centers=found.mean(axis=2),
+            half_sizes=np.ptp(found, axis=2) / 2,
+            colors=colour,
+            labels=[f"{one.probability:.2f}" for one in places],
         )
 
     def _log(self, entity: str, what: Any, *, static: bool = False) -> None:

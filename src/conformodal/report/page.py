@@ -83,7 +83,18 @@ def write_page(path: Path, content: ReportContent) -> None:
         baseline=baseline,
         image=image,
         coverage=content.metrics.get("coverage"),
+        paths=_path_rows(content.metrics),
     )
+
+
+def _path_rows(metrics: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Rows of the image's region and of those from posteriors; empty without the latter."""
+    found, image = metrics.get("path_coverage"), metrics.get("coverage")
+    if not found or not image:
+        return []
+    own = {**image, "coverage": image["joint_coverage"]}
+    named = {"the image alone": own, "the frames so far": found.get("online"), "all frames": found.get("hindsight")}
+    return [(name, row) for name, row in named.items() if row]
 
 
 def _data_url(image: npt.NDArray[np.uint8]) -> str:

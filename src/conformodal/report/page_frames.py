@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
-from math import prod
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 Interval = list[float | None]
+PlaceBox = tuple[list[Interval], float | None]
+_MOST_BOXES = 64  # of a region that is a product
 AXES = "xyz"
 _UNKNOWN = EvidenceType.UNKNOWN.name.lower()
 
@@ -55,6 +57,9 @@ class PageFrame:
         Of the chosen pose.
     intervals
         For each of x, y and z; None is an end that has no bound.
+    places, path_places
+        Boxes of positions of the image's region and of the one after motion, most probable first: intervals along x, y
+        and z, and the probability, None if it is not known. `path_places` is None where the model has no such region.
     truth_xyz, error_m, error_deg
         None where the truth is not known.
     classical_xyz
@@ -70,6 +75,8 @@ class PageFrame:
     position_xyz: npt.NDArray[np.float64]
     quat_wxyz: npt.NDArray[np.float64]
     intervals: list[list[Interval]]
+    places: list[PlaceBox]
+    path_places: list[PlaceBox] | None = None
     truth_xyz: npt.NDArray[np.float64] | None = None
     error_m: float | None = None
     error_deg: float | None = None
@@ -94,7 +101,7 @@ class PageFrame:
     @property
     def n_places(self) -> int:
         """How many boxes the region of positions consists of."""
-        return prod(len(parts) for parts in self.intervals)
+        return len(self.places)
 
     @property
     def size_m(self) -> float | None:
@@ -105,9 +112,12 @@ class PageFrame:
 
     def holds(self, place_xyz: npt.NDArray[np.float64]) -> bool:
         """Whether the region holds a position."""
-        return all(
-            any((low is None or low <= value) and (high is None or value <= high) for low, high in parts)
-            for parts, value in zip(self.intervals, place_xyz, strict=True)
+        return any(
+            all(
+                (low is None or low <= v) and (high is None or v <= high)
+                for (low, high), v in zip(box, place_xyz, strict=True)
+            )
+            for box, _ in self.places
         )
 
     def as_json(self, text: str, image: bytes | None) -> dict[str, Any]:
@@ -120,10 +130,13 @@ class PageFrame:
             "p": _rounded(self.position_xyz),
             "q": _rounded(self.quat_wxyz),
             "iv": [[[None if e is None else round(e, 4) for e in part] for part in parts] for parts in self.intervals],
+            "bx": _boxes(self.places),
             "size": None if self.size_m is None else round(self.size_m, 4),
             "whole": self.whole,
             "say": text,
         }
+        if self.path_places is not None:
+            frame["pb"] = _boxes(self.path_places)
         if self.evidence is not None:
             frame |= {"kp": self.known_p, "ev": self.evidence}
         if self.place_p is not None:
@@ -142,6 +155,7 @@ class PageFrame:
 
 def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[FloatArray, FloatArray] | None) -> PageFrame:
     """The i-th frame of a run, from the record of its region; `errors` are those of :meth:`Paths.errors`."""
+    intervals = [record["intervals"][axis] for axis in AXES]
     return PageFrame(
         name=record["frame"],
         time_s=record["timestamp_s"],
@@ -151,13 +165,29 @@ def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[Float
         evidence=record.get("evidence"),
         position_xyz=paths.answer.positions_xyz[i],
         quat_wxyz=paths.answer.orientations_quat_wxyz[i],
-        intervals=[record["intervals"][axis] for axis in AXES],
+        intervals=intervals,
+        places=_places(record.get("places")) or [([*box], None) for box in islice(product(*intervals), _MOST_BOXES)],
+        path_places=None if record.get("path_places") is None else _places(record["path_places"]),
         truth_xyz=None if paths.truth is None else paths.truth.positions_xyz[i],
         error_m=None if errors is None else float(errors[0][i]),
         error_deg=None if errors is None else float(errors[1][i]),
         classical_xyz=None if paths.classical is None else paths.classical.positions_xyz[i],
         place_p=record.get("place_p"),
     )
+
+
+def _places(places: list[dict[str, Any]] | None) -> list[PlaceBox]:
+    """Boxes of positions; those of places that differ in orientation alone are one."""
+    found: dict[str, PlaceBox] = {}
+    for place in places or []:
+        box = place["box"][:3]
+        before = found.get(str(box), (box, 0.0))[1] or 0.0
+        found[str(box)] = box, before + place["p"]
+    return sorted(found.values(), key=lambda one: -(one[1] or 0.0))
+
+
+def _boxes(places: list[PlaceBox]) -> list[list[Any]]:
+    return [[*([None if e is None else round(e, 4) for e in part] for part in box), p] for box, p in places]
 
 
 def lengths(parts: list[Interval]) -> list[float]:

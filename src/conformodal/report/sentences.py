@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import floor, log10, sqrt
 
 from conformodal.core.words import counted, listed, noun_for
-from conformodal.reasoning.settings import FILTER
 
 from .page_frames import PageFrame, lengths
 
@@ -16,7 +15,7 @@ _UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 def describe_frame(frame: PageFrame) -> str:
     """A frame in words: the region first, then the chosen pose."""
     parts = [_describe_region(frame), _describe_pose(frame)]
-    if frame.place_p is not None and frame.place_p < FILTER.reliable:
+    if frame.place_p is not None and not frame.reliable and not frame.unknown:
         parts.append(f"When the frame came, its most probable place had a probability of {frame.place_p:.3f}.")
     if frame.motion in _UNUSABLE and not frame.unknown:
         parts.append(f"The motion since the frame before is not reliable ({frame.motion.replace('_', ' ')}).")

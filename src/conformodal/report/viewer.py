@@ -39,6 +39,7 @@ class Viewer:
     classical: bool
     online: bool
     known: bool
+    path_places: bool
 
 
 def make_viewer(
@@ -101,6 +102,7 @@ def make_viewer(
         classical=paths.classical is not None,
         online=paths.online is not None,
         known=any(frame.get("kp") is not None for frame in shown),
+        path_places=any("pb" in frame for frame in shown),
     )
 
 

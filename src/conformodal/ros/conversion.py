@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.choices import as_member
+from conformodal.localization.regions import PoseRegions
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import Candidates
 from conformodal.running.estimates import Estimate
@@ -67,38 +67,28 @@ def weights_of(candidates: Candidates) -> FloatArray:
     return np.asarray(share / share.sum())
 
 
-_COLOUR, _FAINTEST, _FULLEST = (86 / 255, 180 / 255, 233 / 255), 0.15, 0.8
-_INTERVALS_AN_AXIS = 16
+_COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 255, 178 / 255)}
+_FAINTEST, _FULLEST = 0.15, 0.8
 _CUBE, _DELETE_ALL = 1, 3
 _OK, _WARN, _ERROR = 0, 1, 2
 
 
-def region_boxes(estimate: Estimate, how: Conventions) -> tuple[FloatArray, FloatArray, int]:
-    """Boxes (m, 3, 2) of the region's positions in metres, the probability (m,) of each, and the number of all boxes.
+def region_boxes(
+    estimate: Estimate, region: PoseRegions | None, how: Conventions
+) -> tuple[FloatArray, FloatArray, int]:
+    """Boxes (m, 3, 2) of a region's positions in metres, the probability (m,) of each, and the number of all boxes.
 
     A lost frame, whose region is unbounded, has none.
     """
-    if is_lost(estimate) or estimate.region is None or estimate.pose is None or estimate.candidates is None:
+    if is_lost(estimate) or region is None or estimate.pose is None:
         return np.empty((0, 3, 2)), np.empty(0), 0
-    here, found = estimate.pose.positions_xyz[0], estimate.candidates
-    parts = estimate.region.intervals(0)[:3]
-    total = int(np.prod([len(part) for part in parts]))
-    near = [
-        _nearest(np.clip(part, at - how.range_m, at + how.range_m), at) for part, at in zip(parts, here, strict=True)
+    here = estimate.pose.positions_xyz[0][:, None]
+    places = region.places(0)
+    boxes = [
+        np.clip(place.box[:3], here - how.range_m, here + how.range_m) for place in places if place.box is not None
     ]
-    boxes = np.array(list(product(*near))).reshape(-1, 3, 2)
-    places = found.positions_xyz[None]
-    inside = ((places >= boxes[:, None, :, 0]) & (places <= boxes[:, None, :, 1])).all(axis=2)
-    shares = inside @ weights_of(found)
-    order = np.lexsort((np.linalg.norm(boxes.mean(axis=2) - here, axis=1), -shares))[: how.most_boxes]
-    return boxes[order], shares[order], total
-
-
-def _nearest(intervals: FloatArray, at: float) -> FloatArray:
-    """The intervals (m, 2) that are nearest to a coordinate."""
-    intervals = intervals[intervals[:, 1] > intervals[:, 0]]  # those out of range have shrunk to nothing
-    away = np.maximum(np.maximum(intervals[:, 0] - at, at - intervals[:, 1]), 0)
-    return intervals[np.sort(np.argsort(away, kind="stable")[:_INTERVALS_AN_AXIS])]
+    shares = np.array([place.probability for place in places])
+    return np.array(boxes).reshape(-1, 3, 2)[: how.most_boxes], shares[: how.most_boxes], len(places)
 
 
 class Conversion:
@@ -139,11 +129,12 @@ class Conversion:
         """
         stamp_ns = nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
         header = self.header(stamp_ns)
-        boxes, shares, total = region_boxes(estimate, self.how)
+        boxes, shares, total = region_boxes(estimate, estimate.region, self.how)
+        places = region_boxes(estimate, estimate.path_region, self.how)[:2]
         found = {
             "pose": self._pose(estimate, header),
             **self._candidates(estimate, header),
-            "region": self._region(boxes, shares, header),
+            "region": self._region({"region": (boxes, shares), "places": places}, header),
             "status": self._status(estimate, header, total, len(boxes)),
         }
         if self._extend_path(estimate):
@@ -190,27 +181,28 @@ class Conversion:
             "candidate_weights": self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=data),
         }
 
-    def _region(self, boxes: FloatArray, shares: FloatArray, header: Any) -> Any:
+    def _region(self, named: dict[str, tuple[FloatArray, FloatArray]], header: Any) -> Any:
         """Boxes to draw, more opaque with higher probability; first an order to remove the previous frame's."""
         marker = "visualization_msgs/msg/Marker"
         first = self.make(marker, header=header, type=_CUBE, action=_DELETE_ALL, pose=make_pose(self.make))
         markers = [first]
-        for number, (box, share) in enumerate(zip(boxes, shares, strict=True)):
-            opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(share)
-            colour = dict(zip("rgba", (*_COLOUR, opacity), strict=True))
-            size = dict(zip("xyz", np.ptp(box, axis=1).tolist(), strict=True))
-            markers.append(
-                self.make(
-                    marker,
-                    header=header,
-                    ns="region",
-                    id=number,
-                    type=_CUBE,
-                    pose=make_pose(self.make, box.mean(axis=1)),
-                    scale=self.make("geometry_msgs/msg/Vector3", **size),
-                    color=self.make("std_msgs/msg/ColorRGBA", **colour),
+        for name, (boxes, shares) in named.items():
+            for number, (box, share) in enumerate(zip(boxes, shares, strict=True)):
+                opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(share)
+                colour = dict(zip("rgba", (*_COLOURS[name], opacity), strict=True))
+                size = dict(zip("xyz", np.ptp(box, axis=1).tolist(), strict=True))
+                markers.append(
+                    self.make(
+                        marker,
+                        header=header,
+                        ns=name,
+                        id=number,
+                        type=_CUBE,
+                        pose=make_pose(self.make, box.mean(axis=1)),
+                        scale=self.make("geometry_msgs/msg/Vector3", **size),
+                        color=self.make("std_msgs/msg/ColorRGBA", **colour),
+                    )
                 )
-            )
         return self.make("visualization_msgs/msg/MarkerArray", markers=markers)
 
     def _status(self, estimate: Estimate, header: Any, n_boxes: int, n_shown: int) -> Any:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import Regions
 from conformodal.core.arrays import IntArray
 from conformodal.core.choices import as_member
 from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.regions import PoseRegions
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization
 from conformodal.model.region_rules import EvidenceType
@@ -40,6 +40,8 @@ class Estimate:
     region
         Calibrated region of this frame alone (length 1), or None without an image. Where landmarks were looked for, it
         rests on them too, and is smaller.
+    path_region
+        Calibrated region from all frames so far (length 1); None without an image, and where the model has none.
     candidates
         Hypotheses of this image alone, or None without an image.
     relative_motion
@@ -81,7 +83,7 @@ class Estimate:
 
     timestamp_s: float
     pose: Trajectory | None
-    region: Regions | None
+    region: PoseRegions | None
     candidates: Candidates | None
     relative_motion: RelativeMotion | None
     reliable: bool
@@ -97,6 +99,7 @@ class Estimate:
     matched: bool = False
     posterior: Posterior | None = None
     places: list[Place] = field(default_factory=list)
+    path_region: PoseRegions | None = None
     revise: Callable[[], Trajectory] | None = None
 
     def __post_init__(self) -> None:
@@ -136,6 +139,10 @@ class OdometryRun:
         Frames that could not be decoded, and why.
     certainty
         (m,) probability of the place that the frames up to each speak for; None where it is not known.
+    reliable_p
+        A pose counts as reliable from this probability of its place.
+    path_regions
+        Calibrated regions from posteriors, by :data:`~conformodal.model.model.PATHS`; empty where the model has none.
     """
 
     frames: IntArray
@@ -148,9 +155,11 @@ class OdometryRun:
     unreadable: dict[int, str] = field(default_factory=dict)
     answer: str = METHODS[0]
     certainty: npt.NDArray[np.float64] | None = None
+    reliable_p: float = FILTER.reliable
+    path_regions: dict[str, PoseRegions] = field(default_factory=dict)
 
     @property
-    def regions(self) -> Regions:
+    def regions(self) -> PoseRegions:
         """Calibrated regions, one a frame."""
         return self.localization.regions
 
@@ -174,13 +183,12 @@ class OdometryRun:
         """(m,) whether a frame shows a known place, motion could be used, and no other place was probable by then."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
         sure = np.ones(len(moving)) if self.certainty is None else self.certainty
-        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN) & (sure >= FILTER.reliable))
+        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN) & (sure >= self.reliable_p))
 
     def observations(self, at: IntArray) -> Observations:
         """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""
         places = {place: k for k, place in enumerate(at.tolist())}
         submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
         motions = [self.motions[t] for t in at]
-        found = self.localization
-        known = found.known[at] | found.beliefs.recognised[at]
+        known = self.localization.known[at]
         return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps, known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,22 +15,23 @@ from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Sequence
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.localization.motions import MotionRecord, measure_motions
+from conformodal.localization.regions import PoseRegions
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import PoseModel
+from conformodal.model.model import PATHS, Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.motion.frontend import MotionFrontEnd
-from conformodal.poses import Trajectory
-from conformodal.reasoning.filter import PoseFilter, Window, filter_posteriors
+from conformodal.poses import RelativeMotion, Trajectory, concatenate
+from conformodal.reasoning.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.reasoning.places import choose_places, find_places
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.settings import FILTER
 
 from .estimates import Estimate, OdometryRun
-from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
-from .paths import METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
+from .paths import HINDSIGHT, METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
 
 
 class VisualOdometry(Odometry):
@@ -89,37 +91,45 @@ class VisualOdometry(Odometry):
         local = self._local_features(image)
         found = self.model.localize(FrameEvidence(features, [local]))
         motion = self._front_end.measure(image)
+        return replace(
+            self._push(self._filter, found, motion, timestamp_s),
+            tracks=self._front_end.tracks,
+            corners=self._front_end.corners,
+            matched=local is not None,
+            revise=partial(_revised, self._filter.window(), self.model.prior),
+        )
+
+    def _push(
+        self, pose_filter: PoseFilter, found: Localization, motion: RelativeMotion | None, timestamp_s: float
+    ) -> Estimate:
+        """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         here = found.candidates[0]
-        known = bool(found.known[0] or found.beliefs.recognised[0])
-        posterior = self._filter.push(here, motion, timestamp_s, known=known)
+        posterior = pose_filter.push(here, motion, timestamp_s, known=bool(found.known[0]))
         places = find_places(posterior, self.model.prior)
         best = places[0]
         kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < FILTER.reliable:
+        if best.probability < self.model.reliable_p:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
             pose=Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None]),
             region=found.regions,
+            path_region=self.model.path_regions(found.beliefs, [posterior], ONLINE),
             candidates=here,
             relative_motion=motion,
             reliable=not problems,
             problem="; ".join(problems),
             localization=found,
-            tracks=self._front_end.tracks,
-            corners=self._front_end.corners,
             estimates=list(found.beliefs.estimates[0]),
             known_p=None if np.isnan(known_p) else known_p,
             evidence=kind,
             position_spread_m=float(np.linalg.norm(best.position_spreads)),
             orientation_spread_rad=best.orientation_spread_rad,
-            matched=local is not None,
             posterior=posterior,
             places=places,
-            revise=partial(_revised, self._filter.window(), self.model.prior),
         )
 
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
@@ -151,17 +161,26 @@ class VisualOdometry(Odometry):
             submaps=motions.submaps_of(frames),
             trajectories={},
             unreadable=motions.unreadable,
+            reliable_p=self.model.reliable_p,
         )
-        poses = {name: (np.empty((len(frames), 3)), np.empty((len(frames), 4))) for name in METHODS}
-        run.certainty = np.empty(len(frames))
-        prior = self.model.prior
+        prior, n = self.model.prior, len(frames)
+        poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}
+        run.certainty = np.empty(n)
+        regions: dict[str, list[PoseRegions | None]] = {path: [None] * n for path in PATHS}
         for at in rows_by_recording(recording):
-            seen = run.observations(at)
-            forward = filter_posteriors(seen, prior)
-            online, run.certainty[at] = choose_places(forward, seen.timestamps_s, prior)
-            for name, path in {**whole_paths(seen, prior, forward), ONLINE: as_trajectory(online)}.items():
+            stream, seen = PoseFilter(prior, lag=0), run.observations(at)
+            its = [self._push(stream, found.row(i), moved[i], float(times[i])) for i in at.tolist()]
+            later = hindsight_posteriors(seen, prior, [one.posterior for one in its if one.posterior is not None])
+            online = concatenate([one.pose for one in its if one.pose is not None])
+            for name, path in {**whole_paths(later, seen, prior), ONLINE: online}.items():
                 poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz
+            for i, one, posterior in zip(at.tolist(), its, later, strict=True):
+                run.certainty[i] = one.places[0].probability
+                regions[ONLINE][i] = one.path_region
+                regions[HINDSIGHT][i] = self.model.path_regions(found.row(i).beliefs, [posterior], HINDSIGHT)
         run.trajectories = {name: Trajectory(times, p, q) for name, (p, q) in poses.items()}
+        for name in self.model.path_rules:
+            run.path_regions[name] = PoseRegions.concatenate([one for one in regions[name] if one is not None])
         return run
 
 

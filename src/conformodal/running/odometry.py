@@ -10,6 +10,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence
+from conformodal.localization.motions import MotionRecord
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import PoseModel
 from conformodal.motion.frontend import FrontEnd
@@ -18,7 +19,6 @@ from conformodal.vision.features import FeatureCache, extract_features
 
 from .estimates import Estimate, OdometryRun
 from .frame import as_frames, as_image, as_time
-from .motions import MotionRecord
 
 
 class Odometry(ABC):
@@ -136,7 +136,7 @@ class Odometry(ABC):
     def measure_motions(
         self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
     ) -> MotionRecord:
-        """Measure `frames`, see :func:`~conformodal.running.motions.measure_motions`."""
+        """Measure `frames`, see :func:`~conformodal.localization.motions.measure_motions`."""
 
     @abstractmethod
     def _answered(

@@ -9,6 +9,8 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.motions import MotionRecord, measure_motions
+from conformodal.localization.regions import Support, pose_regions
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import Localization, PoseModel
@@ -20,7 +22,6 @@ from conformodal.reasoning.greedy import Greedy, greedy
 
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
-from .motions import MotionRecord, measure_motions
 from .odometry import Odometry
 from .paths import PAPERS_METHOD, as_trajectory, rows_by_recording
 
@@ -112,8 +113,10 @@ def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localizati
     """Regions of n images as the paper has them: sets of bins, whatever the image."""
     beliefs = model.localizer.beliefs(FrameEvidence(features))
     n = len(features)
-    kinds = np.full(n, EvidenceType.GLOBAL, dtype=np.int64)
-    return Localization(beliefs, model.calibration.predict(beliefs.proba), np.full(n, np.nan), kinds)
+    kinds, rule = np.full(n, EvidenceType.GLOBAL, dtype=np.int64), model.calibration
+    supports = [Support.of(m.candidates, rule.bins, model.sign_reference) for m in beliefs.mixtures]
+    regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
+    return Localization(beliefs, regions, np.full(n, np.nan), kinds)
 
 
 def odometry_of(model: PoseModel, match_every: int = 1) -> Odometry:

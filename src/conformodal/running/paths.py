@@ -7,33 +7,34 @@ from collections.abc import Sequence
 import numpy as np
 
 from conformodal.core.arrays import IntArray
+from conformodal.model.model import PATHS
 from conformodal.poses import Trajectory
-from conformodal.reasoning.filter import Posterior, hindsight_posteriors
+from conformodal.reasoning.filter import Posterior
 from conformodal.reasoning.observations import Observations, PosePath
 from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
 
 # The poses that a robot gets, each when its frame comes and from the frames so far; all others see later frames too.
-ONLINE = "online"
+ONLINE, HINDSIGHT = PATHS
 # The first is the answer of a run.
-METHODS = ("smoothed", "hindsight", ONLINE)
+METHODS = ("smoothed", HINDSIGHT, ONLINE)
 PAPERS_METHOD = "greedy"
 
 
-def whole_paths(
-    seen: Observations, prior: MotionPrior, forward: Sequence[Posterior] | None = None
-) -> dict[str, Trajectory]:
+def whole_paths(posteriors: Sequence[Posterior], seen: Observations, prior: MotionPrior) -> dict[str, Trajectory]:
     """The paths that need all frames of a recording: the most probable place of each frame, and that path smoothed.
 
     Parameters
     ----------
-    seen, prior, forward
-        As for :func:`~conformodal.reasoning.filter.hindsight_posteriors`.
+    posteriors
+        In hindsight, from :func:`~conformodal.reasoning.filter.hindsight_posteriors`.
+    seen, prior
+        What they were worked out from.
     """
-    best, _ = choose_places(hindsight_posteriors(seen, prior, forward), seen.timestamps_s, prior)
+    best, _ = choose_places(posteriors, seen.timestamps_s, prior)
     smoothed = smooth(own_hypotheses(best, seen, prior), seen, prior)
-    return {"smoothed": as_trajectory(smoothed), "hindsight": as_trajectory(best)}
+    return {"smoothed": as_trajectory(smoothed), HINDSIGHT: as_trajectory(best)}
 
 
 def rows_by_recording(recording: IntArray) -> list[IntArray]:

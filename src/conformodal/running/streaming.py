@@ -6,26 +6,29 @@ import math
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.process import release_freed_memory
 from conformodal.datasets.streams.frames import Frame, SourceError
-from conformodal.localization.belief import recognised_only
+from conformodal.localization.regions import PoseRegions
+from conformodal.model.model import Localization
 from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
-from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning.candidates import Candidates
+from conformodal.poses import RelativeMotion, Trajectory, concatenate
+from conformodal.reasoning.filter import Posterior, hindsight_posteriors
 from conformodal.reasoning.observations import Observations
+from conformodal.running.results.evaluation import path_coverage_table
+from conformodal.running.results.records import places_of, region_record
 from conformodal.running.results.statistics import RegionStatistics
 from conformodal.running.results.writer import ResultsWriter
 
 from .estimates import Estimate
 from .odometry import Odometry
-from .paths import ONLINE, whole_paths
+from .paths import HINDSIGHT, ONLINE, whole_paths
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
@@ -38,10 +41,11 @@ class _Pending:
     """A frame whose final answer is still to come."""
 
     timestamp_s: float
-    candidates: Candidates
-    known: bool
+    found: Localization
+    posterior: Posterior
     motion: RelativeMotion | None
     corners: Corners
+    truth: Trajectory | None
 
 
 class StreamRunner:
@@ -104,6 +108,9 @@ class StreamRunner:
         frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
         self._row = {frame: row for row, frame in enumerate(frames)}
         self._statistics: list[RegionStatistics] = []
+        self._path_statistics: dict[str, list[RegionStatistics]] = {ONLINE: [], HINDSIGHT: []}
+        self._reliable: list[bool] = []
+        self._online: list[Trajectory] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
@@ -116,6 +123,15 @@ class StreamRunner:
     def statistics(self) -> RegionStatistics:
         """Of the regions of all answered frames, if the truth is known and there are any."""
         return RegionStatistics.concatenate(self._statistics)
+
+    @property
+    def path_coverage(self) -> dict[str, Any] | None:
+        """Of the regions from posteriors; None where the model has none or no truth is known."""
+        its = {path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts}
+        if not its or self.truth is None:
+            return None
+        online, reliable = concatenate(self._online), np.array(self._reliable)
+        return path_coverage_table(its, self.odometry.model, online, self.truth, reliable)
 
     @property
     def matched_all(self) -> bool:
@@ -186,7 +202,7 @@ class StreamRunner:
         model, motion, region, pose = self.odometry.model, estimate.relative_motion, estimate.region, estimate.pose
         assert region is not None
         assert pose is not None
-        assert estimate.candidates is not None
+        assert estimate.localization is not None
         assert estimate.corners is not None
         assert estimate.evidence is not None
         self.n_answered += 1
@@ -196,20 +212,36 @@ class StreamRunner:
         if motion is not None:
             self.motion[str(motion.status)] += 1
         self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
-        said = estimate.known_p, estimate.evidence, estimate.places[0].probability if estimate.places else None
-        self.writer.region(frame.name, frame.timestamp_s, motion, region.intervals(0), *said)
+        place_p = estimate.places[0].probability if estimate.places else None
+        record = region_record(
+            frame.name,
+            frame.timestamp_s,
+            motion,
+            region.intervals(0),
+            estimate.known_p,
+            estimate.evidence,
+            place_p,
+            reliable=estimate.reliable,
+            places=places_of(region),
+            path_places=places_of(estimate.path_region),
+        )
+        self.writer.region(record)
         here = self.true_pose(frame)
         if here is not None:
             kind = np.array([estimate.evidence])
             self._statistics.append(RegionStatistics.of(region, here, model.sign_reference, kind))
             self.answered.append(frame.index)
             self.known.append(self.n_answered - 1)
+            self._reliable.append(estimate.reliable)
+            self._online.append(pose)
+            self._measure_path(ONLINE, estimate.path_region, here)
         if not self.odometry.whole_paths:  # each answer is the last word
             self.writer.poses(self.odometry.answer, pose)
             return
         self.writer.poses(ONLINE, pose)
-        known = estimate.evidence is not EvidenceType.UNKNOWN or bool(recognised_only(estimate.estimates))
-        self._pending.append(_Pending(frame.timestamp_s, estimate.candidates, known, motion, estimate.corners))
+        assert estimate.posterior is not None
+        image, posterior = estimate.localization, estimate.posterior
+        self._pending.append(_Pending(frame.timestamp_s, image, posterior, motion, estimate.corners, here))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
@@ -231,14 +263,24 @@ class StreamRunner:
 
     def _answer(self, pending: list[_Pending], wanted: slice) -> None:
         """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
-        prior, camera = self.odometry.model.prior, self.odometry.model.camera
+        model = self.odometry.model
         times = np.array([p.timestamp_s for p in pending])
-        submaps = build_submaps([p.corners for p in pending], camera)
-        known = np.array([p.known for p in pending])
-        seen = Observations([p.candidates for p in pending], [p.motion for p in pending], times, submaps, known)
-        for name, trajectory in whole_paths(seen, prior).items():
+        submaps = build_submaps([p.corners for p in pending], model.camera)
+        known = np.array([p.found.known[0] for p in pending])
+        images, motions = [p.found.candidates[0] for p in pending], [p.motion for p in pending]
+        seen = Observations(images, motions, times, submaps, known)
+        later = hindsight_posteriors(seen, model.prior, [p.posterior for p in pending])
+        for name, trajectory in whole_paths(later, seen, model.prior).items():
             self.writer.poses(name, trajectory[wanted])
+        for p, posterior in zip(pending[wanted], later[wanted], strict=True):
+            if p.truth is not None:
+                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], HINDSIGHT), p.truth)
         release_freed_memory()
+
+    def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:
+        if region is not None:
+            sign = self.odometry.model.sign_reference
+            self._path_statistics[path].append(RegionStatistics.of(region, truth, sign))
 
     def _settle(self) -> None:
         """Wait for the window that is being answered."""

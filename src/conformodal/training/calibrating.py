@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.conformal import QuantileBins, SplitConformal, grouped_quantile
 from conformodal.conformal.calibration import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.core.progress import StageProgress
+from conformodal.datasets import Sequence as Frames
 from conformodal.localization.belief import Beliefs, belief_cells
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.localizer import Localizer
+from conformodal.localization.motions import measure_motions
+from conformodal.localization.regions import pose_scores
 from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
+from conformodal.model.model import PATHS, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
-from conformodal.model.region_rules import RegionRules
+from conformodal.model.region_rules import EvidenceType, RegionRules
+from conformodal.reasoning.filter import Posterior, filter_posteriors, hindsight_posteriors
+from conformodal.reasoning.observations import Observations
+from conformodal.reasoning.places import choose_places, same_place
+from conformodal.reasoning.prior import MotionPrior
+from conformodal.reasoning.settings import FILTER
 
 from .folds import Folds
 
@@ -28,13 +40,22 @@ _MOST_COMPARED = 120  # each is answered twice
 
 def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: FloatArray) -> RealArray:
     """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images."""
-    parts = localizer.marginals_by_part(beliefs)
-    return np.concatenate([rule.score_samples(proba, targets[rows]) for rows, proba in parts])
+    supports, parts = localizer.supports(beliefs), localizer.marginals_by_part(beliefs)
+    return np.concatenate([pose_scores(rule, proba, supports[rows], targets[rows]) for rows, proba in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold."""
+
+    rules: RegionRules
+    novelty: PlaceNovelty | None
+    beliefs: list[Beliefs]
 
 
 def calibrate_regions(
     data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
-) -> RegionRules:
+) -> Calibrated:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         _check_unseen(localizer, fold.held_out)
@@ -53,33 +74,103 @@ def calibrate_regions(
     asked = as_joint(config.joint)
     overall: list[RealArray] = []
     matched: list[RealArray] = []
-    recognised: list[BoolArray] = []
+    found: list[Beliefs] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
         targets, own = data.targets[frames], rule(localizer.cells, asked)
         images = FrameEvidence(data.features[frames])
-        overall.append(score_beliefs(own, localizer, localizer.beliefs(images), targets))
+        beliefs = localizer.beliefs(images)
+        overall.append(score_beliefs(own, localizer, beliefs, targets))
         if localizer.local:
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
             matched.append(score_beliefs(own, localizer, beliefs, targets))
-            recognised.append(beliefs.recognised)
+        found.append(beliefs)
     # with a fold without landmarks, beliefs with them cannot be calibrated
     local = len(matched) == len(localizers)
     cells = belief_cells(data.bins_of(folds.region_frames))
-    places = np.concatenate(recognised) if local else np.zeros(len(held_out), dtype=bool)
-    known_p = np.ones(len(held_out)) if novelty is None else _p_values(novelty, folds, data)
+    recognised = np.concatenate([its.recognised for its in found]) if local else np.zeros(len(held_out), dtype=bool)
+    known_p = matched_p = np.ones(len(held_out))
+    if novelty is not None:
+        known_p, distances = _appearance(novelty, folds, data)
+        if local:
+            recognition = np.concatenate([its.recognition for its in found])
+            novelty = novelty.calibrated(distances, recognition, np.arange(len(held_out)) if units is None else units)
+            assert novelty.matched is not None
+            matched_p = novelty.matched.left_out_p_values()
+    level = 0.0 if novelty is None else novelty.level(config.novelty_level)
 
     def calibrated(joint: Joint) -> RegionRules:
         return RegionRules(
             overall=rule(cells, joint).calibrate_scores(np.concatenate(overall), units),
             matched=rule(cells, joint).calibrate_scores(np.concatenate(matched), units) if local else None,
-            recognised=places,
+            recognised=recognised,
             known_p=known_p,
-            level=0.0 if novelty is None else novelty.level(config.novelty_level),
+            matched_p=matched_p,
+            level=level,
         )
 
     rules = calibrated(asked)
-    return calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
+    rules = calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
+    return Calibrated(rules, novelty, found)
+
+
+def calibrate_paths(
+    sequence: Frames,
+    targets: FloatArray,
+    folds: Folds,
+    localizers: Sequence[Localizer],
+    calibrated: Calibrated,
+    prior: MotionPrior,
+    progress: StageProgress | None = None,
+) -> tuple[dict[str, SplitConformal], float]:
+    """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
+
+    Also the probability of a place from which its pose counts as reliable: a frame with a wrong place that is at least
+    as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
+    show.
+
+    Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
+    streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
+    """
+    motions = measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
+    rules = calibrated.rules
+    units = sequence.recording if folds.units is None else folds.units
+    known = rules.known_with_local | rules.recognised
+    scores: dict[str, list[RealArray]] = {path: [] for path in PATHS}
+    truth, n = sequence.require_truth(), len(folds.held_out)
+    probability, right = np.empty(n), np.empty(n, dtype=bool)
+    start = 0
+    for fold, localizer, own in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
+        rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
+        found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
+        for unit in np.unique(units[held_out]):
+            at = np.flatnonzero(units[held_out] == unit)
+            seen = Observations(
+                [own.mixtures[i].candidates for i in at.tolist()],
+                [motions[frame] for frame in held_out[at].tolist()],
+                sequence.timestamps_s[held_out[at]],
+                known=known[start + at],
+            )
+            forward = filter_posteriors(seen, prior)
+            for path, its in zip(PATHS, (forward, hindsight_posteriors(seen, prior, forward)), strict=True):
+                found[path].update(zip(at.tolist(), its, strict=True))
+            best, probability[start + at] = choose_places(forward, seen.timestamps_s, prior)
+            right[start + at] = same_place(best, truth[held_out[at]], prior)
+        for path in PATHS:
+            its = [found[path][i] for i in range(len(held_out))]
+            scores[path].append(score_beliefs(rule, localizer, own.after(its), targets[held_out]))
+        start += len(held_out)
+    labels, cells = rules.overall.groups_, rules.overall.bins
+    paths = {
+        path: path_rule(cells, rules.overall.alpha).calibrate_scores(np.concatenate(its), labels)
+        for path, its in scores.items()
+    }
+    held = paths[PATHS[0]].scores_[:, 0] <= paths[PATHS[0]].thresholds_[0]
+    wrong = np.where(right | held, -np.inf, probability)
+    unit = np.unique(np.arange(n) if labels is None else labels, return_inverse=True)[1]
+    streams = [wrong[unit == k] for k in range(unit.max() + 1)]
+    least = grouped_quantile(streams, max(Fraction(FILTER.sure_and_wrong), Fraction(1, len(streams) + 1)))
+    return paths, min(max(FILTER.reliable, float(np.nextafter(least, 2.0))), FILTER.most_reliable)
 
 
 def compare_sources(
@@ -95,26 +186,28 @@ def compare_sources(
     None if no frame shows a known place.
     """
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_COMPARED)).round().astype(int))]
-    known_p = np.ones(len(frames)) if novelty is None else novelty.p_values(data.features[frames])
 
-    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray]:
+    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
         local = () if rules.matched is None else data.local_features(frames[rows])
         images = FrameEvidence(data.features[frames[rows]], local)
-        beliefs = own.beliefs(images)
-        scorer = SplitConformal(own.cells, rules.overall.alpha, rules.overall.score)
+        beliefs, looked = own.beliefs(images), images.has_local_features
+        p = np.ones(len(rows))
+        if novelty is not None:
+            p = novelty.p_values(images.features, np.where(looked, beliefs.recognition, np.nan))
+        scorer = SplitConformal(own.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
+        scorer.rule = rules.overall.rule
         scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
-        kinds = rules.kinds(known_p[rows], images.has_local_features, beliefs.recognised)
+        kinds = rules.kinds(p, looked, beliefs.recognised)
         held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
-        return held, rules.overall.rule.columns(scores).mean(axis=1)
+        return held, rules.overall.rule.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
 
     n = len(frames)
-    by_model, score = answered(localizer, np.arange(n))
+    by_model, score, shown = answered(localizer, np.arange(n))
     by_folds, other = np.empty(n, dtype=bool), np.empty(n)
     for k, own in enumerate(localizers):
         rows = np.arange(k, n, len(localizers))
         if rows.size:
-            by_folds[rows], other[rows] = answered(own, rows)
-    shown = known_p > rules.level
+            by_folds[rows], other[rows], _ = answered(own, rows)
     if not shown.any():
         return None
     return SourceComparison(
@@ -144,7 +237,9 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
     rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
     n = len(held_out)
-    return RegionRules(rule.calibrate(proba, data.targets[held_out]), None, np.zeros(n, dtype=bool), np.ones(n), 0.0)
+    known_p = np.ones(n)
+    rule.calibrate(proba, data.targets[held_out])
+    return RegionRules(rule, None, np.zeros(n, dtype=bool), known_p, 0.0)
 
 
 def _has_type_for_max_only(rules: RegionRules) -> bool:
@@ -158,8 +253,10 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
     return any(for_max <= rule.weight < for_each for rule in rules.own.values())
 
 
-def _p_values(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> FloatArray:
-    """p-values of the calibration frames, each tested against the frames of other pieces."""
+def _appearance(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> tuple[FloatArray, FloatArray]:
+    """p-values of the calibration frames by appearance, each against the frames of other pieces, and distances."""
     if len(folds.folds) == 1:
-        return novelty.p_values(data.features[folds.held_out])
-    return novelty.test.left_out_p_values()[np.searchsorted(folds.region_frames, folds.held_out)]
+        distances = novelty.distances(data.features[folds.held_out])
+        return novelty.test.p_values(distances), distances
+    at = np.searchsorted(folds.region_frames, folds.held_out)
+    return novelty.test.left_out_p_values()[at], novelty.test.scores_[at]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conformodal.conformal import SplitConformal
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence, make_split, with_random_calibration
@@ -20,10 +21,11 @@ from conformodal.model.model import PoseModel
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.poses import sign_reference
 from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
+from conformodal.reasoning.settings import FILTER
 from conformodal.vision.backbone import Backbone
 from conformodal.vision.features import FeatureCache, extract_features
 
-from .calibrating import calibrate_regions, compare_sources, paper_rules
+from .calibrating import calibrate_paths, calibrate_regions, compare_sources, paper_rules
 from .folds import make_folds
 from .training_data import TrainingData
 
@@ -98,26 +100,33 @@ def train_model(
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, checkpoint_dir, progress)
     localizers = [Localizer.fit(sources, fold.train, config.sources, fitted) for fold in folds.folds]
+    prior = _motion_prior(data, config)
     single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
     localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources, fitted)
     if config.method is Method.PAPER:  # without a novelty test
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
+        paths: dict[str, SplitConformal] = {}
+        reliable_p = FILTER.reliable
     else:
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
-        rules = calibrate_regions(sources, folds, localizers, novelty, config)
+        its = calibrate_regions(sources, folds, localizers, novelty, config)
+        rules, novelty = its.rules, its.novelty
+        paths, reliable_p = calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, progress)
     stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,
         localizer=localizer,
         novelty=novelty,
         rules=rules,
-        prior=_motion_prior(data, config),
+        prior=prior,
         camera=data.sequence.camera,
         split=data.split,
         known_frames=identify(data.sequence),
         configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames"),
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
+        path_rules=paths,
+        reliable_p=reliable_p,
     )
 
 

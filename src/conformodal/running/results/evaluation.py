@@ -15,6 +15,7 @@ from conformodal.model.model import PoseModel
 from conformodal.model.radius import PoseRadius
 from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
 from conformodal.poses import Trajectory, trajectory_errors
+from conformodal.reasoning.places import same_place
 from conformodal.running.paths import ONLINE
 
 from .statistics import RegionStatistics
@@ -44,6 +45,15 @@ _ASSUMPTION_STRETCHES = (
     "sources that lacked some; smaller errors are not enough. Where stretches calibrate, other stretches of the same "
     "recording were known: the guarantee does not reach a recording of which nothing was known. Coverage here is an "
     "observation."
+)
+_PATHS_BY_STRETCH = (
+    "Regions from posteriors are calibrated on held-out stretches (or recordings), each run as a stream from its first "
+    "frame by sources that had not seen it. The guarantee is about a frame drawn at random from a new stretch that is "
+    "run so, with local features matched in every frame."
+)
+_PATHS_BY_FRAME = (
+    "Regions from posteriors are calibrated on the calibration frames, run as a stream with gaps. Other frames make "
+    "other gaps, so their guarantee is approximate."
 )
 _ASSUMPTION_SEEN = (
     "The sources of the regions learnt from these frames, or were calibrated on them: coverage here says nothing about "
@@ -82,7 +92,7 @@ def coverage_table(
     seen
         Whether they are of the training or the calibration part.
     """
-    inside, finite = statistics.inside, np.asarray(~statistics.unbounded.any(axis=1))
+    held, finite = statistics.held, statistics.bounded
     rules = model.rules
     kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
     # types that share thresholds are one in the law
@@ -97,7 +107,6 @@ def coverage_table(
     shared = rules.matched is not None and rules.sharing is not Sharing.OWN
     one_law = one_law and (not shared or _shared_whatever(rules, kinds))
     calibration = model.calibration_of(local=matched_all)
-    held = np.asarray(inside.all(axis=1))
     whole = calibration.joint == "max"
     band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
     each = met if one_law and not whole else None
@@ -124,6 +133,8 @@ def coverage_table(
         "targets": {name: _target_row(statistics, j, calibration, each) for j, name in enumerate(TARGET_NAMES)},
         "joint_coverage": float(held.mean()),
         "joint_band_99": None if band is None else list(band),
+        **places_row(statistics),
+        "median_length_m": [_finite(x) for x in np.median(statistics.length[:, :3], axis=0)],
         "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, matched_all=matched_all),
         "assumption": _assumption(
@@ -136,6 +147,50 @@ def coverage_table(
             comparison=model.comparison,
         ),
     }
+
+
+def places_row(statistics: RegionStatistics) -> dict[str, Any]:
+    """How many places bounded regions consist of."""
+    n = statistics.n_places[statistics.bounded]
+    return {"mean_places": float(n.mean()) if n.size else None, "most_places": int(n.max()) if n.size else None}
+
+
+def path_coverage_table(
+    statistics: dict[str, RegionStatistics],
+    model: PoseModel,
+    online: Trajectory,
+    truth: Trajectory,
+    reliable: npt.NDArray[np.bool_],
+) -> dict[str, Any]:
+    """Coverage and size of the regions from posteriors, by the frames that these rest on.
+
+    Parameters
+    ----------
+    statistics
+        Of n frames each.
+    model
+        Gives alpha and what calibrated the regions.
+    online, truth, reliable
+        The poses that a robot got, the true ones, and (n,) whether each counted as reliable.
+    """
+    by_frame = model.rules.overall.groups_ is None
+    found: dict[str, Any] = {
+        path: {
+            "coverage": float(its.held.mean()),
+            "abstained": float((~its.bounded).mean()),
+            **bounded_coverage(its.held, its.bounded),
+            **places_row(its),
+            "median_length_m": [_finite(x) for x in np.median(its.length[:, :3], axis=0)],
+        }
+        for path, its in statistics.items()
+    }
+    if ONLINE in statistics:
+        missed = reliable & ~statistics[ONLINE].held
+        wrong = reliable & ~same_place(online, truth, model.prior)
+        counts = {"n_reliable": reliable, "n_reliable_and_missed": missed, "n_reliable_and_elsewhere": missed & wrong}
+        found |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
+    found["assumption"] = _PATHS_BY_FRAME if by_frame else _PATHS_BY_STRETCH
+    return found
 
 
 def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]) -> dict[str, Any]:
@@ -160,7 +215,7 @@ def _target_row(
     statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
 ) -> dict[str, Any]:
     """Coverage and size for one target; with the band of its coverage where `met` counts the frames of each kind."""
-    finite = ~statistics.unbounded.any(axis=1)
+    finite = statistics.bounded
     row: dict[str, Any] = {
         "coverage": float(statistics.inside[:, j].mean()),
         "bounded_coverage": float(statistics.inside[finite, j].mean()) if finite.any() else None,

@@ -2,13 +2,14 @@
 
 ``timestamp_s``, ``place_p`` and ``known_p`` double, ``reliable`` bool, ``frame``, ``evidence`` and ``motion`` strings;
 then for each target a column ``list<fixed_size_list<double>[2]>``: sorted, disjoint intervals, ``[-inf, inf]`` for the
-whole line, an empty list for an empty set. It holds what ``regions.jsonl`` holds.
+whole line, an empty list for an empty set. ``places`` and ``path_places`` are lists of structs, as in
+``regions.jsonl``; ends of boxes are infinite where they have no bound. It holds what ``regions.jsonl`` holds.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from .records import REGIONS, iter_region_records
 
 FILE = "regions.parquet"
 _ROWS_AT_A_TIME = 2000
+_PLACES = ("places", "path_places")
 _PLAIN = ("timestamp_s", "frame", "reliable", "place_p", "known_p", "evidence", "motion")
 
 
@@ -36,7 +38,12 @@ def write_region_parquet(folder: Path) -> Path:
     interval = pa.list_(pa.list_(pa.float64(), 2))
     kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64(), "place_p": pa.float64()}
     fields = [(name, kinds.get(name, pa.string())) for name in _PLAIN]
-    schema = pa.schema([*fields, *((name, interval) for name in TARGET_NAMES)])
+    place = pa.struct(
+        [("p", pa.float64()), ("sigma_rad", pa.float64()), ("box", interval)]
+        + [(name, pa.list_(pa.float64())) for name in ("position_xyz", "orientation_quat_wxyz", "sigma_m")]
+    )
+    places = ((name, pa.list_(place)) for name in _PLACES)
+    schema = pa.schema([*fields, *((name, interval) for name in TARGET_NAMES), *places])
     path = folder / FILE
     with replacing(path) as part, pq.ParquetWriter(part, schema) as writer:
         coming = iter_region_records(folder / REGIONS)
@@ -45,6 +52,7 @@ def write_region_parquet(folder: Path) -> Path:
                 {
                     **{name: _text(r.get(name)) for name, _ in fields},
                     **{k: _bounded(v) for k, v in r["intervals"].items()},
+                    **{k: _with_boxes(r.get(k), _bounded) for k in _PLACES},
                 }
                 for r in records
             ]
@@ -69,8 +77,17 @@ def read_region_parquet(path: Path) -> list[dict[str, Any]]:
 
 def _records(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     for row in rows:
-        intervals = {name: [[_open(a), _open(b)] for a, b in row.pop(name)] for name in TARGET_NAMES}
-        yield {**{k: row.get(k) for k in _PLAIN}, "intervals": intervals}
+        intervals = {name: _open_ends(row.pop(name)) for name in TARGET_NAMES}
+        places = {name: _with_boxes(row.get(name), _open_ends) for name in _PLACES}
+        yield {**{k: row.get(k) for k in _PLAIN}, "intervals": intervals, **places}
+
+
+def _with_boxes(places: list[dict[str, Any]] | None, change: Callable[[Any], Any]) -> list[dict[str, Any]] | None:
+    return None if places is None else [{**place, "box": change(place["box"])} for place in places]
+
+
+def _open_ends(parts: list[list[float]]) -> list[list[float | None]]:
+    return [[_open(a), _open(b)] for a, b in parts]
 
 
 def _bounded(parts: list[list[float | None]]) -> list[list[float]]:

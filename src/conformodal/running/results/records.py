@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.choices import as_member
+from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.errors import ResultsError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory
-from conformodal.reasoning.settings import FILTER
+from conformodal.reasoning.places import Place
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
 _ANY_SIGN = [1.0, 0.1, 0.01, 0.001]  # tells q from -q
@@ -30,6 +31,10 @@ def region_record(
     known_p: float | None = None,
     kind: EvidenceType = EvidenceType.GLOBAL,
     place_p: float | None = None,
+    *,
+    reliable: bool = True,
+    places: Sequence[Place] | None = None,
+    path_places: Sequence[Place] | None = None,
 ) -> dict[str, Any]:
     """The record of a frame.
 
@@ -39,10 +44,12 @@ def region_record(
         Of the frame, and since the frame before.
     intervals
         (m, 2) a target.
-    known_p, kind
+    known_p, kind, reliable
         See :class:`~conformodal.running.estimates.Estimate`.
     place_p
         Probability of the chosen place when the frame came; None where it is not known.
+    places, path_places
+        Of the image's region and of that from the frames so far; None for a region that is a product.
 
     Raises
     ------
@@ -50,14 +57,11 @@ def region_record(
         If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceType`.
     """
     kind = as_member(kind, EvidenceType, "kind", ResultsError)
-    place_p = None if place_p is None else float(f"{place_p:.4g}")
     return {
         "timestamp_s": round(float(timestamp_s), 6),
         "frame": name,
-        "reliable": bool(motion is None or motion.reliable)
-        and kind is not EvidenceType.UNKNOWN
-        and (place_p is None or place_p >= FILTER.reliable),
-        "place_p": place_p,
+        "reliable": reliable and kind is not EvidenceType.UNKNOWN,
+        "place_p": None if place_p is None else float(f"{place_p:.4g}"),
         "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
         "evidence": kind.name.lower(),
         "motion": "first" if motion is None else str(motion.status),
@@ -66,6 +70,25 @@ def region_record(
             target: [[_bound(a), _bound(b)] for a, b in parts]
             for target, parts in zip(TARGET_NAMES, intervals, strict=True)
         },
+        "places": None if places is None else [_place_record(place) for place in places],
+        "path_places": None if path_places is None else [_place_record(place) for place in path_places],
+    }
+
+
+def places_of(region: PoseRegions | None) -> list[Place] | None:
+    """The places of a frame's region (length 1); None of a region that is a product."""
+    return None if region is None or region.product else region.places(0)
+
+
+def _place_record(place: Place) -> dict[str, Any]:
+    assert place.box is not None
+    return {
+        "p": float(f"{place.probability:.4g}"),
+        "position_xyz": place.position_xyz.round(6).tolist(),
+        "orientation_quat_wxyz": place.orientation_quat_wxyz.round(6).tolist(),
+        "sigma_m": place.position_spreads.round(6).tolist(),
+        "sigma_rad": round(place.orientation_spread_rad, 6),
+        "box": [[_bound(a), _bound(b)] for a, b in place.box],
     }
 
 
@@ -127,6 +150,10 @@ def _check(record: dict[str, Any]) -> None:
         for low, high in parts:
             if (low is not None and not math.isfinite(low)) or (high is not None and not math.isfinite(high)):
                 raise ValueError(f"an interval ends at {low}, {high}")
+    for place in [*(record.get("places") or []), *(record.get("path_places") or [])]:
+        ends = [end for low, high in place["box"] for end in (low, high) if end is not None]
+        if len(place["box"]) != len(TARGET_NAMES) or not all(map(math.isfinite, [place["p"], *ends])):
+            raise ValueError("a place has another box than of seven intervals")
 
 
 def record_bounded(record: dict[str, Any]) -> bool:
@@ -148,8 +175,32 @@ def records_contain(
     inside = np.zeros(targets.shape, dtype=np.bool_)
     for i, record in enumerate(records):
         for j, name in enumerate(TARGET_NAMES):
-            inside[i, j] = any(
-                (a is None or a <= targets[i, j]) and (b is None or targets[i, j] <= b)
-                for a, b in record["intervals"][name]
-            )
+            inside[i, j] = any(_holds(part, targets[i, j]) for part in record["intervals"][name])
     return inside
+
+
+def records_hold(
+    records: Sequence[dict[str, Any]],
+    truth: Trajectory,
+    sign_reference: npt.NDArray[np.float64] | None,
+    places: str = "places",
+) -> npt.NDArray[np.bool_]:
+    """Whether stored regions hold the true poses, (n,); `places` are those of the image or ``path_places``.
+
+    A region without places is the product of its intervals.
+    """
+    if sign_reference is None:
+        here, there = (records_hold(records, truth, np.array(s), places) for s in (_ANY_SIGN, [-v for v in _ANY_SIGN]))
+        return here | there
+    targets = pose_targets(truth, sign_reference)
+    held: npt.NDArray[np.bool_] = np.array(records_contain(records, truth, sign_reference).all(axis=1))
+    for i, record in enumerate(records):
+        found = record.get(places)
+        if found is not None and not (places == "places" and not record_bounded(record)):
+            held[i] = any(all(map(_holds, place["box"], targets[i])) for place in found)
+    return held
+
+
+def _holds(interval: Sequence[float | None], value: float) -> bool:
+    low, high = interval
+    return (low is None or low <= value) and (high is None or value <= high)

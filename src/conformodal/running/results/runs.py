@@ -15,10 +15,10 @@ from conformodal.model.errors import ResultsError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
 from conformodal.running.estimates import OdometryRun
-from conformodal.running.paths import METHODS, PAPERS_METHOD
+from conformodal.running.paths import METHODS, ONLINE, PAPERS_METHOD
 
 from .folders import check_owner
-from .records import METRICS, TRAJECTORY
+from .records import METRICS, TRAJECTORY, places_of, region_record
 from .writer import ResultsWriter
 
 
@@ -45,10 +45,20 @@ def write_run(
             writer.poses(name, trajectory)
         if truth is not None:
             writer.truth(truth)
+        reliable, path = run.reliable.tolist(), run.path_regions.get(ONLINE)
         for i, name in enumerate(frame_names):
             place_p = None if run.certainty is None else float(run.certainty[i])
-            evidence = float(run.known_p[i]), EvidenceType(int(run.kinds[i])), place_p
-            writer.region(name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i), *evidence)
+            frame = name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i)
+            record = region_record(
+                *frame,
+                float(run.known_p[i]),
+                EvidenceType(int(run.kinds[i])),
+                place_p,
+                reliable=reliable[i],
+                places=places_of(run.regions[i : i + 1]),
+                path_places=None if path is None else places_of(path[i : i + 1]),
+            )
+            writer.region(record)
 
 
 def read_trajectories(folder: Path) -> dict[str, Trajectory]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import Regions
+from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import pose_targets
 from conformodal.model.errors import OdometryError
 from conformodal.model.region_rules import EvidenceType
@@ -31,6 +31,10 @@ class RegionStatistics:
         Whether it is the whole line.
     kinds
         (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`.
+    held
+        (n,) whether the region holds the whole pose.
+    n_places
+        (n,) cuboids that it consists of.
     """
 
     inside: npt.NDArray[np.bool_]
@@ -38,6 +42,13 @@ class RegionStatistics:
     n_intervals: npt.NDArray[np.int64]
     unbounded: npt.NDArray[np.bool_]
     kinds: npt.NDArray[np.int64]
+    held: npt.NDArray[np.bool_]
+    n_places: npt.NDArray[np.int64]
+
+    @property
+    def bounded(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether the set of every target is bounded."""
+        return np.asarray(~self.unbounded.any(axis=1))
 
     def __len__(self) -> int:
         return len(self.inside)
@@ -45,15 +56,16 @@ class RegionStatistics:
     @classmethod
     def of(
         cls,
-        regions: Regions,
+        regions: PoseRegions,
         truth: Trajectory,
         sign_reference: npt.NDArray[np.float64],
         kinds: npt.NDArray[np.int64] | None = None,
     ) -> RegionStatistics:
         """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
         kinds = np.full(len(regions), EvidenceType.GLOBAL, dtype=np.int64) if kinds is None else kinds
-        inside = regions.contains(pose_targets(truth, sign_reference))
-        return cls(np.asarray(inside), regions.length, regions.n_intervals, regions.unbounded, kinds)
+        targets = pose_targets(truth, sign_reference)
+        inside, held = regions.contains(targets), regions.contains(targets, joint=True)
+        return cls(inside, regions.length, regions.n_intervals, regions.unbounded, kinds, held, regions.n_places)
 
     @classmethod
     def concatenate(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:

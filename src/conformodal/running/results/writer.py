@@ -10,15 +10,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
 
-import numpy as np
-import numpy.typing as npt
-
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import RelativeMotion, Trajectory, tum_lines
+from conformodal.poses import Trajectory, tum_lines
 from conformodal.running.paths import METHODS
 
 from .folders import UNFINISHED, discard, holds_results, lock_output, replace_results
-from .records import REGIONS, TRAJECTORY, TRUTH, region_record
+from .records import REGIONS, TRAJECTORY, TRUTH
 
 
 class ResultsWriter:
@@ -75,21 +71,10 @@ class ResultsWriter:
         else:
             self._break_off()
 
-    def region(
-        self,
-        name: str,
-        timestamp_s: float,
-        motion: RelativeMotion | None,
-        intervals: Sequence[npt.NDArray[np.float64]],
-        known_p: float | None = None,
-        kind: EvidenceType = EvidenceType.GLOBAL,
-        place_p: float | None = None,
-    ) -> dict[str, Any]:
-        """Write the region of the next frame; returns its record."""
-        record = region_record(name, timestamp_s, motion, intervals, known_p, kind, place_p)
+    def region(self, record: dict[str, Any]) -> None:
+        """Write the region of the next frame, from :func:`~conformodal.running.results.records.region_record`."""
         self._lines(REGIONS, [json.dumps(record)])
         self._n_regions += 1
-        return record
 
     def poses(self, method: str, trajectory: Trajectory) -> None:
         """Write the next poses of a method."""

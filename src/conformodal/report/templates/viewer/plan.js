@@ -25,6 +25,7 @@ function drawPlan() {
   g.globalAlpha = 0.35; polyline(g, frames.map((one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
   if (data.truth) polyline(g, frames.map((one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
   const outside = f.whole ? 0 : drawBoxes(g, w, h, f, point);
+  drawPlaces(g, f, point);
   polyline(g, frames.slice(0, now + 1).map((one) => at(one.p)), colours.answer, 2.5);
   drawCamera(g, at(f.p), ahead(f.q), a, b);
   if (f.classical) mark(g, at(f.classical), colours.classical, "diamond");
@@ -57,18 +58,28 @@ function hatch(g, w, h) {
 
 // Returns how many boxes lie beyond the plan.
 function drawBoxes(g, w, h, f, point) {
-  const [a, b] = data.axes, heights = f.iv[data.up].length;
+  const [a, b] = data.axes;
   let outside = 0;
-  for (const u of f.iv[a]) for (const v of f.iv[b]) {
-    const [p, q] = [ends(u, a), ends(v, b)], [x0, y1] = point(p[0], q[0]), [x1, y0] = point(p[1], q[1]);
+  for (const box of f.bx) {
+    const [p, q] = [ends(box[a], a), ends(box[b], b)], [x0, y1] = point(p[0], q[0]), [x1, y0] = point(p[1], q[1]);
     if (x1 < 0 || x0 > w || y1 < 0 || y0 > h) { outside++; continue; }
     const grow = (low, high) => Math.max(LEAST_FRAME - (high - low), 0) / 2, [mx, my] = [grow(x0, x1), grow(y0, y1)];
     g.fillStyle = colours.region; g.strokeStyle = colours["region-line"];
     g.globalAlpha = 0.55; g.fillRect(x0, y0, Math.max(x1 - x0, 2), Math.max(y1 - y0, 2)); g.globalAlpha = 1;
     g.beginPath(); g.lineWidth = 2; g.roundRect(x0 - mx, y0 - my, x1 - x0 + 2 * mx, y1 - y0 + 2 * my, 4); g.stroke();
-    if (heights > 1) say(g, `${heights} heights`, (x0 + x1) / 2, y0 - my - 5, "center", colours.ink);
+    if (f.bx.length > 1 && box[3] != null) say(g, p2(box[3]), (x0 + x1) / 2, y0 - my - 5, "center", colours.ink);
   }
   return outside;
+}
+
+// Where the camera may be once the frames before are known.
+function drawPlaces(g, f, point) {
+  const [a, b] = data.axes;
+  g.strokeStyle = colours.answer; g.lineWidth = 2;
+  for (const box of f.pb || []) {
+    const [p, q] = [ends(box[a], a), ends(box[b], b)], [x0, y1] = point(p[0], q[0]), [x1, y0] = point(p[1], q[1]);
+    g.beginPath(); g.roundRect(x0 - 3, y0 - 3, x1 - x0 + 6, y1 - y0 + 6, 4); g.stroke();
+  }
 }
 
 function drawCamera(g, [x, y], way, a, b) {

@@ -1,5 +1,4 @@
 // The trajectory and the boxes in three dimensions; it turns and zooms by pointer and by keys.
-const MOST_BOXES = 64;
 const turn = { yaw: -0.7, tilt: 0.55, zoom: 1 };
 
 function drawSpace() {
@@ -16,19 +15,18 @@ function drawSpace() {
   const at = (p) => { const [u, v] = seen(p); return [w / 2 + scale * u, h / 2 + scale * v]; };
   g.globalAlpha = 0.35; polyline(g, frames.map((one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
   if (data.truth) polyline(g, frames.map((one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
-  if (!f.whole) drawCuboids(g, f, at);
+  if (!f.whole) drawCuboids(g, f.bx, colours["region-line"], at);
+  drawCuboids(g, f.pb || [], colours.answer, at);
   polyline(g, frames.slice(0, now + 1).map((one) => at(one.p)), colours.answer, 2);
   mark(g, at(f.p), colours.answer, "dot");
   if (f.truth) mark(g, at(f.truth), colours.ink, "cross");
   if (f.whole) plate(g, noBox(f), w / 2, 28);
 }
 
-function drawCuboids(g, f, at) {
-  g.strokeStyle = colours["region-line"]; g.lineWidth = 1.4;
-  let drawn = 0;
-  for (const u of f.iv[0]) for (const v of f.iv[1]) for (const s of f.iv[2]) {
-    if (++drawn > MOST_BOXES) return;
-    const e = [ends(u, 0), ends(v, 1), ends(s, 2)];
+function drawCuboids(g, boxes, colour, at) {
+  g.strokeStyle = colour; g.lineWidth = 1.4;
+  for (const box of boxes) {
+    const e = [0, 1, 2].map((k) => ends(box[k], k));
     const corner = (i) => at([e[0][i & 1], e[1][(i >> 1) & 1], e[2][(i >> 2) & 1]]);
     g.beginPath();
     for (let i = 0; i < 8; i++) for (const bit of [1, 2, 4]) if (!(i & bit)) { g.moveTo(...corner(i)); g.lineTo(...corner(i | bit)); }

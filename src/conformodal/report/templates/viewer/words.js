@@ -13,13 +13,17 @@ function tell(playing) {
   else if (time - said.heard >= HEARD_EVERY) hear();
 }
 
+const p2 = (p) => (p > 0.995 ? "1" : p < 0.01 ? "< 0.01" : p.toFixed(2));
 const p3 = (p) => (p < 0.1 ? p.toPrecision(1) : p.toFixed(2));
+
+const placesOf = (boxes) => `${boxes.length}${boxes.length && boxes[0][3] != null ? ` (${boxes.slice(0, 5).map((box) => p2(box[3])).join(", ")})` : ""}`;
 
 function facts(f) {
   const list = (p) => p.map((v) => v.toFixed(3)).join(", ");
   const rows = [["chosen position (m)", list(f.p)]];
   if (f.truth) rows.push(["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
-  rows.push(["intervals along x, y, z", f.whole ? "unbounded" : f.iv.map((parts) => parts.length).join(", ")]);
+  rows.push(["places of the image", f.whole ? "anywhere" : placesOf(f.bx)]);
+  if (f.pb) rows.push(["places after motion", placesOf(f.pb)]);
   if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
   if (f.kp != null) rows.push(["known place?", isUnknown(f) ? `no, p = ${p3(f.kp)}` : `yes, p = ${p3(f.kp)}`]);
   if (f.ev && !isUnknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);

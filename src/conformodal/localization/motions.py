@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import ImageError, Sequence
-from conformodal.localization.local_features import LocalFeatures, extract_local_features
 from conformodal.motion.frontend import FrontEnd, MotionFrontEnd
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Submap
+
+from .local_features import LocalFeatures, extract_local_features
 
 
 @dataclass(frozen=True, eq=False)
