@@ -41,7 +41,7 @@ def test_the_caption_tells_a_choice_of_the_wrong_room_from_one_of_the_right_room
 
     places = [np.array([[3.0, 0, 0]]), np.array([[3.0, 0, 0]]), np.empty((0, 3))]
     held = [np.array([True]), np.array([False]), np.empty(0, dtype=bool)]
-    alike = AmbiguityCheck(places, held, held)
+    alike = AmbiguityCheck(places, held)
     truth, chosen = path(0, 0, 0), path(0.1, 2.9, 2.9)
     assert true_place_chosen(chosen, truth, alike).tolist() == [True, False, True]
     run = SimpleNamespace(trajectory=chosen, trajectories={"classical": path(1.5, 1, 0)})

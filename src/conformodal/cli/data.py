@@ -24,13 +24,13 @@ from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
-from conformodal.quality.advice import describe_quality, names_of, quality_record, record_next
+from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.features import FeatureCache
 
-from .console import console, print_where, progress_bars, report_errors, report_strongly
+from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
 from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
@@ -100,7 +100,7 @@ def _check(
     if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
-        _report_quality(quality, sequence)
+        _report_quality(quality)
     if out is not None:
         configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
@@ -198,15 +198,15 @@ def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: Sta
     return None if found.poses is None else found
 
 
-def _report_quality(found: RecordingQuality, sequence: Sequence) -> None:
+def _report_quality(found: RecordingQuality) -> None:
     """The findings, and what to record or train on next."""
     for line in describe_quality(found):
-        console.print(line, soft_wrap=True)
-    advice = record_next(found, names_of(found, sequence))
+        report_line(line)
+    advice = record_next(found)
     if advice:
         report_strongly("what to record or train on next, the most valuable first:")
     for number, line in enumerate(advice, start=1):
-        console.print(f"  {number}. {line}", soft_wrap=True)
+        report_line(f"  {number}. {line}")
 
 
 def _require_figures() -> None:
@@ -225,10 +225,10 @@ def _write_findings(
         (out / PAGE).unlink(missing_ok=True)  # of an earlier check
         (out / FIGURES / PLAN).unlink(missing_ok=True)
         return
-    whole = {**record, "quality": quality_record(found, sequence)}
+    whole = {**record, "quality": quality_record(found)}
     write_metrics(out, whole)
     findings = [
         f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
         for finding in check.findings
     ]
-    write_quality_page(out, found, sequence, whole, findings)
+    write_quality_page(out, found, whole, findings)

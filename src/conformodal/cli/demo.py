@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -20,7 +20,7 @@ from conformodal.datasets.corridor.render import Renderer
 from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.datasets.corridor.writer import write_corridor
 from conformodal.model.config import Method, ModelConfig
-from conformodal.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
+from conformodal.quality.corridor_ambiguity import check_ambiguity
 from conformodal.report.page import write_page
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.runs import write_metrics
@@ -63,7 +63,7 @@ def demo(
             Renderer(world),
             progress=stage_of(report, "look-alikes"),
         )
-        outcome.metrics["ambiguity"] = _ambiguity_record(alike)
+        outcome.metrics["ambiguity"] = alike.record()
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
@@ -110,12 +110,3 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
             progress=stage_of(report, "corridor"),
         )
     return read_sevenscenes(place)
-
-
-def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
-    return {
-        "n_frames": check.n_frames,
-        "n_places": check.n_places,
-        "share_held": check.share_held,
-        "share_held_position": check.share_held_position,
-    }
