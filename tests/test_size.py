@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2550,
+    "cli": 2420,
     "conformal": 5310,
     "core": 430,
     "datasets": 4780,
@@ -18,7 +18,7 @@ BUDGET = {
     "poses": 930,
     "quality": 930,
     "reasoning": 1520,
-    "report": 1100,
+    "report": 830,
     "ros": 790,
     "running": 2250,
     "training": 580,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -17,8 +18,7 @@ from conformodal.poses import Trajectory, read_tum, trajectory_errors
 from conformodal.running.paths import ONLINE
 from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
-from .page_frames import Paths, page_frame
-from .sentences import RunStatistics, describe_frame, describe_run
+from .page_frames import Paths, describe_run, kind_of, page_frame, with_image
 
 MOST_FRAMES = 1000
 # In this order they are one script; a later one uses names of the earlier ones.
@@ -72,13 +72,20 @@ def make_viewer(
         _beside(folder / TRUTH, n),
         *(_beside(folder / "methods" / f"{name}.tum", n) for name in ("classical", ONLINE)),
     )
-    errors, stride = paths.errors(), max(1, -(-n // MOST_FRAMES))
-    shown, statistics = [], RunStatistics()
+    stride = max(1, -(-n // MOST_FRAMES))
+    shown, kinds, held = [], Counter[str](), []
     for i, record in zip(range(n), iter_region_records(folder / REGIONS), strict=False):
-        frame = page_frame(i, record, paths, errors)
-        statistics.add(frame)
-        if frame.name in images if images else i % stride == 0:
-            shown.append(frame.as_json(describe_frame(frame), images.get(frame.name)))
+        frame = page_frame(i, record, paths)
+        kinds[kind_of(frame)] += 1
+        if frame["size"] is not None and "held" in frame:
+            held.append(frame["held"])
+        if frame["n"] in images if images else i % stride == 0:
+            shown.append(with_image(frame, images))
+    rmse_m = {}
+    if paths.truth is not None:
+        if paths.online is not None:
+            rmse_m["when a frame comes"] = trajectory_errors(paths.online, paths.truth)["rmse_m"]
+        rmse_m["as shown here"] = trajectory_errors(paths.answer, paths.truth)["rmse_m"]
     extent = np.ptp(answer.positions_xyz, axis=0)
     flat = sorted(np.argsort(-extent)[:2].tolist())
     data = {
@@ -93,7 +100,7 @@ def make_viewer(
     return Viewer(
         json=json_in_script(data),
         script=_script(),
-        text=describe_run(statistics, _online_rmse_m(paths)),
+        text=describe_run(kinds, len(held), sum(held), rmse_m),
         note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         n_shown=len(shown),
         has_images=bool(images),
@@ -102,13 +109,6 @@ def make_viewer(
         online=paths.online is not None,
         known=any(frame.get("kp") is not None for frame in shown),
     )
-
-
-def _online_rmse_m(paths: Paths) -> float | None:
-    """Of the positions as a robot gets them; None where these or the truth are not known."""
-    if paths.online is None or paths.truth is None:
-        return None
-    return trajectory_errors(paths.online, paths.truth)["rmse_m"]
 
 
 def json_in_script(data: Any) -> str:
