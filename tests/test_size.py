@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2420,
+    "cli": 2390,
     "conformal": 5310,
     "core": 430,
     "datasets": 4780,
@@ -15,10 +15,10 @@ BUDGET = {
     "model": 1250,
     "motion": 990,
     "networks": 810,
-    "poses": 930,
+    "poses": 830,
     "quality": 930,
     "reasoning": 1520,
-    "report": 830,
+    "report": 780,
     "ros": 790,
     "running": 2250,
     "training": 580,

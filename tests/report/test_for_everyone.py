@@ -52,8 +52,7 @@ def run_page(folder, make_run, n=60, **options):
     chart = Figure(figsize=(10, 4))
     chart.subplots().plot([0, 1], [0, 1])
     figures = [PageFigure("chart", "A chart", "Errors of one.", as_svg(chart))]
-    image = ("frame-000: which room?", np.zeros((30, 40, 3), np.uint8))
-    write_page(folder / "report.html", ReportContent("a run", ["60 frames.", "more"], METRICS, figures, viewer, image))
+    write_page(folder / "report.html", ReportContent("a run", ["60 frames.", "more"], METRICS, figures, viewer))
     return folder / "report.html"
 
 

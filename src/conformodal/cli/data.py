@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,6 @@ import typer
 from rich.table import Table
 
 from conformodal.core.caching import default_cache_dir
-from conformodal.core.files import LOCK, writing_in
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
@@ -26,6 +24,7 @@ from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
 from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
+from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.features import FeatureCache
@@ -36,7 +35,7 @@ from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
-METRICS, PAGE, FIGURES = "metrics.json", "report.html", "figures"
+PAGE, FIGURES = "report.html", "figures"
 
 
 @app.callback()
@@ -51,7 +50,7 @@ def check(
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for metrics.json, and a page if there are poses: new, empty, or of data check."),
+        typer.Option(help="Folder for metrics.json, and a page if there are poses."),
     ] = None,
     model: Annotated[
         Path | None,
@@ -63,7 +62,7 @@ def check(
     follow_outside: FollowOutside = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
-    with nullcontext() if out is None else writing_in(out):
+    with nullcontext() if out is None else lock_output(out, "data", apart=[folder]):
         _check(folder, layout, out, model, cache, follow_outside)
 
 
@@ -71,8 +70,7 @@ def _check(
     folder: Path, layout: Layout, out: Path | None, model: Path | None, cache: Path | None, follow_outside: bool
 ) -> None:
     if out is not None:
-        _check_out(out)
-        _require_figures()
+        import conformodal.report.quality  # noqa: F401, PLC0415 - refuse to begin where what draws is not installed
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
     known = None if model is None else load_model(model)
     if known is not None:
@@ -164,18 +162,6 @@ def convert(
     print_where(out)
 
 
-def _check_out(out: Path) -> None:
-    """Refuse a folder that holds anything but what this command wrote there before."""
-    names = {path.name for path in out.iterdir()} - {LOCK}
-    if not names:
-        return
-    command = None
-    with suppress(OSError, ValueError, AttributeError, RecursionError):
-        command = json.loads((out / METRICS).read_text(encoding="utf-8")).get("command")
-    if METRICS not in names or names - {METRICS, PAGE, FIGURES} or command != "data check":
-        raise DatasetError(f"{out}: holds files of another kind ({min(names)}); name a new or empty folder")
-
-
 def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if folder is None:
         raise DatasetError("the source has no calibration; name a folder with camera-intrinsics.txt by --camera")
@@ -207,11 +193,6 @@ def _report_quality(found: RecordingQuality) -> None:
         report_strongly("what to record or train on next, the most valuable first:")
     for number, line in enumerate(advice, start=1):
         report_line(f"  {number}. {line}")
-
-
-def _require_figures() -> None:
-    """Refuse to begin where what draws the page is not installed."""
-    import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
 
 
 def _write_findings(

@@ -129,5 +129,4 @@ def page_of(
         metrics,
         [PageFigure("plan", "One frame, and every place with the same view", caption, svg)],
         make_viewer(folder, pictures.kept, model.rules.level, world.plan()),
-        (f"{name}: which room is this?", sequence.image(int(run.frames[index]))),
     )

@@ -12,7 +12,7 @@ from conformodal.core.files import write_whole
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.settings import QUALITY
 
-from .templating import render_page
+from .page import render_page
 
 with require_extra("figures", "the page of a recording"):
     from matplotlib.figure import Figure

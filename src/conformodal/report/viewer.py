@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -25,29 +24,13 @@ MOST_FRAMES = 1000
 _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
 
 
-@dataclass(frozen=True)
-class Viewer:
-    """What the template needs: data as JSON, the script, sentences, and what is there to be shown."""
-
-    json: str
-    script: str
-    text: str
-    note: str
-    n_shown: int
-    has_images: bool
-    truth: bool
-    classical: bool
-    online: bool
-    known: bool
-
-
 def make_viewer(
     folder: Path,
     images: Mapping[str, bytes],
     level: float | None = None,
     walls: Sequence[npt.NDArray[np.float64]] = (),
-) -> Viewer:
-    """A viewer of a run's folder; of long runs, it shows at most a thousand frames, evenly spread.
+) -> dict[str, Any]:
+    """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
     Parameters
     ----------
@@ -97,18 +80,16 @@ def make_viewer(
         "level": level,
         "walls": [np.round(wall, 3).tolist() for wall in walls] if flat == [0, 1] else [],
     }
-    return Viewer(
-        json=json_in_script(data),
-        script=_script(),
-        text=describe_run(kinds, len(held), sum(held), rmse_m),
-        note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
-        n_shown=len(shown),
-        has_images=bool(images),
-        truth=paths.truth is not None,
-        classical=paths.classical is not None,
-        online=paths.online is not None,
-        known=any(frame.get("kp") is not None for frame in shown),
-    )
+    return {
+        "json": json_in_script(data),
+        "script": _script(),
+        "text": describe_run(kinds, len(held), sum(held), rmse_m),
+        "note": "" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
+        "n_shown": len(shown),
+        "has_images": bool(images),
+        **{name: getattr(paths, name) is not None for name in ("truth", "classical", "online")},
+        "known": any(frame.get("kp") is not None for frame in shown),
+    }
 
 
 def json_in_script(data: Any) -> str:
