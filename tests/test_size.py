@@ -14,7 +14,7 @@ BUDGET = {
     "localization": 2100,
     "model": 1250,
     "motion": 990,
-    "networks": 810,
+    "networks": 760,
     "poses": 830,
     "quality": 930,
     "reasoning": 1520,

@@ -21,7 +21,7 @@ from conformodal.localization.source import PoseSource
 from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.model.model import PoseModel
 from conformodal.model.store import model_digest, save_model
-from conformodal.networks import NETWORKS, find_network
+from conformodal.networks.lite import NETWORKS, find_network
 from conformodal.quality.advice import describe_guarantee, describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.quality.guarantee import guarantees
