@@ -20,9 +20,8 @@ from common import REDKITCHEN, in_process, table_lines, train_briefly, write_pag
 from torch import nn
 
 from conformodal.datasets import read_sevenscenes
-from conformodal.networks import TorchBackbone
 from conformodal.networks.exporting import OPSET
-from conformodal.networks.torch_backbone import backbone_config
+from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
 
 DROP_PATH = 0.2  # EfficientNet's own rate, of its last block
 JOULES = Path("/sys/class/powercap")

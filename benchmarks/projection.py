@@ -22,7 +22,7 @@ from common import DATA, REDKITCHEN, half_width, seconds_of, spread, write_table
 from conformodal.core.arrays import FloatArray
 from conformodal.datasets import Sequence, SplitKind, read_sequence, read_sevenscenes
 from conformodal.model.config import ModelConfig
-from conformodal.networks import fit_head, soft_cross_entropy
+from conformodal.networks.heads import fit_head, soft_cross_entropy
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig

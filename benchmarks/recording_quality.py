@@ -24,8 +24,7 @@ from conformodal.model.radius import depth_or_default
 from conformodal.poses import position_errors_m
 from conformodal.quality.place_ambiguity import most_probable
 from conformodal.quality.settings import QUALITY
-from conformodal.quality.view_coverage import pose_coverage
-from conformodal.quality.views import ViewScale
+from conformodal.quality.view_coverage import ViewScale, pose_coverage
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.provenance import provenance
 from conformodal.training.training import prepare_training_data, train_model

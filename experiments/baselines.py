@@ -20,8 +20,7 @@ from conformodal.datasets import held_out_together
 from conformodal.localization.neighbours.regression import LocalSettings
 from conformodal.localization.neighbours.tuning import fit_local
 from conformodal.localization.targets import TARGET_NAMES, target_scale
-from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
-from conformodal.networks.heads import Loss
+from conformodal.networks.heads import Head, Loss, fit_head, mean_squared_error, predict_values
 from conformodal.training.plain import known_frames
 from conformodal.training.training_data import TrainingData
 from conformodal.vision.backbone import feature_views

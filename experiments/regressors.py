@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.networks import Head, predict_values
+from conformodal.networks.heads import Head, predict_values
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning.observations import PosePath
 from conformodal.reasoning.prior import MotionPrior

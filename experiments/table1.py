@@ -22,7 +22,7 @@ from conformodal.core.files import write_whole, writing_in
 from conformodal.datasets import Layout, Sequence, SplitKind
 from conformodal.model.config import Method
 from conformodal.model.identity import data_digest
-from conformodal.networks import find_network
+from conformodal.networks.lite import find_network
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.features import FeatureCache

@@ -7,18 +7,18 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2550,
+    "cli": 2390,
     "conformal": 5310,
     "core": 430,
     "datasets": 4780,
     "localization": 2100,
     "model": 1250,
     "motion": 990,
-    "networks": 810,
-    "poses": 930,
-    "quality": 1230,
+    "networks": 760,
+    "poses": 830,
+    "quality": 930,
     "reasoning": 1520,
-    "report": 1150,
+    "report": 780,
     "ros": 790,
     "running": 2250,
     "training": 580,

@@ -7,7 +7,7 @@ import pytest
 
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.model.store import load_model, save_model
-from conformodal.networks import TorchBackbone
+from conformodal.networks.torch_backbone import TorchBackbone
 from conformodal.vision.onnx_backbone import OnnxBackbone
 from tests.helpers import invoke
 

@@ -23,9 +23,7 @@ def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_worl
         result = invoke("data", "check", small_world.folder, *options)
         assert result.exit_code == 0, result.output
     found, model = quality_of(out), load_model(small_world.model)
-    looked = found["ambiguity"]["frames"]
-    assert len(looked) > 20
-    assert not np.isin(looked, model.localizer.frames).any()
+    assert found["ambiguity"]["n_looked_at"] == min(400, found["n_frames"] - len(model.localizer.frames))
     assert found["n_known"] == len(model.localizer.frames)
     assert {row["evidence"] for row in found["guarantees"]} == {"global", "unmatched", "landmarks"}
     assert "frames that the model has not seen" in result.output
@@ -42,7 +40,6 @@ def test_training_says_it_too(small_world):
     assert found["n_frames"] == len(read_sevenscenes(small_world.folder))
     assert found["ambiguity"]["n_looked_at"] == min(100, found["n_frames"] - len(model.localizer.frames))
     assert len(found["guarantees"]) == 3
-    assert "change" not in found
 
 
 @pytest.mark.slow
@@ -62,9 +59,9 @@ def test_a_piece_that_is_cut_out_by_hand_is_found(small_world, tmp_path):
         for path in (tmp_path / "cut" / "seq-01").glob(name.replace("pose.txt", "*")):
             path.unlink()
     result = invoke("data", "check", tmp_path / "cut", "--out", tmp_path / "out")
-    (gap,) = quality_of(tmp_path / "out")["sparse"]
-    assert (gap["first"], gap["last"], gap["between"]) == (first, first + 1, True)
-    assert f"Record more views along frames {first} to {first + 1}" in result.output
+    gaps = quality_of(tmp_path / "out")["fast"]
+    assert any(gap["first"] <= first and gap["last"] > first and gap["distance_m"] > 1 for gap in gaps)
+    assert "record more views there" in result.output
 
 
 def test_without_poses_and_model_there_is_nothing_to_say(small_world, tmp_path):

@@ -14,7 +14,8 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.core.files import locked
 from conformodal.datasets import ImageError
-from conformodal.networks import Head, TorchBackbone, backbone_config, fit_head, mean_squared_error, soft_cross_entropy
+from conformodal.networks.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
+from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.keeping import cache_arrays, cached_arrays
 from conformodal.vision.settings import TrainingConfig
@@ -99,7 +100,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from conformodal.networks import fit_head, soft_cross_entropy
+from conformodal.networks.heads import fit_head, soft_cross_entropy
 from conformodal.vision.settings import TrainingConfig
 data = np.load(sys.argv[1])
 kill = lambda done, _: done == 15 and os.kill(os.getpid(), signal.SIGKILL)

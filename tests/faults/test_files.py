@@ -525,8 +525,7 @@ OUTS = {
     "a run": {"metrics.json": '{"command": "run"}', "trajectory.tum": "0 0 0 0 0 0 0 1"},
     "metrics nested deeply": {"metrics.json": "[" * 100_000},
     "a model": {"model.json": "{}", "model.safetensors": "x"},
-    "a check and something else": {"metrics.json": '{"command": "data check"}', "trajectory.tum": ""},
-    "notes": {"notes.txt": "mine"},
+    "a page": {"report.html": "mine"},
 }
 
 

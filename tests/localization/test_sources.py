@@ -147,7 +147,7 @@ def test_a_head_learns_from_order_aware_labels_or_from_one_hot_ones(data_of, mon
         labels.append(targets)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conformodal.networks.fit_head", keep)
+    monkeypatch.setattr("conformodal.networks.heads.fit_head", keep)
     data = data_of(60, sigma_bins=spread)
     with pytest.raises(KeyboardInterrupt):
         HeadSource.fit(data, np.arange(60))

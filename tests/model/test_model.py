@@ -16,7 +16,7 @@ from conformodal.model.errors import ModelFileError, OdometryError
 from conformodal.model.radius import Guarantee, PoseRadius
 from conformodal.model.region_rules import EvidenceType, RegionRules
 from conformodal.model.store import load_model, save_model
-from conformodal.networks import TorchBackbone
+from conformodal.networks.torch_backbone import TorchBackbone
 from conformodal.poses import PinholeCamera
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.evaluation import coverage_table

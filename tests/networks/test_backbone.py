@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from conformodal.core.extras import MissingPackageError
-from conformodal.networks import NETWORKS, TorchBackbone, backbone_config, pick_device
-from conformodal.networks.lite import LiteNetwork
+from conformodal.networks.lite import NETWORKS, LiteNetwork
+from conformodal.networks.torch_backbone import TorchBackbone, backbone_config, pick_device
 from conformodal.vision.backbone import BackboneConfig
 from conformodal.vision.settings import VisionError
 

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from conformodal.networks import TorchBackbone, exported, exporting
+from conformodal.networks import exporting
+from conformodal.networks.exporting import exported
+from conformodal.networks.torch_backbone import TorchBackbone
 from conformodal.vision.backbone import BackboneConfig
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.onnx_backbone import OnnxBackbone

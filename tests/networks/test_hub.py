@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.networks import TorchBackbone, backbone_config, find_network
 from conformodal.networks import hub as hub_module
+from conformodal.networks.lite import find_network
+from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
 from conformodal.vision.backbone import BackboneConfig
 from conformodal.vision.settings import VisionError
 

@@ -5,7 +5,10 @@ from PIL import Image
 
 from conformodal.datasets import ImageError
 from conformodal.localization.targets import TARGET_NAMES
-from conformodal.networks import TorchBackbone, exported, exporting, fit_head, quantised, soft_cross_entropy, with_head
+from conformodal.networks import exporting
+from conformodal.networks.exporting import exported, quantised, with_head
+from conformodal.networks.heads import fit_head, soft_cross_entropy
+from conformodal.networks.torch_backbone import TorchBackbone
 from conformodal.vision.backbone import BackboneConfig, feature_views
 from conformodal.vision.features import FeatureCache
 from conformodal.vision.projection import fit_projection

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
-from conformodal.networks import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
+from conformodal.networks.heads import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
 from conformodal.vision.projection import Projection, fit_projection
 from conformodal.vision.settings import TrainingConfig, VisionError
 
@@ -140,7 +140,7 @@ WITHOUT = """
 import sys
 sys.modules["lightning"] = sys.modules["pytorch_lightning"] = None
 import numpy as np
-from conformodal.networks import fit_head, soft_cross_entropy
+from conformodal.networks.heads import fit_head, soft_cross_entropy
 from conformodal.vision.settings import TrainingConfig
 fit_head(np.eye(4, dtype=np.float32), np.eye(4), [4], soft_cross_entropy, TrainingConfig(epochs=1, components=None))
 """

@@ -15,8 +15,8 @@ from conformodal.poses import (
     read_kitti,
     read_tum,
     relative_errors,
-    umeyama,
 )
+from conformodal.poses.alignment import umeyama
 
 PAIRS = {
     "kitti00_orb": ("KITTI_00_ORB.txt", "KITTI_00_gt.txt"),

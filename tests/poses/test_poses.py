@@ -11,13 +11,13 @@ from conformodal.poses import (
     TrajectoryFileError,
     angle_between_quats,
     associate,
-    check_rotation_matrices,
     fix_sign,
     read_tum,
     sign_reference,
     trajectory_errors,
     write_tum,
 )
+from conformodal.poses.rotations import check_rotation_matrices
 
 
 def random_trajectory(n=20, seed=0):

@@ -94,7 +94,7 @@ def test_too_few_are_said_to_give_the_whole_space():
     (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
     assert not one.finite
     assert one.n_needed == 9
-    assert describe_guarantee(one).endswith("calibrated on 5 frames, bounded from alpha = 0.1667")
+    assert describe_guarantee(one).endswith("5 frames, unbounded at alpha = 0.1, bounded from alpha = 0.1667")
 
 
 SHARED = {

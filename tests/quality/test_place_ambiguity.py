@@ -8,9 +8,10 @@ import pytest
 from conformodal.conformal import QuantileBins
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.quality.advice import Names, describe_quality, record_next
+from conformodal.quality.advice import describe_quality, record_next
+from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.place_ambiguity import ambiguity
-from conformodal.quality.views import ViewScale
+from conformodal.quality.view_coverage import ViewScale
 from tests.helpers import pose_regions_of
 
 SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)
@@ -53,12 +54,17 @@ def judged(parts, truth, known=X, frames=None):
     return ambiguity(frames, np.zeros(n, dtype=np.int64), found, at(known), poses, REFERENCE, SCALE)
 
 
+def of_a_recording(found, known_names):
+    sequence, positions = SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0])
+    poses = Trajectory(np.arange(3.0), positions, np.tile(REFERENCE, (3, 1)))
+    return RecordingQuality(sequence, np.arange(3), poses, known_names, SCALE, None, found, [])
+
+
 def test_places_in_a_region_are_counted():
     parts = [[(1, 3)], [(1, 2), (11, 12)], [(0, 20)], None]
     found = judged(parts, [1.5, 1.5, 1.5, 1.5])
     assert found.n_places.tolist() == [1, 2, 2, 0]
     assert found.n_unknown == 1
-    assert found.mean_intervals["x"] == pytest.approx(4 / 3)
 
 
 def test_places_that_known_frames_join_are_one():
@@ -98,14 +104,9 @@ def test_where_regions_hold_one_place_nothing_is_ambiguous():
 def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
     found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
-    quality = SimpleNamespace(
-        coverage=None, ambiguity=found, guarantees=[], errors_m=None, known_names=1000 + np.arange(80)
-    )
-    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
-    (advice,) = record_next(quality, names)
-    assert advice.startswith(
-        f"Places look alike: {frames} (around x=1.5, y=0.0) and frames 1050 to 1069. Record the way"
-    )
+    quality = of_a_recording(found, 1000 + np.arange(80))
+    (advice,) = record_next(quality)
+    assert advice.startswith(f"Places look alike: {frames} (around x=1.5, y=0.0) and frames 1050 to 1069. Record")
     assert describe_quality(quality)[0].startswith(f"ambiguous: {n} of {10 + n} frames that the model has not seen; ")
 
 
@@ -114,10 +115,6 @@ def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other(
     found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
     (one,) = found.stretches
     # the known frames elsewhere, 50 to 69 of all, bear the numbers 10 to 29: those of the stretch itself
-    quality = SimpleNamespace(
-        coverage=None, ambiguity=found, guarantees=[], errors_m=None, known_names=np.arange(80) - 40
-    )
-    names = Names(SimpleNamespace(recording=np.zeros(1)), np.diag([2.0, 1.0, 0.0]))
-    (advice,) = record_next(quality, names)
+    (advice,) = record_next(of_a_recording(found, np.arange(80) - 40))
     assert (one.first, one.last) == (20, 28)
-    assert advice.startswith("Places look alike in frames 20 to 28 (around x=1.5, y=0.0): record them again")
+    assert advice.startswith("Places look alike: frames 20 to 28 (around x=1.5, y=0.0). Record")

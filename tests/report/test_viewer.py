@@ -131,8 +131,8 @@ def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
         writer.region(region_record("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS))
         writer.region(region_record("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN))
     viewer = make_viewer(tmp_path, {}, 0.01)
-    assert viewer.known
-    data = json.loads(viewer.json)
+    assert viewer["known"]
+    data = json.loads(viewer["json"])
     assert data["level"] == 0.01
     seen, unknown = data["frames"]
     assert (seen["kp"], seen["ev"], seen["whole"], seen["ok"]) == (0.43, "landmarks", False, True)

@@ -4,7 +4,7 @@ import torch
 from PIL import Image
 
 from conformodal.datasets import ImageError, PixelNoise, thumbnail
-from conformodal.networks import TorchBackbone
+from conformodal.networks.torch_backbone import TorchBackbone
 from conformodal.vision.backbone import BackboneConfig, feature_views
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.settings import VisionError

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.networks import Head
+from conformodal.networks.heads import Head
 from conformodal.vision.projection import fit_projection
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,6 @@ import typer
 from rich.table import Table
 
 from conformodal.core.caching import default_cache_dir
-from conformodal.core.files import LOCK, writing_in
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
@@ -24,19 +22,20 @@ from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera, read_tum
-from conformodal.quality.advice import describe_quality, names_of, quality_record, record_next
+from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
+from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.features import FeatureCache
 
-from .console import console, print_where, progress_bars, report_errors, report_strongly
+from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
 from .sources import FollowOutside, cache_folder, open_sequence, open_source
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
-METRICS, PAGE, FIGURES = "metrics.json", "report.html", "figures"
+PAGE, FIGURES = "report.html", "figures"
 
 
 @app.callback()
@@ -51,7 +50,7 @@ def check(
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for metrics.json, and a page if there are poses: new, empty, or of data check."),
+        typer.Option(help="Folder for metrics.json, and a page if there are poses."),
     ] = None,
     model: Annotated[
         Path | None,
@@ -63,7 +62,7 @@ def check(
     follow_outside: FollowOutside = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
-    with nullcontext() if out is None else writing_in(out):
+    with nullcontext() if out is None else lock_output(out, "data", apart=[folder]):
         _check(folder, layout, out, model, cache, follow_outside)
 
 
@@ -71,8 +70,7 @@ def _check(
     folder: Path, layout: Layout, out: Path | None, model: Path | None, cache: Path | None, follow_outside: bool
 ) -> None:
     if out is not None:
-        _check_out(out)
-        _require_figures()
+        import conformodal.report.quality  # noqa: F401, PLC0415 - refuse to begin where what draws is not installed
     sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
     known = None if model is None else load_model(model)
     if known is not None:
@@ -100,7 +98,7 @@ def _check(
     if not wrong:
         console.print("nothing is wrong with it")
     if quality is not None:
-        _report_quality(quality, sequence)
+        _report_quality(quality)
     if out is not None:
         configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
         if model is not None:
@@ -164,18 +162,6 @@ def convert(
     print_where(out)
 
 
-def _check_out(out: Path) -> None:
-    """Refuse a folder that holds anything but what this command wrote there before."""
-    names = {path.name for path in out.iterdir()} - {LOCK}
-    if not names:
-        return
-    command = None
-    with suppress(OSError, ValueError, AttributeError, RecursionError):
-        command = json.loads((out / METRICS).read_text(encoding="utf-8")).get("command")
-    if METRICS not in names or names - {METRICS, PAGE, FIGURES} or command != "data check":
-        raise DatasetError(f"{out}: holds files of another kind ({min(names)}); name a new or empty folder")
-
-
 def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     if folder is None:
         raise DatasetError("the source has no calibration; name a folder with camera-intrinsics.txt by --camera")
@@ -198,20 +184,15 @@ def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: Sta
     return None if found.poses is None else found
 
 
-def _report_quality(found: RecordingQuality, sequence: Sequence) -> None:
+def _report_quality(found: RecordingQuality) -> None:
     """The findings, and what to record or train on next."""
     for line in describe_quality(found):
-        console.print(line, soft_wrap=True)
-    advice = record_next(found, names_of(found, sequence))
+        report_line(line)
+    advice = record_next(found)
     if advice:
         report_strongly("what to record or train on next, the most valuable first:")
     for number, line in enumerate(advice, start=1):
-        console.print(f"  {number}. {line}", soft_wrap=True)
-
-
-def _require_figures() -> None:
-    """Refuse to begin where what draws the page is not installed."""
-    import conformodal.report.quality  # noqa: F401, PLC0415 - what draws takes time to import
+        report_line(f"  {number}. {line}")
 
 
 def _write_findings(
@@ -225,10 +206,10 @@ def _write_findings(
         (out / PAGE).unlink(missing_ok=True)  # of an earlier check
         (out / FIGURES / PLAN).unlink(missing_ok=True)
         return
-    whole = {**record, "quality": quality_record(found, sequence)}
+    whole = {**record, "quality": quality_record(found)}
     write_metrics(out, whole)
     findings = [
         f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
         for finding in check.findings
     ]
-    write_quality_page(out, found, sequence, whole, findings)
+    write_quality_page(out, found, whole, findings)

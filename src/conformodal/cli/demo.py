@@ -8,26 +8,25 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from conformodal.core.files import FolderError, write_whole
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence, read_sevenscenes
 from conformodal.datasets.corridor.render import Renderer
 from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.datasets.corridor.writer import write_corridor
 from conformodal.model.config import Method, ModelConfig
-from conformodal.quality.corridor_ambiguity import AmbiguityCheck, check_ambiguity
+from conformodal.quality.corridor_ambiguity import check_ambiguity
 from conformodal.report.page import write_page
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.runs import write_metrics
 from conformodal.vision.settings import TrainingConfig
 
-from .console import console, print_where, progress_bars, report_errors, report_line
-from .demo_pages import DemoResults, answer_test_part, describe_ratios, page_of
+from .console import print_where, progress_bars, report_errors, report_line
+from .demo_pages import answer_test_part, describe_places, describe_ratios, page_of
 from .outcome import report_outcome
 from .train import train_on
 
@@ -56,26 +55,15 @@ def demo(
         model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
         outcome = answer_test_part(model, config, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
-        alike = check_ambiguity(
-            outcome.run,
-            outcome.truth,
-            model,
-            Renderer(world),
-            progress=stage_of(report, "look-alikes"),
-        )
-        outcome.metrics["ambiguity"] = _ambiguity_record(alike)
+        alike = check_ambiguity(outcome.run, outcome.truth, model, Renderer(world), stage_of(report, "look-alikes"))
+        outcome.metrics["ambiguity"] = alike.record()
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
-        results = DemoResults(outcome, sequence, model, world, alike, N_LAPS, out)
-        write_page(out / "report.html", page_of(results))
+        write_page(out / "report.html", page_of(outcome, sequence, model, world, alike, out))
     report_outcome(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
-    record = outcome.metrics["ambiguity"]
-    console.print(
-        f"{counted(record['n_frames'], 'frame')} {noun_for(record['n_frames'], 'has', 'have')} other places with the "
-        f"same view, {record['n_places']} in all; the regions hold {record['share_held']:.3f} of them (whole pose)"
-    )
-    report_line(describe_ratios(method, outcome.metrics))
+    report_line(describe_places(outcome.metrics["ambiguity"]))
+    report_line(describe_ratios(outcome.metrics))
     report_line(f"open {(out / 'report.html').resolve()}")
     print_where(out)
 
@@ -102,20 +90,5 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
     write_whole(mark, json.dumps(wanted) + "\n")
     shutil.rmtree(old, ignore_errors=True)
     if not flight.is_dir():
-        write_corridor(
-            place,
-            n_modules=N_MODULES,
-            n_laps=N_LAPS,
-            seed=seed,
-            progress=stage_of(report, "corridor"),
-        )
+        write_corridor(place, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, progress=stage_of(report, "corridor"))
     return read_sevenscenes(place)
-
-
-def _ambiguity_record(check: AmbiguityCheck) -> dict[str, Any]:
-    return {
-        "n_frames": check.n_frames,
-        "n_places": check.n_places,
-        "share_held": check.share_held,
-        "share_held_position": check.share_held_position,
-    }

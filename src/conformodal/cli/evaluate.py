@@ -14,8 +14,8 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.errors import OdometryError
-from conformodal.poses import Alignment, Trajectory, align, associate, kitti_drift, read_tum, recall, relative_errors
-from conformodal.poses.metrics import KITTI_LENGTHS_M
+from conformodal.poses import Alignment, Trajectory, align, associate, read_tum, recall, relative_errors
+from conformodal.poses.metrics import KITTI_LENGTHS_M, kitti_drift
 from conformodal.running.results.evaluation import bounded_coverage, error_table
 from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.running.results.provenance import provenance
@@ -160,8 +160,7 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
         found |= {"rpe_rmse_m": float(np.sqrt(np.mean(metres**2))), "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2)))}
     length = float(np.sum(np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)))
     if length > KITTI_LENGTHS_M[0]:
-        drift = kitti_drift(estimate, truth)
-        found |= {"drift_percent": drift.translation_percent, "drift_deg_per_m": drift.rotation_deg_per_m}
+        found |= dict(zip(("drift_percent", "drift_deg_per_m"), kitti_drift(estimate, truth), strict=True))
     return found
 
 

@@ -74,7 +74,7 @@ def export(
         (out / _NETWORK).unlink(missing_ok=True)  # of an earlier model
         head = made.localizer.find(HeadSource)
         if with_head and head is not None:
-            from conformodal.networks import with_head as network_with_head  # noqa: PLC0415 - torch takes a second
+            from conformodal.networks.exporting import with_head as network_with_head  # noqa: PLC0415 - torch takes a second
 
             assert isinstance(made.backbone, OnnxBackbone)
             write_whole(out / _NETWORK, network_with_head(made.backbone, head.head, TARGET_NAMES))
@@ -90,7 +90,8 @@ def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
     """A model with its network in ONNX, or in eight bits where it is already."""
     if isinstance(model.backbone, OnnxBackbone):
         return model
-    from conformodal.networks import TorchBackbone, exported  # noqa: PLC0415 - torch takes a second to import
+    from conformodal.networks.exporting import exported  # noqa: PLC0415 - torch takes a second to import
+    from conformodal.networks.torch_backbone import TorchBackbone  # noqa: PLC0415 - torch takes a second to import
 
     assert isinstance(model.backbone, TorchBackbone)
     configuration = {**model.configuration, "runtime": str(Runtime.ONNX)}

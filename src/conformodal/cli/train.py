@@ -21,8 +21,8 @@ from conformodal.localization.source import PoseSource
 from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.model.model import PoseModel
 from conformodal.model.store import model_digest, save_model
-from conformodal.networks import NETWORKS, find_network
-from conformodal.quality.advice import describe_quality, describe_unbounded, names_of, quality_record, record_next
+from conformodal.networks.lite import NETWORKS, find_network
+from conformodal.quality.advice import describe_guarantee, describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.quality.guarantee import guarantees
 from conformodal.running.results.folders import lock_output
@@ -196,7 +196,7 @@ def train_on(
         },
         "source_comparison": None if model.comparison is None else asdict(model.comparison),
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
-        "quality": None if quality is None else quality_record(quality, sequence, short=True),
+        "quality": None if quality is None else quality_record(quality),
         "seconds": round(time.perf_counter() - started, 2),
     }
     write_metrics(out, metrics)
@@ -218,12 +218,12 @@ def train_on(
                 "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
                 "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
             )
-    for line in describe_unbounded(guarantees(model)):
-        report_strongly(line)
-    if quality is not None:
-        advice = record_next(quality, names_of(quality, sequence))[:_MOST_ADVICE]
-        for line in [*describe_quality(quality), *advice]:
-            console.print(line, soft_wrap=True)
+    if quality is None:
+        lines = [describe_guarantee(guarantee) for guarantee in guarantees(model)]
+    else:
+        lines = [*describe_quality(quality), *record_next(quality)[:_MOST_ADVICE]]
+    for line in lines:
+        report_line(line)
     return model
 
 

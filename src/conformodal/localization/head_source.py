@@ -32,7 +32,7 @@ class HeadSource:
     def fit(cls, data: SourceData, frames: IntArray) -> Self:
         """Train on order-aware labels, or one-hot ones where ``sigma_bins`` is 0."""
         with require_extra("train", "training"):
-            from conformodal.networks import fit_head, soft_cross_entropy  # noqa: PLC0415
+            from conformodal.networks.heads import fit_head, soft_cross_entropy  # noqa: PLC0415
 
         bins = data.bins_of(frames)
         head = fit_head(

@@ -79,7 +79,7 @@ class ModelConfig:
         Names of pose sources, in the order in which they are fused, see
         :class:`~conformodal.localization.source.PoseSource`.
     network
-        Of :data:`~conformodal.networks.NETWORKS`, or ``hf:NAME``.
+        Of :data:`~conformodal.networks.lite.NETWORKS`, or ``hf:NAME``.
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     runtime

@@ -192,7 +192,7 @@ def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Ba
     if network is not None:
         return OnnxBackbone(config, network)
     with require_extra("train", f"{folder}: a model that runs its network in torch"):
-        from conformodal.networks import TorchBackbone  # noqa: PLC0415
+        from conformodal.networks.torch_backbone import TorchBackbone  # noqa: PLC0415
 
     backbone = TorchBackbone(config)
     if backbone.fingerprint != record["backbone_fingerprint"]:

@@ -10,17 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray
 
-from .errors import TrajectoryFileError
 from .text import drop_faults, matrix_faults, number, pose_faults, read_rows, table_of, trajectory_of, whole_number
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0  # of KITTI
 _TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
-_EUROC_HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
 
 
 def tum_lines(trajectory: Trajectory) -> list[str]:
@@ -50,26 +47,10 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
     return rows
 
 
-def write_kitti(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; timestamps are lost."""
-    np.savetxt(path, trajectory.poses_se3[:, :3].reshape(-1, 12), fmt="%.9e")
-
-
-def read_kitti(path: Path, timestamps_s: npt.ArrayLike | None = None) -> Trajectory:
-    """Read a trajectory.
-
-    Parameters
-    ----------
-    path
-        The file.
-    timestamps_s
-        (n,) seconds, one a line; by default frames at KITTI's 10 Hz.
-    """
+def read_kitti(path: Path) -> Trajectory:
+    """Read a trajectory of frames at KITTI's 10 Hz."""
     table = kitti_table(path)
-    times = np.arange(len(table)) / FRAME_RATE_HZ if timestamps_s is None else np.asarray(timestamps_s, dtype=float)
-    if times.shape != (len(table),):
-        raise TrajectoryFileError(f"{path}: holds {len(table)} poses, but {times.size} timestamps are given")
-    return trajectory_of(path, np.column_stack((times, table)))
+    return trajectory_of(path, np.column_stack((np.arange(len(table)) / FRAME_RATE_HZ, table)))
 
 
 def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
@@ -79,16 +60,6 @@ def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray
     poses[:, :3] = rows.reshape(-1, 3, 4)
     drop_faults(poses, matrix_faults(poses), path, damaged)
     return table_of(poses)
-
-
-def write_euroc(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; timestamps are rounded to nanoseconds."""
-    lines = [_EUROC_HEADER]
-    rows = zip(trajectory.timestamps_s, trajectory.positions_xyz, trajectory.orientations_quat_wxyz, strict=True)
-    for time_s, p, q in rows:
-        numbers = ",".join(f"{v:.9f}" for v in (*p, *q))
-        lines.append(f"{round(float(time_s) * 1e9)},{numbers}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_euroc(path: Path) -> Trajectory:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -109,18 +107,10 @@ def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> 
     return _motion_errors(estimate, truth, starts, starts + delta)
 
 
-@dataclass(frozen=True)
-class KittiDrift:
-    """Drift over segments of 100 to 800 m (Geiger, Lenz and Urtasun 2012), means over segments."""
+def kitti_drift(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
+    """KITTI's drift over 100 to 800 m (Geiger et al. 2012): per cent of the length and degrees per metre, means.
 
-    translation_percent: float  # of the segment's length
-    rotation_deg_per_m: float
-    by_length: dict[float, tuple[float, float]]  # both, by nominal length in metres
-    n_stretches: int
-
-
-def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
-    """KITTI's drift: segments start at every tenth frame and end where the true path has the nominal length.
+    Segments start at every tenth frame and end where the true path has the nominal length.
 
     Raises
     ------
@@ -130,22 +120,18 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> KittiDrift:
     check_same_length(estimate, truth)
     steps = np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)
     along = np.concatenate(([0.0], np.cumsum(steps)))
-    by_length: dict[float, tuple[float, float]] = {}
     percents, rates = [], []
     for length in KITTI_LENGTHS_M:
         starts = np.arange(0, len(truth), _KITTI_EVERY)
         ends = np.searchsorted(along, along[starts] + length, side="right")  # the first frame beyond
         inside = ends < len(truth)
-        if not inside.any():
-            continue
         metres, degrees = _motion_errors(estimate, truth, starts[inside], ends[inside])
         percents.append(100 * metres / length)
         rates.append(degrees / length)
-        by_length[length] = (float(percents[-1].mean()), float(rates[-1].mean()))
-    if not percents:
-        raise PoseError(f"the true path is {along[-1]:.1f} m long; drift needs stretches of at least 100 m")
     percent, rate = np.concatenate(percents), np.concatenate(rates)
-    return KittiDrift(float(percent.mean()), float(rate.mean()), by_length, len(percent))
+    if not percent.size:
+        raise PoseError(f"the true path is {along[-1]:.1f} m long; drift needs stretches of at least 100 m")
+    return float(percent.mean()), float(rate.mean())
 
 
 def _motion_errors(

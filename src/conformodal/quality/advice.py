@@ -8,78 +8,50 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, listed
-from conformodal.datasets import Sequence
 from conformodal.model.region_rules import EvidenceType, Sharing
 
 from .examining import RecordingQuality
 from .guarantee import N_NEW, EvidenceGuarantee
 from .place_ambiguity import AmbiguousStretch
 from .settings import QUALITY
-from .view_coverage import TILTED, FastStretch, SparseStretch
+from .view_coverage import Stretch
 
 WHERE = {
     EvidenceType.GLOBAL: "where local features are not matched",
     EvidenceType.UNMATCHED: "where landmarks recognise no place",
     EvidenceType.LANDMARKS: "where landmarks recognise the place",
 }
-_SHARING = {
-    Sharing.WIDER: "one evidence type has just enough frames: its thresholds are the larger of its own and the shared",
-    Sharing.SHARED: "one evidence type has too few frames: both share thresholds and one guarantee",
-}
 _DIGITS = 4
 
 
-class Names:
-    """Names of frames and places of a recording.
-
-    A frame is named by its file too if there are several recordings, and a place by the two axes along which the
-    positions (n, 3) spread most.
-    """
-
-    def __init__(self, sequence: Sequence, positions_xyz: FloatArray | None) -> None:
-        self._sequence = sequence
-        self._several = len(np.unique(sequence.recording)) > 1
-        extent = np.zeros(3) if positions_xyz is None else np.ptp(positions_xyz, axis=0)
-        first, second = sorted(np.argsort(-extent, kind="stable")[:2].tolist())
-        self.axes: tuple[int, int] = (first, second)
-
-    def frames(self, first: int, last: int) -> str:
-        """A stretch."""
-        text = f"frame {first}" if first == last else f"frames {first} to {last}"
-        if self._several:
-            paths = [self._sequence.image_paths[i] for i in dict.fromkeys((first, last))]
-            text += f" ({' to '.join(f'{path.parent.name}/{path.name}' for path in paths)})"
-        return text
-
-    def stretch(self, one: SparseStretch | FastStretch | AmbiguousStretch) -> str:
-        """Its frames and place."""
-        place = ", ".join(f"{'xyz'[j]}={one.place_xyz[j]:.1f}" for j in self.axes)
-        return f"{self.frames(one.first, one.last)} (around {place})"
-
-
-def names_of(found: RecordingQuality, sequence: Sequence) -> Names:
-    """Names of its frames and places."""
-    return Names(sequence, None if found.poses is None else found.poses.positions_xyz)
-
-
-def record_next(found: RecordingQuality, names: Names) -> list[str]:
+def record_next(found: RecordingQuality) -> list[str]:
     """What to record or train on next, the most valuable first; empty where nothing is missing."""
     lines = [_more_units(guarantee) for guarantee in found.guarantees if not guarantee.finite and guarantee.n_frames]
     if found.coverage is not None:
         # most errors are to be expected in long stretches far from everything known
-        sparse = sorted(found.coverage.sparse, key=lambda one: -(one.way + one.change))
-        lines += [_cover(one, names, found) for one in sparse]
-        for fast in sorted(found.coverage.fast, key=lambda one: -one.change * (one.last - one.first)):
-            step = f"up to {fast.distance_m:.2f} m and {fast.angle_deg:.0f} degrees per frame"
-            lines.append(f"{'Turn' if fast.turning else 'Move'} more slowly in {names.stretch(fast)}: {step}.")
+        for describe, stretches in ((_cover, found.coverage.sparse), (_slow_down, found.coverage.fast)):
+            most = sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1))
+            lines += [describe(one, found) for one in most]
     if found.ambiguity is not None:
-        lines += [
-            _tell_apart(one, names, found) for one in sorted(found.ambiguity.stretches, key=lambda o: -o.n_frames)
-        ]
+        lines += [_tell_apart(one, found) for one in sorted(found.ambiguity.stretches, key=lambda o: -o.n_frames)]
     more = len(lines) - QUALITY.most_advice
     return lines if more <= 0 else [*lines[: QUALITY.most_advice], f"metrics.json lists {more} more such stretches."]
+
+
+def _frames(first: int, last: int, found: RecordingQuality) -> str:
+    """A stretch by its frames, and by their files too if there are several recordings."""
+    text = f"frame {first}" if first == last else f"frames {first} to {last}"
+    if len(np.unique(found.sequence.recording)) > 1:
+        paths = [found.sequence.image_paths[i] for i in dict.fromkeys((first, last))]
+        text += f" ({' to '.join(f'{path.parent.name}/{path.name}' for path in paths)})"
+    return text
+
+
+def _where(one: Stretch | AmbiguousStretch, found: RecordingQuality) -> str:
+    """A stretch by its frames and its place."""
+    place = ", ".join(f"{'xyz'[j]}={one.place_xyz[j]:.1f}" for j in found.axes)
+    return f"{_frames(one.first, one.last, found)} (around {place})"
 
 
 def _more_units(guarantee: EvidenceGuarantee) -> str:
@@ -92,89 +64,70 @@ def _more_units(guarantee: EvidenceGuarantee) -> str:
     what = "frames" if guarantee.by_frame else "stretches or recordings like these"
     both = " of both evidence types together" if guarantee.sharing is Sharing.SHARED else ""
     return (
-        f"Record more: {unbounded}. Calibrated on {describe_units(guarantee)}; alpha = {guarantee.alpha:g} takes "
+        f"Record more: {unbounded}. Calibrated on {_units(guarantee)}; alpha = {guarantee.alpha:g} takes "
         f"{guarantee.n_needed} {what}{both}."
     )
 
 
-def _cover(one: SparseStretch, names: Names, found: RecordingQuality) -> str:
-    where = names.stretch(one)
+def _cover(one: Stretch, found: RecordingQuality) -> str:
+    where = _where(one, found)
     if not isfinite(one.distance_m):
         return f"Train on {where}: nothing is known."
-    away = f"the nearest known view is {one.distance_m:.2f} m and {one.angle_deg:.0f} degrees away"
-    if one.between:
-        return f"Record more views along {where}: on the way, {away}."
     number = int(found.known_names[one.nearest])
-    turned = one.turned if one.turned in ("", TILTED) else f"turned {one.turned}"
-    moves = [text for text in (turned, f"moved {one.moved}" if one.moved else "") if text]
-    details = [f"known frame {number}"] if number >= 0 else []
-    details += [f"from there the camera is {listed(moves)}"] if moves else []
-    more = f" ({'; '.join(details)})" if details else ""
-    return f"Train on {where} or a recording of the same stretch: {away}{more}."
-
-
-def _tell_apart(one: AmbiguousStretch, names: Names, found: RecordingQuality) -> str:
-    runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
-    runs = [(a, b) for a, b in runs if 0 <= a <= b]
-    apart = [names.frames(a, b) for a, b in runs if b < one.first or a > one.last]
-    tells = "with more in view that tells them apart"
-    if runs and not apart:
-        return f"Places look alike in {names.stretch(one)}: record them again {tells}."
-    others = listed(apart) if apart else "other places"
+    known = f" (known frame {number})" if number >= 0 else ""
     return (
-        f"Places look alike: {names.stretch(one)} and {others}. Record the way from one to the other in one piece, and "
-        f"each {tells}."
+        f"Train on {where} or a recording of the same stretch: the nearest known view is {one.distance_m:.2f} m and "
+        f"{one.angle_deg:.0f} degrees away{known}."
+    )
+
+
+def _slow_down(one: Stretch, found: RecordingQuality) -> str:
+    return (
+        f"Move and turn more slowly in {_where(one, found)}, or record more views there: up to {one.distance_m:.2f} m "
+        f"and {one.angle_deg:.0f} degrees per frame."
+    )
+
+
+def _tell_apart(one: AmbiguousStretch, found: RecordingQuality) -> str:
+    runs = [(int(found.known_names[a]), int(found.known_names[b])) for a, b in one.alike]
+    apart = [_frames(a, b, found) for a, b in runs if 0 <= a <= b and (b < one.first or a > one.last)]
+    others = f" and {listed(apart)}" if apart else ""
+    return (
+        f"Places look alike: {_where(one, found)}{others}. Record them again with more in view that tells them apart, "
+        "or the way from one to the other in one piece."
+    )
+
+
+def _limit(share: float, found: RecordingQuality) -> str:
+    """A share of the view, also in degrees and metres."""
+    turn = share * found.scale.fov_rad
+    return (
+        f"{100 * share:.0f} % of the field of view, {np.degrees(turn):.1f} degrees or "
+        f"{turn * found.scale.depth_m:.2f} m"
     )
 
 
 def describe_quality(found: RecordingQuality) -> list[str]:
     """The findings in short."""
     lines = []
-    coverage = found.coverage
+    coverage, places = found.coverage, found.ambiguity
     if coverage is not None:
-        n_gaps = sum(one.between for one in coverage.sparse)
-        gaps = f"{counted(n_gaps, 'gap') if n_gaps else 'no gap'} between"
-        limit = f"differs by more than {100 * QUALITY.sparse:.0f} % of the field of view"
-        if found.scale is not None:
-            turn = QUALITY.sparse * found.scale.fov_rad
-            limit += f", {np.degrees(turn):.1f} degrees or {turn * found.scale.depth_m:.2f} m"
         n_unknown, n_sparse = int((~found.known).sum()), int(coverage.sparse_frames.sum())
-        if n_unknown:
-            stretches = counted(len(coverage.sparse) - n_gaps, "stretch", "stretches")
+        if n_unknown:  # known frames cover themselves
             lines.append(
-                f"sparsely covered (the nearest known view {limit}): {n_sparse or 'none'} of "
-                f"{counted(n_unknown, 'frame')} that the model was not trained on"
-                f"{f', in {stretches}' if n_sparse else ''}; {gaps} frames"
+                f"sparsely covered (the nearest known view differs by more than {_limit(QUALITY.sparse, found)}): "
+                f"{n_sparse} of {counted(n_unknown, 'frame')} that the model was not trained on"
             )
-        else:  # each frame covers itself
-            n = counted(len(found.known), "frame")
-            lines.append(f"{gaps} the {n} (a gap: halfway, the nearest known view {limit})")
         fast = counted(len(coverage.fast), "stretch", "stretches") if coverage.fast else "nowhere"
-        lines.append(f"fast motion (more than {100 * QUALITY.fast:.0f} % of the field of view per frame): {fast}")
-    if found.ambiguity is not None:
-        lines += _describe_ambiguity(found)
+        lines.append(f"fast motion (neighbouring frames differ by more than {_limit(QUALITY.fast, found)}): {fast}")
+    if places is not None:
+        n_several, frames = (places.n_places > 1).sum(), counted(len(places.frames), "frame")
+        text = f"ambiguous: {n_several} of {frames} that the model has not seen"
+        bounded = places.n_places[places.n_places > 0]
+        if bounded.size:
+            text += f"; {bounded.mean():.2f} known places per region on average, {bounded.max()} at most"
+        lines.append(f"{text}; unknown place: {places.n_unknown}" if places.n_unknown else text)
     return lines + [describe_guarantee(guarantee) for guarantee in found.guarantees]
-
-
-def _describe_ambiguity(found: RecordingQuality) -> list[str]:
-    places = found.ambiguity
-    assert places is not None
-    n_several, frames = (places.n_places > 1).sum(), counted(len(places.frames), "frame")
-    text = f"ambiguous: {n_several} of {frames} that the model has not seen"
-    bounded = places.n_places[places.n_places > 0]
-    if bounded.size:
-        text += f"; {bounded.mean():.2f} known places per region on average, {bounded.max()} at most"
-    if places.n_unknown:
-        text += f"; unknown place: {places.n_unknown}"
-    lines = [text]
-    if found.errors_m is not None and found.coverage is not None:
-        sparse = found.coverage.sparse_frames[np.searchsorted(found.posed, places.frames)]
-        if sparse.any() and not sparse.all():
-            medians = [f"{np.median(found.errors_m[rows]):.3f} m" for rows in (sparse, ~sparse)]
-            lines.append(
-                f"median position error of single frames: {medians[0]} where sparsely covered, {medians[1]} elsewhere"
-            )
-    return lines
 
 
 def describe_guarantee(guarantee: EvidenceGuarantee) -> str:
@@ -182,9 +135,10 @@ def describe_guarantee(guarantee: EvidenceGuarantee) -> str:
     text = f"regions {WHERE[guarantee.evidence]}: "
     if not guarantee.n_frames and guarantee.sharing is Sharing.OWN:
         return f"{text}unbounded, no calibration frame"
-    text += f"calibrated on {describe_units(guarantee)}"
+    text += f"calibrated on {_units(guarantee)}"
     if guarantee.sharing is not Sharing.OWN:
         text += f" (thresholds: {guarantee.sharing})"
+    text += "" if guarantee.finite else f", unbounded at alpha = {guarantee.alpha:g}"
     text += (
         f", bounded from alpha = {guarantee.least_alpha_shown:g}" if guarantee.least_alpha < 1 else ", never bounded"
     )
@@ -194,7 +148,7 @@ def describe_guarantee(guarantee: EvidenceGuarantee) -> str:
     return text
 
 
-def describe_units(guarantee: EvidenceGuarantee) -> str:
+def _units(guarantee: EvidenceGuarantee) -> str:
     """The frames of an evidence type that calibrate, and their weight."""
     frames = counted(guarantee.n_frames, "frame")
     if guarantee.by_frame:
@@ -203,31 +157,13 @@ def describe_units(guarantee: EvidenceGuarantee) -> str:
     return f"{frames} of {units} (weight {guarantee.weight:.1f}, at least {guarantee.weight_needed:g} needed)"
 
 
-def describe_unbounded(guarantees: list[EvidenceGuarantee]) -> list[str]:
-    """Evidence types whose region is unbounded in some target or that share thresholds, with the reason."""
-    lines: list[str] = []
-    for one in guarantees:
-        where = WHERE[one.evidence]
-        if one.finite:
-            lines += [_SHARING[one.sharing]] if one.sharing in _SHARING else []
-        elif not one.n_frames:
-            lines.append(f"the region is unbounded {where}: no calibration frame")
-        else:
-            lines.append(
-                f"the region is unbounded in some target {where}: {describe_units(one)} within the training range are "
-                f"too few for alpha = {one.alpha:g}. Take a larger alpha, or more "
-                f"{'frames' if one.by_frame else 'recordings'}."
-            )
-    return list(dict.fromkeys(lines))  # types that share thresholds say so once
-
-
-def quality_record(found: RecordingQuality, sequence: Sequence, *, short: bool = False) -> dict[str, Any]:
-    """The findings for ``metrics.json``; `short` leaves out numbers of single frames."""
+def quality_record(found: RecordingQuality) -> dict[str, Any]:
+    """The findings for ``metrics.json``."""
     record: dict[str, Any] = {
         "summary": describe_quality(found),
-        "record_next": record_next(found, names_of(found, sequence)),
+        "record_next": record_next(found),
         "settings": asdict(QUALITY),
-        "n_frames": len(sequence),
+        "n_frames": len(found.sequence),
         "n_with_pose": len(found.posed),
         "n_known": int(found.known.sum()),
         "guarantees": [
@@ -235,48 +171,39 @@ def quality_record(found: RecordingQuality, sequence: Sequence, *, short: bool =
                 **asdict(guarantee),
                 "evidence": guarantee.evidence.name.lower(),
                 "least_alpha": guarantee.least_alpha_shown if guarantee.least_alpha < 1 else None,
-                "band": None if guarantee.band is None else list(guarantee.band),
             }
             for guarantee in found.guarantees
         ],
     }
     coverage, places = found.coverage, found.ambiguity
-    if coverage is not None and found.scale is not None:
-        record["scale"] = {"depth_m": found.scale.depth_m, "field_of_view_deg": float(np.degrees(found.scale.fov_rad))}
-        record["sparse"] = [
-            {**_stretch(one, sequence), "nearest": _number_of(found, one.nearest)} for one in coverage.sparse
-        ]
-        record["fast"] = [_stretch(one, sequence) for one in coverage.fast]
+    if coverage is not None:
+        fov_deg = float(np.degrees(found.scale.fov_rad))
+        record["scale"] = {"depth_m": found.scale.depth_m, "field_of_view_deg": fov_deg}
+        record |= {name: [_stretch(one, found) for one in getattr(coverage, name)] for name in ("sparse", "fast")}
         record["n_sparse_frames"] = int(coverage.sparse_frames.sum())
-        if not short:
-            record["change"] = [_finite(change) for change in coverage.change.tolist()]
     if places is not None:
         record["ambiguity"] = {
             "n_looked_at": len(places.frames),
             "n_ambiguous": int((places.n_places > 1).sum()),
             "n_unknown": places.n_unknown,
-            "mean_intervals": places.mean_intervals,
-            "stretches": [
-                {
-                    **_stretch(one, sequence),
-                    "alike": [[_number_of(found, a), _number_of(found, b)] for a, b in one.alike],
-                }
-                for one in places.stretches
-            ],
+            "stretches": [_stretch(one, found) for one in places.stretches],
         }
-        if not short:
-            record["ambiguity"] |= {"frames": places.frames.tolist(), "n_places": places.n_places.tolist()}
     return record
 
 
-def _stretch(one: SparseStretch | FastStretch | AmbiguousStretch, sequence: Sequence) -> dict[str, Any]:
-    """With the files of its ends, and null for what is infinite."""
+def _stretch(one: Stretch | AmbiguousStretch, found: RecordingQuality) -> dict[str, Any]:
+    """With the files of its ends, the recording's own numbers of known frames, and null for what is infinite."""
     plain = {key: _finite(value) if isinstance(value, float) else value for key, value in asdict(one).items()}
-    ends = {"first_image": sequence.image_paths[one.first].name, "last_image": sequence.image_paths[one.last].name}
-    return {**plain, **ends, "place_xyz": [_finite(value) for value in one.place_xyz]}
+    if isinstance(one, Stretch):
+        plain["nearest"] = _number_of(one.nearest, found)
+    else:
+        plain["alike"] = [[_number_of(a, found), _number_of(b, found)] for a, b in one.alike]
+    files = found.sequence.image_paths
+    plain |= {"first_image": files[one.first].name, "last_image": files[one.last].name}
+    return {**plain, "place_xyz": [_finite(value) for value in one.place_xyz]}
 
 
-def _number_of(found: RecordingQuality, known: int) -> int | None:
+def _number_of(known: int, found: RecordingQuality) -> int | None:
     """Number in the recording of a known frame; null where the recording lacks it."""
     number = int(found.known_names[known]) if known >= 0 else -1
     return number if number >= 0 else None

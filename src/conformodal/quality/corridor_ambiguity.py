@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.progress import Progress
 from conformodal.datasets.corridor.render import Renderer
 from conformodal.datasets.corridor.repeated_views import same_views
 from conformodal.localization.targets import pose_targets
@@ -23,58 +24,34 @@ class AmbiguityCheck:
     Attributes
     ----------
     places
-        One (m, 3) array a frame: positions in metres of the other places with the same view.
+        One (m, 3) array per frame: positions in metres of the other places with the same view.
     held
-        One (m,) array a frame: whether the region holds the whole pose there.
-    held_position
-        Likewise, position alone.
+        One (m,) array per frame: whether the region holds the whole pose there.
     """
 
-    places: list[npt.NDArray[np.float64]]
-    held: list[npt.NDArray[np.bool_]]
-    held_position: list[npt.NDArray[np.bool_]]
+    places: list[FloatArray]
+    held: list[BoolArray]
 
-    @property
-    def n_places(self) -> int:
-        """Number of look-alike places, all frames together."""
-        return sum(len(p) for p in self.places)
-
-    @property
-    def share_held(self) -> float:
-        """Share of the look-alike places whose whole pose the regions hold; NaN if there are none."""
-        return float(np.concatenate(self.held).mean()) if self.n_places else float("nan")
-
-    @property
-    def share_held_position(self) -> float:
-        """Share of the look-alike places whose position the regions hold."""
-        return float(np.concatenate(self.held_position).mean()) if self.n_places else float("nan")
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames with look-alike places."""
-        return sum(len(p) > 0 for p in self.places)
+    def record(self) -> dict[str, Any]:
+        """For ``metrics.json``: frames with such places, all of these places, and the share that the regions hold."""
+        n_places, n_held = sum(map(len, self.places)), sum(int(held.sum()) for held in self.held)
+        n_frames = sum(len(places) > 0 for places in self.places)
+        return {"n_frames": n_frames, "n_places": n_places, "share_held": n_held / max(n_places, 1)}
 
 
 def check_ambiguity(
-    run: OdometryRun,
-    truth: Trajectory,
-    model: PoseModel,
-    renderer: Renderer,
-    progress: Callable[[int, int], None] | None = None,
+    run: OdometryRun, truth: Trajectory, model: PoseModel, renderer: Renderer, progress: Progress | None = None
 ) -> AmbiguityCheck:
     """Find every frame's look-alike places in the corridor, and check whether the regions hold them."""
-    places: list[npt.NDArray[np.float64]] = []
-    held: list[npt.NDArray[np.bool_]] = []
-    held_position: list[npt.NDArray[np.bool_]] = []
+    found = AmbiguityCheck([], [])
     for i, pose in enumerate(truth.poses_se3):
         others = same_views(renderer, pose)
         targets = np.zeros((0, 7))
         if len(others):
             there = Trajectory.from_poses_se3(np.arange(float(len(others))), others)
             targets = pose_targets(there, model.sign_reference)
-        places.append(others[:, :3, 3])
-        held.append(run.regions.holds(i, targets))
-        held_position.append(run.regions.holds(i, targets, 3))
+        found.places.append(others[:, :3, 3])
+        found.held.append(run.regions.holds(i, targets))
         if progress is not None:
             progress(i + 1, len(truth))
-    return AmbiguityCheck(places, held, held_position)
+    return found

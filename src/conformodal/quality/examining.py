@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import ImageError, Sequence
 from conformodal.localization.evidence import FrameEvidence
@@ -21,10 +20,9 @@ from conformodal.training.depths import measure_depths
 from conformodal.vision.features import FeatureCache, extract_features
 
 from .guarantee import EvidenceGuarantee, guarantees
-from .place_ambiguity import Ambiguity, ambiguity, most_probable
+from .place_ambiguity import Ambiguity, ambiguity
 from .settings import QUALITY
-from .view_coverage import PoseCoverage, pose_coverage
-from .views import ViewScale
+from .view_coverage import PoseCoverage, ViewScale, pose_coverage
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,35 +31,45 @@ class RecordingQuality:
 
     Attributes
     ----------
+    sequence
+        The recording.
     posed
         (n,) numbers of the frames that have a pose.
     poses
         Theirs; None where none has one.
-    known
-        (n,) whether the model's sources know each of them; all of them without a model.
     known_names
-        (k,) numbers of the known frames in the recording, -1 where it lacks them.
+        (k,) numbers of the frames that the model's sources know, -1 where the recording lacks them; all without a
+        model.
     scale
-        What is near; None without poses.
+        Of the camera and the scene.
     coverage
         From poses alone; None without.
     ambiguity
         Of held-out frames; None without a model, or where it knows all frames.
     guarantees
         Of the model, by evidence type; empty without one.
-    errors_m
-        (m,) position errors of the belief about each of the m held-out frames by itself; None where they have no poses.
     """
 
+    sequence: Sequence
     posed: IntArray
     poses: Trajectory | None
-    known: npt.NDArray[np.bool_]
     known_names: IntArray
-    scale: ViewScale | None
+    scale: ViewScale
     coverage: PoseCoverage | None
     ambiguity: Ambiguity | None
     guarantees: list[EvidenceGuarantee]
-    errors_m: FloatArray | None = None
+
+    @property
+    def known(self) -> BoolArray:
+        """(n,) whether the model's sources know each frame with a pose."""
+        return np.isin(self.posed, self.known_names)
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """The two axes along which the positions spread most."""
+        extent = np.zeros(3) if self.poses is None else np.ptp(self.poses.positions_xyz, axis=0)
+        first, second = sorted(np.argsort(-extent, kind="stable")[:2].tolist())
+        return first, second
 
 
 # Gives, of held-out frames, those that can be used and what is looked at in each.
@@ -98,43 +106,27 @@ def examine(
         If the camera is not the model's.
     """
     posed, poses = _frames_with_pose(sequence)
-    known, at, depth_m = poses, np.arange(len(posed)), float("nan")
+    recording = sequence.recording
     if model is None:
-        depth_m = _depth(sequence)
-    else:
-        model.check_camera(sequence.camera)
-        frames, depth_m = model.localizer.frames, model.prior.depth_m
-        at = frames if just_trained else model.known_frames.find(identify(sequence, model.known_frames)).at[frames]
-        its = model.known_frames.poses[frames]
-        known = Trajectory(np.arange(len(its), dtype=np.float64), its[:, :3], its[:, 3:])
-    scale = ViewScale.of(sequence.camera, depth_or_default(depth_m))
-    coverage = None
-    if poses is not None and known is not None:
-        coverage = pose_coverage(poses, sequence.recording[posed], known, scale)
-    places, errors = None, None
-    if model is not None and known is not None:
-        unseen = _spread(
-            np.setdiff1d(np.arange(len(sequence)), at),
-            QUALITY.most_after_training if just_trained else QUALITY.most_looked,
-        )
-        held, evidence = (just_trained or _looker(sequence, model, cache or FeatureCache(None), progress))(unseen)
-        if len(held):
-            found, truth = model.localize(evidence), None
-            if poses is not None and np.isin(held, posed).all():
-                truth = poses[np.searchsorted(posed, held)]
-                errors = np.linalg.norm(most_probable(found) - truth.positions_xyz, axis=1)
-            places = ambiguity(held, sequence.recording[held], found, known, truth, model.sign_reference, scale)
-    return RecordingQuality(
-        posed,
-        poses,
-        np.isin(posed, at),
-        at,
-        None if poses is None else scale,
-        coverage,
-        places,
-        [] if model is None else guarantees(model),
-        errors,
-    )
+        scale = ViewScale.of(sequence.camera, depth_or_default(_depth(sequence)))
+        coverage = None if poses is None else pose_coverage(poses, recording[posed], poses, scale, posed)
+        return RecordingQuality(sequence, posed, poses, posed, scale, coverage, None, [])
+    model.check_camera(sequence.camera)
+    frames = model.localizer.frames
+    at = frames if just_trained else model.known_frames.find(identify(sequence, model.known_frames)).at[frames]
+    its = model.known_frames.poses[frames]
+    known = Trajectory(np.arange(len(its), dtype=np.float64), its[:, :3], its[:, 3:])
+    scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
+    coverage = None if poses is None else pose_coverage(poses, recording[posed], known, scale, posed)
+    unseen, places = np.setdiff1d(np.arange(len(sequence)), at), None
+    most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
+    unseen = unseen[np.linspace(0, len(unseen) - 1, min(len(unseen), most)).round().astype(np.int64)]  # evenly spread
+    held, evidence = (just_trained or _looker(sequence, model, cache or FeatureCache(None), progress))(unseen)
+    if len(held):
+        truth = poses[np.searchsorted(posed, held)] if poses is not None and np.isin(held, posed).all() else None
+        found = model.localize(evidence)
+        places = ambiguity(held, recording[held], found, known, truth, model.sign_reference, scale)
+    return RecordingQuality(sequence, posed, poses, at, scale, coverage, places, guarantees(model))
 
 
 def _frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
@@ -144,12 +136,6 @@ def _frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
     if sequence.known_poses is None or not len(sequence.known_poses):
         return np.empty(0, dtype=np.int64), None
     return np.searchsorted(sequence.timestamps_s, sequence.known_poses.timestamps_s), sequence.known_poses
-
-
-def _spread(frames: IntArray, most: int) -> IntArray:
-    """At most `most` of the frames, evenly spread."""
-    chosen = np.linspace(0, len(frames) - 1, min(len(frames), most))
-    return frames[chosen.round().astype(np.int64)]
 
 
 def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.localization.targets import TARGET_NAMES, pose_targets
+from conformodal.localization.targets import pose_targets
 from conformodal.model.model import Localization
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 
 from .settings import QUALITY
-from .view_coverage import runs_of
-from .views import KnownViews, ViewScale
+from .view_coverage import ViewScale, runs_of
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,6 @@ class Ambiguity:
         (m,) places in each region; 0 where the region is unbounded in some target.
     n_unknown
         Frames that show no known place, by the model's test.
-    mean_intervals
-        Of the regions of all other frames, by target; empty if there are none.
     stretches
         Those with several places, in the order of time.
     """
@@ -64,23 +61,20 @@ class Ambiguity:
     frames: IntArray
     n_places: IntArray
     n_unknown: int
-    mean_intervals: dict[str, float]
-    stretches: list[AmbiguousStretch] = field(default_factory=list)
+    stretches: list[AmbiguousStretch]
 
 
-class KnownPlaces:
-    """Known frames, with their targets (k, 7), grouped to places: each is near the first frame of its place."""
+class _KnownPlaces:
+    """Known frames, grouped to places: each is near the first frame of its place."""
 
-    def __init__(self, poses: Trajectory, targets: FloatArray, scale: ViewScale) -> None:
-        self.targets = targets
-        self.place = np.full(len(poses), -1)
+    def __init__(self, poses: Trajectory, scale: ViewScale) -> None:
+        self._place = np.full(len(poses), -1)
         heads: list[int] = []
-        while (self.place < 0).any():
-            head = int(np.argmax(self.place < 0))
-            free = np.flatnonzero(self.place < 0)
-            near = scale.change(poses[free], poses[np.full(len(free), head)]) <= QUALITY.place
-            self.place[free[near]] = len(heads)
-            heads.append(head)
+        while (self._place < 0).any():
+            free = np.flatnonzero(self._place < 0)
+            near = scale.change(poses[free], poses[np.full(len(free), free[0])]) <= QUALITY.place
+            self._place[free[near]] = len(heads)
+            heads.append(int(free[0]))
         at = poses[np.array(heads, dtype=np.int64)]
         n = len(heads)
         # heads of neighbouring places are up to twice as far apart as a frame from its head
@@ -88,10 +82,10 @@ class KnownPlaces:
 
     def parts(self, held: BoolArray) -> IntArray:
         """Which of several separate places each known frame in a region is at: (k,) numbers, -1 outside the region."""
-        there = np.unique(self.place[held])
+        there = np.unique(self._place[held])
         _, label = connected_components(coo_array(self._linked[np.ix_(there, there)]), directed=False)
         part = np.full(len(held), -1)
-        part[held] = label[np.searchsorted(there, self.place[held])]
+        part[held] = label[np.searchsorted(there, self._place[held])]
         return part
 
 
@@ -109,13 +103,12 @@ def ambiguity(
     `known` are the poses of the frames that the model knows. Without `truth`, the frame's own place is named among
     those that look alike.
     """
-    regions = found.regions
-    bounded: BoolArray = np.asarray(~regions.unbounded.any(axis=1))
-    places = KnownPlaces(known, pose_targets(known, sign_reference), scale)
-    own = None if truth is None else KnownViews(known, scale).nearest(truth).index
+    regions, targets = found.regions, pose_targets(known, sign_reference)
+    places = _KnownPlaces(known, scale)
+    own = None if truth is None else scale.nearest(truth, known)
     n_places, elsewhere = np.zeros(len(frames), dtype=np.int64), np.zeros((len(frames), len(known)), dtype=np.bool_)
-    for i in np.flatnonzero(bounded).tolist():
-        held = regions.holds(i, places.targets)
+    for i in np.flatnonzero(~regions.unbounded.any(axis=1)).tolist():
+        held = regions.holds(i, targets)
         if own is not None:  # the frame's own place counts whether the region reaches a known frame of it or not
             held[own[i]] = True
         part = places.parts(held)
@@ -123,23 +116,11 @@ def ambiguity(
         elsewhere[i] = held if own is None else held & (part != part[own[i]])
     where = most_probable(found) if truth is None else truth.positions_xyz
     stretches = []
-    for whole in runs_of(n_places > 1, np.arange(len(frames)), recording):
-        run = whole[n_places[whole] > 1]
+    for run in runs_of(n_places > 1, recording):
         x, y, z = where[run[len(run) // 2]].tolist()
-        counts = elsewhere[run].sum(axis=0)
-        stretches.append(
-            AmbiguousStretch(
-                int(frames[run[0]]), int(frames[run[-1]]), len(run), int(n_places[run].max()), (x, y, z), _alike(counts)
-            )
-        )
-    mean = regions[bounded].n_intervals.mean(axis=0).tolist() if bounded.any() else []
-    return Ambiguity(
-        frames,
-        n_places,
-        int((found.kinds == EvidenceType.UNKNOWN).sum()),
-        dict(zip(TARGET_NAMES, mean, strict=False)),
-        stretches,
-    )
+        alike, most = _alike(elsewhere[run].sum(axis=0)), int(n_places[run].max())
+        stretches.append(AmbiguousStretch(int(frames[run[0]]), int(frames[run[-1]]), len(run), most, (x, y, z), alike))
+    return Ambiguity(frames, n_places, int((found.kinds == EvidenceType.UNKNOWN).sum()), stretches)
 
 
 def most_probable(found: Localization) -> FloatArray:
@@ -149,7 +130,5 @@ def most_probable(found: Localization) -> FloatArray:
 
 def _alike(counts: IntArray) -> list[tuple[int, int]]:
     """Stretches of known frames that lie in most of the regions, the most common first."""
-    every = np.arange(len(counts))
-    runs = list(runs_of(counts > 0, every, np.zeros_like(every)))
-    runs.sort(key=lambda run: -int(counts[run].max()))
+    runs = sorted(runs_of(counts > 0, np.zeros_like(counts)), key=lambda run: -int(counts[run].max()))
     return [(int(run[0]), int(run[-1])) for run in runs[: QUALITY.most_alike]]

@@ -18,10 +18,6 @@ class QualitySettings:
         Neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
         Relative rotations were measured to half a degree with frames that differ by 0.12
         (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond.
-    spacing
-        The way between neighbouring frames is looked at in steps of at most this.
-    most_stations
-        Between two neighbouring frames.
     bridged
         Largest number of other frames between two stretches that count as one.
     place
@@ -39,8 +35,6 @@ class QualitySettings:
 
     sparse: float = 0.1
     fast: float = 0.15
-    spacing: float = 0.05
-    most_stations: int = 64
     bridged: int = 5
     place: float = 0.5
     most_looked: int = 400

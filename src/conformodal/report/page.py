@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
-
-from .templating import render_page
-from .viewer import Viewer
+from conformodal.core.words import counted
 
 with require_extra("run", "a page of results"):
-    from PIL import Image
+    from jinja2 import Environment, PackageLoader
 
 _LABELS = {
     "online": "conformal, online: each pose when its frame comes, as a robot gets it",
@@ -52,17 +45,14 @@ class ReportContent:
     figures
         In order.
     viewer
-        The results frame by frame, or None.
-    image
-        (caption, (h, w, 3) RGB) of the frame whose regions are shown, or None.
+        Of :func:`~conformodal.report.viewer.make_viewer`, or None.
     """
 
     title: str
     summary: list[str]
     metrics: dict[str, Any]
     figures: list[PageFigure] = field(default_factory=list)
-    viewer: Viewer | None = None
-    image: tuple[str, npt.NDArray[np.uint8]] | None = None
+    viewer: dict[str, Any] | None = None
 
 
 def write_page(path: Path, content: ReportContent) -> None:
@@ -72,7 +62,6 @@ def write_page(path: Path, content: ReportContent) -> None:
     errors = content.metrics.get("errors") or {}
     ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")
-    image = None if content.image is None else (content.image[0], _data_url(content.image[1]))
     render_page(
         path,
         "page",
@@ -81,7 +70,6 @@ def write_page(path: Path, content: ReportContent) -> None:
         viewer=content.viewer,
         errors=ordered,
         baseline=baseline,
-        image=image,
         coverage=content.metrics.get("coverage"),
         paths=_path_rows(content.metrics),
     )
@@ -97,7 +85,8 @@ def _path_rows(metrics: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     return [(name, row) for name, row in named.items() if row]
 
 
-def _data_url(image: npt.NDArray[np.uint8]) -> str:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+def render_page(path: Path, template: str, **content: Any) -> None:
+    """Write a page; what is put into it is escaped unless the template says that it is safe."""
+    environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
+    environment.filters["counted"] = counted
+    write_whole(path, environment.get_template(f"{template}.html.j2").render(**content))

@@ -1,24 +1,24 @@
-"""What the page is told of each frame of a run."""
+"""What the page shows of each frame of a run, and what to see in a frame and in a whole run, in words."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice, product
+from math import inf
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.words import counted
 from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
+from conformodal.poses import Trajectory, angle_between_quats
 
-Interval = list[float | None]
-PlaceBox = tuple[list[Interval], float | None]
+Intervals = list[list[float | None]]
 _MOST_BOXES = 64  # of a region that is a product
-AXES = "xyz"
-_UNKNOWN = EvidenceType.UNKNOWN.name.lower()
+_UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,162 +38,124 @@ class Paths:
     classical: Trajectory | None = None
     online: Trajectory | None = None
 
-    def errors(self) -> tuple[FloatArray, FloatArray] | None:
-        """Metres and degrees between the answer and the truth, (n,) each."""
-        if self.truth is None:
-            return None
-        return position_errors_m(self.answer, self.truth), orientation_errors_deg(self.answer, self.truth)
 
+def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:
+    """What the page's script reads of the i-th frame of a run; short names, because there are a thousand frames.
 
-@dataclass(frozen=True, eq=False)
-class PageFrame:
-    """One frame: its region of positions, its chosen pose, and what is known of the truth.
-
-    Attributes
-    ----------
-    name, time_s, reliable, motion, known_p, evidence, place_p
-        As in the region's record; the last three are None in runs of earlier versions.
-    position_xyz, quat_wxyz
-        Of the chosen pose.
-    intervals
-        For each of x, y and z; None is an end that has no bound.
-    places, path_places
-        Boxes of positions of the image's region and of the one after motion, most probable first: intervals along x, y
-        and z, and the probability, None if it is not known. `path_places` is None where the model has no such region.
-    truth_xyz, error_m, error_deg
-        None where the truth is not known.
-    classical_xyz
-        Of the classical regressor, if there is one.
+    `record` is that of its region. An end of an interval that is None has no bound; so has the size.
     """
+    place, quat = paths.answer.positions_xyz[i], paths.answer.orientations_quat_wxyz[i]
+    parts: list[Intervals] = [record["intervals"][axis] for axis in "xyz"]
+    lengths = [sum(_lengths(intervals)) for intervals in parts]
+    if record.get("places") is None:  # a region that is a product, and runs of earlier versions
+        boxes = [[*box, None] for box in islice(product(*parts), _MOST_BOXES)]
+    else:
+        boxes = _position_boxes(record["places"])
+    frame: dict[str, Any] = {
+        "n": record["frame"],
+        "t": round(record["timestamp_s"], 4),
+        "ok": record["reliable"],
+        "m": record["motion"],
+        "p": _rounded(place),
+        "q": _rounded(quat),
+        "iv": [[[None if e is None else round(e, 4) for e in part] for part in intervals] for intervals in parts],
+        "bx": boxes,
+        "size": None if inf in lengths else round(float(np.linalg.norm(lengths)), 4),
+        "whole": all(intervals == [[None, None]] for intervals in parts),
+    }
+    if record.get("path_places") is not None:
+        frame["pb"] = _position_boxes(record["path_places"])
+    if record.get("evidence") is not None:  # these are missing in runs of earlier versions
+        frame |= {"kp": record.get("known_p"), "ev": record["evidence"]}
+    if record.get("place_p") is not None:
+        frame["pp"] = record["place_p"]
+    if paths.classical is not None:
+        frame["classical"] = _rounded(paths.classical.positions_xyz[i])
+    if paths.truth is not None:
+        true, turned = paths.truth.positions_xyz[i], paths.truth.orientations_quat_wxyz[i]
+        frame |= {"truth": _rounded(true), "held": _holds(boxes, true)}
+        frame["err"] = round(float(np.linalg.norm(place - true)), 5)
+        frame["deg"] = round(float(np.degrees(angle_between_quats(quat, turned))), 4)
+        if paths.classical is not None:
+            frame["cerr"] = round(float(np.linalg.norm(paths.classical.positions_xyz[i] - true)), 5)
+    return {**frame, "say": describe_frame(frame)}
 
-    name: str
-    time_s: float
-    reliable: bool
-    motion: str
-    known_p: float | None
-    evidence: str | None
-    position_xyz: npt.NDArray[np.float64]
-    quat_wxyz: npt.NDArray[np.float64]
-    intervals: list[list[Interval]]
-    places: list[PlaceBox]
-    path_places: list[PlaceBox] | None = None
-    truth_xyz: npt.NDArray[np.float64] | None = None
-    error_m: float | None = None
-    error_deg: float | None = None
-    classical_xyz: npt.NDArray[np.float64] | None = None
-    place_p: float | None = None
 
-    @property
-    def unknown(self) -> bool:
-        """Whether the image shows no known place."""
-        return self.evidence == _UNKNOWN
-
-    @property
-    def whole(self) -> bool:
-        """Whether the region holds every position: there is no box to draw."""
-        return all(parts == [[None, None]] for parts in self.intervals)
-
-    @property
-    def unbounded(self) -> list[str]:
-        """Axes along which an interval has no bound."""
-        return [axis for axis, parts in zip(AXES, self.intervals, strict=True) if any(None in part for part in parts)]
-
-    @property
-    def n_places(self) -> int:
-        """How many boxes the region of positions consists of."""
-        return len(self.places)
-
-    @property
-    def size_m(self) -> float | None:
-        """Root of the summed squared lengths of the position's sets; None without a bound."""
-        if self.unbounded:
-            return None
-        return float(np.linalg.norm([sum(lengths(parts)) for parts in self.intervals]))
-
-    def holds(self, place_xyz: npt.NDArray[np.float64]) -> bool:
-        """Whether the region holds a position."""
-        return any(
-            all(
-                (low is None or low <= v) and (high is None or v <= high)
-                for (low, high), v in zip(box, place_xyz, strict=True)
-            )
-            for box, _ in self.places
-        )
-
-    def as_json(self, text: str, image: bytes | None) -> dict[str, Any]:
-        """What the page's script reads; short names, because there are a thousand frames."""
-        frame: dict[str, Any] = {
-            "n": self.name,
-            "t": round(self.time_s, 4),
-            "ok": self.reliable,
-            "m": self.motion,
-            "p": _rounded(self.position_xyz),
-            "q": _rounded(self.quat_wxyz),
-            "iv": [[[None if e is None else round(e, 4) for e in part] for part in parts] for parts in self.intervals],
-            "bx": _boxes(self.places),
-            "size": None if self.size_m is None else round(self.size_m, 4),
-            "whole": self.whole,
-            "say": text,
-        }
-        if self.path_places is not None:
-            frame["pb"] = _boxes(self.path_places)
-        if self.evidence is not None:
-            frame |= {"kp": self.known_p, "ev": self.evidence}
-        if self.place_p is not None:
-            frame["pp"] = self.place_p
-        if image is not None:
-            frame["img"] = base64.b64encode(image).decode()
-        if self.classical_xyz is not None:
-            frame["classical"] = _rounded(self.classical_xyz)
-        if self.truth_xyz is not None and self.error_m is not None and self.error_deg is not None:
-            frame |= {"truth": _rounded(self.truth_xyz), "held": self.holds(self.truth_xyz)}
-            frame |= {"err": round(self.error_m, 5), "deg": round(self.error_deg, 4)}
-            if self.classical_xyz is not None:
-                frame["cerr"] = round(float(np.linalg.norm(self.classical_xyz - self.truth_xyz)), 5)
+def with_image(frame: dict[str, Any], images: Mapping[str, bytes]) -> dict[str, Any]:
+    """A frame with its JPEG data, if there is some of its name."""
+    if frame["n"] not in images:
         return frame
+    return {**frame, "img": base64.b64encode(images[frame["n"]]).decode()}
 
 
-def page_frame(i: int, record: dict[str, Any], paths: Paths, errors: tuple[FloatArray, FloatArray] | None) -> PageFrame:
-    """The i-th frame of a run, from the record of its region; `errors` are those of :meth:`Paths.errors`."""
-    intervals = [record["intervals"][axis] for axis in AXES]
-    return PageFrame(
-        name=record["frame"],
-        time_s=record["timestamp_s"],
-        reliable=record["reliable"],
-        motion=record["motion"],
-        known_p=record.get("known_p"),
-        evidence=record.get("evidence"),
-        position_xyz=paths.answer.positions_xyz[i],
-        quat_wxyz=paths.answer.orientations_quat_wxyz[i],
-        intervals=intervals,
-        places=_places(record.get("places")) or [([*box], None) for box in islice(product(*intervals), _MOST_BOXES)],
-        path_places=None if record.get("path_places") is None else _places(record["path_places"]),
-        truth_xyz=None if paths.truth is None else paths.truth.positions_xyz[i],
-        error_m=None if errors is None else float(errors[0][i]),
-        error_deg=None if errors is None else float(errors[1][i]),
-        classical_xyz=None if paths.classical is None else paths.classical.positions_xyz[i],
-        place_p=record.get("place_p"),
+def kind_of(frame: dict[str, Any]) -> str:
+    """What the region of a frame names, in a word or two."""
+    if frame.get("ev") == EvidenceType.UNKNOWN.name.lower():
+        return "unknown place"
+    if frame["whole"]:
+        return "unbounded"
+    n_places = len(frame["bx"])
+    return "empty" if not n_places else "one place" if n_places == 1 else "several places"
+
+
+def describe_frame(frame: dict[str, Any]) -> str:
+    """A frame in words: the region first, then the chosen pose."""
+    parts, kind, n_places = frame["iv"], kind_of(frame), len(frame["bx"])
+    bounded = kind in ("one place", "several places")
+    if bounded:
+        open_axes = [axis for axis, intervals in zip("xyz", parts, strict=True) if inf in _lengths(intervals)]
+        size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in parts)
+        size = f"without bounds along {', '.join(open_axes)}" if open_axes else f"{size} m at most"
+        lines = [f"The region names {counted(n_places, 'place')}, {size}."]
+    else:
+        p = "" if frame.get("kp") is None else f" (p = {frame['kp']:.2g})"
+        lines = [f"Unknown place{p}: the region is unbounded." if kind == "unknown place" else f"The region is {kind}."]
+    if bounded and not _holds(frame["bx"], frame["p"]):
+        lines.append("The chosen pose lies outside it.")
+    if "truth" in frame:
+        held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
+        lines.append(f"The chosen pose is {frame['err']:.3f} m and {frame['deg']:.2f} degrees from the true one{held}.")
+    if "pp" in frame and not frame["ok"] and kind != "unknown place":
+        lines.append(f"When the frame came, its most probable place had a probability of {frame['pp']:.3f}.")
+    if frame["m"] in _UNUSABLE and kind != "unknown place":
+        lines.append(f"The motion since the frame before is not reliable ({frame['m'].replace('_', ' ')}).")
+    return " ".join(lines)
+
+
+def describe_run(kinds: Mapping[str, int], n_bounded: int, n_held: int, rmse_m: Mapping[str, float]) -> str:
+    """The whole run in words: frames by :func:`kind_of`, bounded regions that hold the truth, and RMSE by name."""
+    lines = [f"{counted(sum(kinds.values()), 'frame')}: {', '.join(f'{kind} in {n}' for kind, n in kinds.items())}."]
+    if n_bounded:
+        lines.append(f"{n_held} of {counted(n_bounded, 'bounded region')} contain the true position.")
+    if rmse_m:
+        lines.append(f"Position RMSE: {', '.join(f'{value:.3f} m {name}' for name, value in rmse_m.items())}.")
+    return " ".join(lines)
+
+
+def _holds(boxes: list[list[Any]], place_xyz: FloatArray) -> bool:
+    """Whether a region holds a position."""
+    return any(
+        all(
+            (low is None or low <= v) and (high is None or v <= high)
+            for (low, high), v in zip(box[:3], place_xyz, strict=True)
+        )
+        for box in boxes
     )
 
 
-def _places(places: list[dict[str, Any]] | None) -> list[PlaceBox]:
-    """Boxes of positions; those of places that differ in orientation alone are one."""
-    found: dict[str, PlaceBox] = {}
-    for place in places or []:
-        box = place["box"][:3]
-        before = found.get(str(box), (box, 0.0))[1] or 0.0
-        found[str(box)] = box, before + place["p"]
-    return sorted(found.values(), key=lambda one: -(one[1] or 0.0))
+def _position_boxes(places: list[dict[str, Any]]) -> list[list[Any]]:
+    """Intervals along x, y and z, and the probability; places that differ in orientation alone are one."""
+    found: dict[str, list[Any]] = {}
+    for place in places:
+        box = [[None if e is None else round(e, 4) for e in part] for part in place["box"][:3]]
+        found.setdefault(str(box), [*box, 0.0])[3] += place["p"]
+    return sorted(found.values(), key=lambda box: -float(box[3]))
 
 
-def _boxes(places: list[PlaceBox]) -> list[list[Any]]:
-    return [[*([None if e is None else round(e, 4) for e in part] for part in box), p] for box, p in places]
-
-
-def lengths(parts: list[Interval]) -> list[float]:
+def _lengths(intervals: Intervals) -> list[float]:
     """Of intervals; infinite without a bound."""
-    return [float("inf") if low is None or high is None else high - low for low, high in parts]
+    return [inf if low is None or high is None else high - low for low, high in intervals]
 
 
-def _rounded(values: npt.NDArray[np.float64]) -> list[float]:
+def _rounded(values: FloatArray) -> list[float]:
     return [round(float(v), 4) for v in values]

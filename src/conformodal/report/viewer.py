@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,29 +17,11 @@ from conformodal.poses import Trajectory, read_tum, trajectory_errors
 from conformodal.running.paths import ONLINE
 from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
-from .page_frames import Paths, page_frame
-from .sentences import RunStatistics, describe_frame, describe_run
+from .page_frames import Paths, describe_run, kind_of, page_frame, with_image
 
 MOST_FRAMES = 1000
 # In this order they are one script; a later one uses names of the earlier ones.
 _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
-
-
-@dataclass(frozen=True)
-class Viewer:
-    """What the template needs: data as JSON, the script, sentences, and what is there to be shown."""
-
-    json: str
-    script: str
-    text: str
-    note: str
-    n_shown: int
-    has_images: bool
-    truth: bool
-    classical: bool
-    online: bool
-    known: bool
-    path_places: bool
 
 
 def make_viewer(
@@ -47,8 +29,8 @@ def make_viewer(
     images: Mapping[str, bytes],
     level: float | None = None,
     walls: Sequence[npt.NDArray[np.float64]] = (),
-) -> Viewer:
-    """A viewer of a run's folder; of long runs, it shows at most a thousand frames, evenly spread.
+) -> dict[str, Any]:
+    """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
     Parameters
     ----------
@@ -73,13 +55,20 @@ def make_viewer(
         _beside(folder / TRUTH, n),
         *(_beside(folder / "methods" / f"{name}.tum", n) for name in ("classical", ONLINE)),
     )
-    errors, stride = paths.errors(), max(1, -(-n // MOST_FRAMES))
-    shown, statistics = [], RunStatistics()
+    stride = max(1, -(-n // MOST_FRAMES))
+    shown, kinds, held = [], Counter[str](), []
     for i, record in zip(range(n), iter_region_records(folder / REGIONS), strict=False):
-        frame = page_frame(i, record, paths, errors)
-        statistics.add(frame)
-        if frame.name in images if images else i % stride == 0:
-            shown.append(frame.as_json(describe_frame(frame), images.get(frame.name)))
+        frame = page_frame(i, record, paths)
+        kinds[kind_of(frame)] += 1
+        if frame["size"] is not None and "held" in frame:
+            held.append(frame["held"])
+        if frame["n"] in images if images else i % stride == 0:
+            shown.append(with_image(frame, images))
+    rmse_m = {}
+    if paths.truth is not None:
+        if paths.online is not None:
+            rmse_m["when a frame comes"] = trajectory_errors(paths.online, paths.truth)["rmse_m"]
+        rmse_m["as shown here"] = trajectory_errors(paths.answer, paths.truth)["rmse_m"]
     extent = np.ptp(answer.positions_xyz, axis=0)
     flat = sorted(np.argsort(-extent)[:2].tolist())
     data = {
@@ -91,26 +80,17 @@ def make_viewer(
         "level": level,
         "walls": [np.round(wall, 3).tolist() for wall in walls] if flat == [0, 1] else [],
     }
-    return Viewer(
-        json=json_in_script(data),
-        script=_script(),
-        text=describe_run(statistics, _online_rmse_m(paths)),
-        note="" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
-        n_shown=len(shown),
-        has_images=bool(images),
-        truth=paths.truth is not None,
-        classical=paths.classical is not None,
-        online=paths.online is not None,
-        known=any(frame.get("kp") is not None for frame in shown),
-        path_places=any("pb" in frame for frame in shown),
-    )
-
-
-def _online_rmse_m(paths: Paths) -> float | None:
-    """Of the positions as a robot gets them; None where these or the truth are not known."""
-    if paths.online is None or paths.truth is None:
-        return None
-    return trajectory_errors(paths.online, paths.truth)["rmse_m"]
+    return {
+        "json": json_in_script(data),
+        "script": _script(),
+        "text": describe_run(kinds, len(held), sum(held), rmse_m),
+        "note": "" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
+        "n_shown": len(shown),
+        "has_images": bool(images),
+        **{name: getattr(paths, name) is not None for name in ("truth", "classical", "online")},
+        "known": any(frame.get("kp") is not None for frame in shown),
+        "path_places": any("pb" in frame for frame in shown),
+    }
 
 
 def json_in_script(data: Any) -> str:

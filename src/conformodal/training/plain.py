@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.networks import Head, fit_head, mean_squared_error, predict_values
+from conformodal.networks.heads import Head, fit_head, mean_squared_error, predict_values
 from conformodal.poses import Trajectory, normalise_quat
 from conformodal.vision.settings import TrainingConfig
 

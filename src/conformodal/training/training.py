@@ -49,7 +49,8 @@ def prepare_training_data(
         If what training needs is not installed.
     """
     with require_extra("train", "training"):
-        from conformodal.networks import TorchBackbone, backbone_config, exported, pick_device, quantised  # noqa: PLC0415
+        from conformodal.networks.exporting import exported, quantised  # noqa: PLC0415
+        from conformodal.networks.torch_backbone import TorchBackbone, backbone_config, pick_device  # noqa: PLC0415
 
     device, truth = pick_device(config.device), sequence.require_truth()
     split = make_split(

@@ -19,8 +19,8 @@ _EPSILON = 1e-5  # of the layer norm, torch's default
 class SoftmaxHead:
     """Projected features, one hidden layer with layer norm and GELU, and a softmax per target.
 
-    `weights` have the names of :class:`~conformodal.networks.Head`; `outputs` are the bins per target, ``[K_1, ...,
-    K_d]``.
+    `weights` have the names of :class:`~conformodal.networks.heads.Head`; `outputs` are the bins per target,
+    ``[K_1, ..., K_d]``.
     """
 
     weights: Mapping[str, npt.NDArray[np.float32]]

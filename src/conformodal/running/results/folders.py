@@ -30,7 +30,7 @@ _COMMANDS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
         "results of reproduce", ("tasks", "table1.json"), ("table1.md", "table1.html", "table1.parquet"),
     ),
     "evaluate": ("an evaluation", (), ()),
-    "data": ("findings of data check", (), ()),
+    "data": ("findings of data check", (), ("report.html",)),
     "bins": ("a run of reproduce", (), ()),
 }  # fmt: skip
 
