@@ -109,6 +109,8 @@ class PoseRegions(Regions):
     def concatenate(cls, parts: Iterable[Regions]) -> PoseRegions:
         """Regions of all the images of `parts`, in order."""
         its = [part for part in parts if isinstance(part, PoseRegions)]
+        if len(its) == 1:
+            return its[0]
         whole = Regions.concatenate(its)
         supports = [support for part in its for support in part.supports]
         limits = np.concatenate([part.limits for part in its])
