@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.conformal.diagnostics import Diagnosis
-from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis
+from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis, Diagnosis
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from conformodal.conformal import QuantileBins, SplitConformal
-from conformodal.conformal.calibration import Joint, as_joint
+from conformodal.conformal.calibration.joint import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray

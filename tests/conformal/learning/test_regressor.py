@@ -9,9 +9,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
 from conformodal.conformal import ConformalError, ConformalRegressor, NotCalibratedError, check_coverage
-from conformodal.conformal.learning import process, quick, quick_location
-from conformodal.conformal.learning.kernels import shifted_masses
-from conformodal.conformal.learning.quick_location import boosting
+from conformodal.conformal.learning import location, process, quick
+from conformodal.conformal.learning.location import boosting
+from conformodal.conformal.learning.mixture import shifted_masses
 
 
 def forest():
@@ -59,7 +59,7 @@ def test_grid_search_sees_the_parameters():
 
 @pytest.mark.filterwarnings("ignore")
 def test_the_default_passes_the_checks_of_scikit_learn(monkeypatch):
-    for module in (quick, quick_location):  # hundreds of fits: short ones
+    for module in (quick, location):  # hundreds of fits: short ones
         monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
     monkeypatch.setattr(process, "_STAGES", ((30, 3),))
     monkeypatch.setattr(quick, "_TREES", ((3000, 5),))

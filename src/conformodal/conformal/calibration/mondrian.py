@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.checks import Alpha, Probabilities, as_table
+from conformodal.conformal.checks import Alpha, Probabilities, as_choice, as_count, as_table
 from conformodal.conformal.errors import NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scalars import as_choice, as_count
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import RealArray
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.calibration import SplitConformal
 from conformodal.conformal.calibration.joint import Joint
+from conformodal.conformal.calibration.split import SplitConformal
 from conformodal.conformal.checks import Alpha, Probabilities, as_targets
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
@@ -186,13 +186,6 @@ def diagnose(
         Probability of every band.
     random_state
         Seed of the slab search, of ties and of the simulated law of the p-values.
-
-    Raises
-    ------
-    ConformalError
-        If shapes do not fit.
-    NotCalibratedError
-        Before calibration.
 
     Examples
     --------

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import clone
 
+from conformodal.conformal.checks import brief, shortened
 from conformodal.conformal.errors import ConformalError, SlowFitWarning
-from conformodal.conformal.scalars import brief, shortened
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import Progress
 from conformodal.core.words import counted
@@ -107,7 +107,10 @@ def _fitted(
     progress: Progress | None,
 ) -> Any:
     model = clone(base)
-    known = _parameters(model.fit_bins if dense else model.fit)
+    try:
+        known: Any = inspect.signature(model.fit_bins if dense else model.fit).parameters
+    except (ValueError, TypeError):  # of a compiled method
+        known = {}
     if weight is not None and "sample_weight" not in known:
         method = "fit_bins" if dense else "fit"
         raise ConformalError(f"sample_weight needs an estimator whose {method} takes it, got {brief(base)}")
@@ -145,16 +148,7 @@ def on_stderr(target: int, n_targets: int) -> Progress:
     start = time.monotonic()
 
     def show(done: int, total: int) -> None:
-        spent = time.monotonic() - start
-        print(
-            f"target {target + 1} of {n_targets}: {done} of {total} parts, {spent:.0f} s", file=sys.stderr, flush=True
-        )
+        parts = f"{done} of {total} parts, {time.monotonic() - start:.0f} s"
+        print(f"target {target + 1} of {n_targets}: {parts}", file=sys.stderr, flush=True)
 
     return show
-
-
-def _parameters(method: Any) -> Any:
-    try:
-        return inspect.signature(method).parameters
-    except (ValueError, TypeError):  # of a compiled method
-        return {}

@@ -12,18 +12,18 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.calibration import Joint, SplitConformal
-from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_reals
-from conformodal.conformal.diagnostics import Diagnosis, diagnose
+from conformodal.conformal.calibration.joint import Joint
+from conformodal.conformal.calibration.split import SplitConformal
+from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_number, as_random, as_reals, brief, shortened
+from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scalars import as_number, as_random, brief, shortened
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import FloatArray
 
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
+from .mixture import as_sample_weight
 from .smoothing import proba_of_bins
-from .standard import as_sample_weight
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02

@@ -9,12 +9,11 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
-from conformodal.conformal.checks import as_doubles
+from conformodal.conformal.checks import as_doubles, shortened
 from conformodal.conformal.errors import ConformalError
-from conformodal.conformal.scalars import shortened
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .kernels import log_density, mixture_weights
+from .mixture import log_density, mixture_weights
 
 # standard deviations, in bins, of the Gaussians that the probabilities are smoothed by; 0 does not smooth
 _SIGMAS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
