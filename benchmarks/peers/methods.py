@@ -35,7 +35,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
-from conformodal.conformal.learning.location import StackedLocation
+from conformodal.conformal.learning.location import Location, folds_of, stacked_members
 from conformodal.core.arrays import FloatArray
 
 JOBS = 2
@@ -173,7 +173,8 @@ class _Stack:
         X, y = split.X["train"], split.y["train"]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            self.location = StackedLocation(split.seed, JOBS).fit(X, y)
+            members, folds = stacked_members(len(y), split.seed, JOBS), folds_of(len(y), split.seed, 5)
+            self.location = Location().fit(members, X, y, np.ones(len(y)), folds)
         summary = self.location.summary(self.location.out_of_fold_)
         residual = np.abs(y - summary[:, 0])
         self.least = 0.1 * float(np.median(residual)) or 1e-6
@@ -184,11 +185,14 @@ class _Stack:
         return self
 
     def predict(self, X: FloatArray) -> FloatArray:
-        return self.location.summary(self.location.predict(X))[:, 0]
+        return self._summary(X)[:, 0]
 
     def apply(self, X: FloatArray) -> FloatArray:
-        summary = self.location.summary(self.location.predict(X))
+        summary = self._summary(X)
         return np.exp(self.forest.predict(np.column_stack((X, summary))))
+
+    def _summary(self, X: FloatArray) -> FloatArray:
+        return self.location.predict(X, np.empty(0))
 
 
 def crepes_on_our_stack(split: Split, alpha: float) -> Sets:

@@ -15,7 +15,7 @@ from conformodal.conformal import (
     conformal_rank,
 )
 from conformodal.conformal.calibration.weighted import WeightedRanks
-from conformodal.conformal.online.trackers import PastScores
+from conformodal.conformal.online import PastScores
 
 
 def exact(n: int, thousandths: int) -> int:

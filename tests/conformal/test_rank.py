@@ -1,4 +1,3 @@
-import tracemalloc
 from decimal import Decimal
 from fractions import Fraction
 
@@ -6,7 +5,6 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import ConformalError, conformal_quantile, conformal_rank
-from conformodal.conformal.checks import as_reals
 
 
 def exact(n: int, thousandths: int) -> int:
@@ -70,42 +68,3 @@ def test_quantile_counts_infinite_scores_and_refuses_nan():
         conformal_quantile([0.1, np.nan], 0.5)
     with pytest.raises(ConformalError, match="axis"):
         conformal_quantile(0.3, 0.5)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_very_many_scores_are_ranked_in_a_file_as_by_sorting(dtype, tmp_path, monkeypatch):
-    monkeypatch.setattr("conformodal.conformal.rank.MANY", 1000)
-    monkeypatch.setattr("conformodal.conformal.rank._ROWS", 700)
-    rng = np.random.default_rng(0)
-    drawn = [
-        rng.normal(size=5000),
-        rng.integers(-3, 4, 5000),  # many ties, and zero
-        np.r_[-np.zeros(2500), np.zeros(2500)],
-        np.r_[np.full(400, np.inf), np.full(300, -np.inf), rng.normal(size=4300) * 1e-38],
-        np.nextafter(dtype(1), dtype(2)) * np.ones(5000),
-    ]
-    for number, scores in enumerate(drawn):
-        file = np.memmap(tmp_path / f"{number}", dtype=dtype, mode="w+", shape=(5000,))
-        file[:] = rng.permutation(scores)
-        ordered = np.sort(np.array(file))
-        for alpha in ("0.0002", "0.001", "0.1", "0.4999", "0.5", "0.9", "0.9998"):
-            found = conformal_quantile(file, Fraction(alpha))
-            k = conformal_rank(5000, Fraction(alpha))
-            assert found.dtype == dtype
-            assert float(found) == (ordered[k - 1] if k <= 5000 else np.inf)
-    file[17] = np.nan
-    with pytest.raises(ConformalError, match="NaN"):
-        conformal_quantile(file, 0.1)
-
-
-def test_a_file_of_scores_is_not_copied(tmp_path):
-    file = np.memmap(tmp_path / "scores", dtype=np.float32, mode="w+", shape=(2_000_000,))
-    file[:] = np.random.default_rng(0).random(2_000_000, dtype=np.float32)
-    assert np.shares_memory(as_reals(file, "scores"), file)
-    tracemalloc.start()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("conformodal.conformal.rank.MANY", 1000)
-        patch.setattr("conformodal.conformal.rank._ROWS", 1 << 14)
-        conformal_quantile(file, 0.1)
-    assert tracemalloc.get_traced_memory()[1] < 0.4 * file.nbytes
-    tracemalloc.stop()

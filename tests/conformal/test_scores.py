@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformodal.conformal import Aps, ConformalError, LinearDensity, QuantileBins, SplitConformal
-from conformodal.conformal.calibration.base import lowest_probability
 from conformodal.conformal.scores import SCORES, row_uniforms
 
 
@@ -22,21 +21,6 @@ def test_sets_nest_in_alpha_and_ignore_the_order_of_calibration(problem, seed, s
     for a, b, c in zip(tight.masks, loose.masks, same.masks, strict=True):
         assert not (a & ~b).any()
         np.testing.assert_array_equal(a, c)
-
-
-@given(st.floats(0, 1, width=32), st.sampled_from(["lac", "density"]), st.integers(0, 99))
-def test_the_cut_of_a_probability_is_exact_to_the_last_bit(at, score, seed):
-    rng = np.random.default_rng(seed)
-    widths = rng.uniform(1e-3, 5, 6)
-    for dtype in (np.float16, np.float32, np.float64):
-        s = SCORES[score]
-        threshold = s.of_bins(np.full((1, 6), at, dtype=dtype), widths)[0, rng.integers(6)]
-        cut = lowest_probability(s, widths, threshold, np.dtype(dtype))
-        found = np.where(np.isfinite(cut), cut, dtype(2))
-        below = np.nextafter(found, dtype(-1))
-        fits = s.of_bins(found[None], widths)[0] <= threshold
-        np.testing.assert_array_equal(fits, np.isfinite(cut))
-        assert (s.of_bins(below[None], widths)[0] > threshold)[below >= 0].all()
 
 
 def test_linear_density_is_between_those_of_the_centres_and_keeps_a_flat_density():

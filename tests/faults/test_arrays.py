@@ -53,7 +53,6 @@ from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
 from conformodal.conformal.diagnostics.slab import worst_slab
 from conformodal.conformal.diagnostics.uniformity import check_uniformity
-from conformodal.conformal.learning.kernels import bandwidths, kernel_masses
 from conformodal.conformal.scores import SCORES
 from tests.helpers import Missing
 
@@ -143,8 +142,6 @@ ENTRIES = {
     "of_bins density": (P[:, 0], lambda p: [Density().of_bins(p, np.ones(K))]),
     "of_bins linear": (P[:, 0], lambda p: [LinearDensity().of_bins(p, np.ones(K))]),
     "of_bins aps": (P[:, 0], lambda p: [Aps("density").of_bins(p, np.ones(K))]),
-    "bandwidths": (W, lambda v: [bandwidths(v, W, 1.0)]),
-    "kernel_masses": (W, lambda v: [kernel_masses(v, v, np.arange(5.0), 1.0)]),
 }
 
 
@@ -207,11 +204,10 @@ SHORT = {  # of float32
     "half": lambda a: a.astype(np.float16),
     "big-endian half": lambda a: a.astype(">f2"),
     "tensor 4": lambda a: torch.from_numpy(a.copy()),
-    "tensor of bfloat16": lambda a: torch.from_numpy(a.copy()).to(torch.bfloat16),
     "tensor half": lambda a: torch.from_numpy(a.copy()).half(),
 }
 # scikit-learn has its own rules for these
-NOT_TABLES = {"tensor with gradient", "tensor of bfloat16", "memory view"}
+NOT_TABLES = {"tensor with gradient", "memory view"}
 DISGUISES = [(k, f, np.float64) for k, f in LONG.items()] + [(k, f, np.float32) for k, f in SHORT.items()]
 
 
@@ -278,7 +274,6 @@ BAD = {
     "decimal sNaN": replaced(Decimal("sNaN")),
     "date among numbers": replaced(np.datetime64("2020-01-01")),
     "array among numbers": lambda a: replaced(a)(a),
-    "longdouble too large": lambda a: with_float(np.longdouble("1e4000"))(a.astype(np.longdouble)),
     "NaN": with_float(np.nan),
     "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]],
     "generator": lambda a: (row for row in a),
@@ -297,18 +292,18 @@ BAD = {
 }
 
 
-INNER = ("of_bins", "bandw", "kernel_m")  # their callers have checked the numbers
+INNER = "of_bins"  # its callers have checked the numbers
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
 @pytest.mark.parametrize("damage", BAD)
 def test_what_is_no_array_of_real_numbers_is_refused(entry, damage):
     good, call = ENTRIES[entry]
-    if damage == "an axis too many" and entry.startswith(("novelty p", "conformal_q", "of_bins", "bandw", "kernel_m")):
+    if damage == "an axis too many" and entry.startswith(("novelty p", "conformal_q", INNER)):
         return  # these work along an axis, or element by element
     if (damage, entry) == ("empty list of lists", "conformal_quantile"):
         return  # two scores for none
-    if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith((*INNER, "novelty p")):
+    if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith((INNER, "novelty p")):
         return
     with pytest.raises(ConformalError) as told:
         call(BAD[damage](good))
@@ -465,7 +460,6 @@ REFUSED = {
     "X too large for a tree": (lambda: tree().fit(X * 1e39, Y), "cannot be fitted"),
     "X to predict too large for a tree": (lambda: FITTED.predict(X * 1e39), "cannot predict"),
     "names that are a number": (lambda: diagnose(SPLIT["lac"], P, Y, names=5), "name per target"),
-    "an intersection with a number": (lambda: REGIONS.intersection(5), "combined"),
     "parts that are none": (lambda: Regions.concatenate([1, 2]), "Regions"),
     "inside of numbers": (lambda: check_coverage([0.0, np.nan], 9, 0.1), "boolean"),
     "inside of words": (lambda: coverage_by_group(["no"], ["a"], 9, 0.1), "boolean"),
@@ -482,8 +476,6 @@ REFUSED = {
     "estimator that is a class": (lambda: ConformalRegressor(DecisionTreeClassifier).fit(X, Y), "estimator"),
     "window of a float": (lambda: Aci(window=2.5), "window"),
     "start of NaN": (lambda: ConformalPid(start=np.nan), "start"),
-    "forecast that is a number": (lambda: ConformalPid(forecast=5), "forecast"),
-    "forecast of NaN": (lambda: ConformalPid(start=0.0, forecast=lambda t: np.nan).threshold(), "forecast"),
 }
 
 

@@ -95,7 +95,7 @@ SAME = {
         objects(of(DAYS)), Column(of([Time(t.year, t.month, t.day) for t in TIMES])), np.array(of(DAYS), "M8[Y]"),
         list(np.array(of(DAYS), "M8[h]")),
     ],
-    "spans": [of(SPANS), np.array(of(SPANS), "m8[s]"), np.array(of(SPANS), "m8[ns]"), objects(of(SPANS))],
+    "spans": [of(SPANS), np.array(of(SPANS), "m8[s]"), objects(of(SPANS))],
     "tuples": [
         of([("a", 1), ("a", 2), ("b", 1)]), Column(of([("a", 1), ("a", 2), ("b", 1)])),
         np.array(of([("a", 1), ("a", 2), ("b", 1)]), [("x", "U1"), ("y", int)]),

@@ -97,14 +97,6 @@ def test_pid_keeps_its_bound_at_every_step(adversary, alpha, saturation, start):
         assert abs(total - steps * alpha) <= pi / 2 * saturation * sqrt(steps) + 1 + 1e-9, steps
 
 
-@pytest.mark.parametrize(
-    "forecast", [lambda t: 1e300, lambda t: -1e300, lambda t: float(-t), lambda t: (-1) ** t * 9.0]
-)
-def test_pid_keeps_its_bound_whatever_is_forecast(forecast):
-    missed = play(ConformalPid(0.1, forecast=forecast, start=0.0), just_above)
-    assert abs(missed.mean() - 0.1) <= (pi / 2 * sqrt(T) + 1) / T
-
-
 # pushes the truth into the bin of the largest score: the worst that a set over bins can meet
 @pytest.mark.parametrize(
     ("method", "bound"),

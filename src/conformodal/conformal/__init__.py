@@ -9,23 +9,19 @@ Invalid input raises :class:`ConformalError`, which names the argument; a predic
 
 from typing import TYPE_CHECKING
 
-from conformodal.conformal.online.sets import OnlineConformal
-from conformodal.conformal.online.trackers import Aci, ConformalPid
 from conformodal.core.lazy import lazy_getattr
 
 from .bins import QuantileBins
-from .calibration import (
-    CrossConformal,
-    MondrianConformal,
-    SplitConformal,
-    WeightedConformal,
-    grouped_maximum_quantile,
-    grouped_quantile,
-    weighted_quantile,
-)
-from .diagnostics import CoverageCheck, Diagnosis, check_coverage, coverage_band, diagnose, grouped_coverage_band
+from .calibration.cross import CrossConformal
+from .calibration.grouped import grouped_maximum_quantile, grouped_quantile
+from .calibration.mondrian import MondrianConformal
+from .calibration.split import SplitConformal
+from .calibration.weighted import WeightedConformal, weighted_quantile
+from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
+from .diagnostics.diagnosis import Diagnosis, diagnose
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .novelty import NoveltyTest
+from .online import Aci, ConformalPid, OnlineConformal
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
@@ -45,38 +41,10 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 )
 
 __all__ = [
-    "Aci",
-    "Aps",
-    "ConformalError",
-    "ConformalPid",
-    "ConformalRegressor",
-    "ConformodalError",
-    "CoverageCheck",
-    "CrossConformal",
-    "Density",
-    "Diagnosis",
-    "Lac",
-    "LinearDensity",
-    "MondrianConformal",
-    "NotCalibratedError",
-    "NoveltyTest",
-    "OnlineConformal",
-    "QuantileBins",
-    "QuickDensity",
-    "Regions",
-    "Score",
-    "SlowFitWarning",
-    "SplitConformal",
-    "StackedDensity",
-    "WeightedConformal",
-    "WholeRangeWarning",
-    "check_coverage",
-    "conformal_quantile",
-    "conformal_rank",
-    "coverage_band",
-    "diagnose",
-    "grouped_coverage_band",
-    "grouped_maximum_quantile",
-    "grouped_quantile",
-    "weighted_quantile",
-]
+    "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
+    "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MondrianConformal", "NotCalibratedError",
+    "NoveltyTest", "OnlineConformal", "QuantileBins", "QuickDensity", "Regions", "Score", "SlowFitWarning",
+    "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
+    "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
+    "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
+]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -11,13 +11,11 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.ranges import RANGES
 
-from .checks import as_doubles, as_targets, for_blocks
+from .checks import as_count, as_doubles, as_number, as_targets
 from .errors import ConformalError, NotCalibratedError
-from .scalars import as_count, as_number
 
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
 _CONSTANT_HALF_WIDTH = 1e-6
-_TABLE_CELLS = 16_384
 # least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
 _MOST_BINS = int(RANGES["n_bins"].high)
@@ -42,6 +40,7 @@ class QuantileBins:
     Attributes
     ----------
     edges_ : list of d arrays (K_d + 1,), strictly increasing, in the target's own unit
+    names : the targets' names in tables and reports, or None
 
     Examples
     --------
@@ -54,6 +53,7 @@ class QuantileBins:
     """
 
     edges_: list[FloatArray]
+    names: list[str] | None = None
 
     def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
         self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
@@ -120,25 +120,22 @@ class QuantileBins:
         """Bins cut into `cells` equal parts each."""
         cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
-        return QuantileBins.from_edges(fine) if cells > 1 else self
+        if cells == 1:
+            return self
+        found = QuantileBins.from_edges(fine)
+        found.names = self.names
+        return found
 
     def encode(self, y: npt.ArrayLike) -> IntArray:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
         codes = np.empty(arr.shape, dtype=np.int64)
-        finders = self.finders(arr.shape[0])
-
-        def fill(rows: slice) -> None:
-            for j, find in enumerate(finders):
-                codes[rows, j] = find(arr[rows, j])
-
-        for_blocks(arr.shape[0], fill)
+        for j, e in enumerate(edges):
+            codes[:, j] = np.searchsorted(e, arr[:, j], side="right") - 1
+            codes[arr[:, j] == e[-1], j] = e.size - 2
+            codes[codes[:, j] > e.size - 2, j] = -1
         return codes
-
-    def finders(self, n_values: int) -> list[Callable[[FloatArray], IntArray]]:
-        """One function per target from finite values (n,) to codes (n,), fast for many values."""
-        return [_finder(e, n_values) for e in self._edges()]
 
     def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[FloatArray]:
         """Order-aware class targets: a Gaussian over bin numbers around `y`; d arrays (n, K_d) whose rows sum to one.
@@ -176,41 +173,6 @@ def _check_edges(edges: FloatArray, what: str) -> None:
         )
     if not np.isfinite(widths).all():
         raise ConformalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
-
-
-def _finder(edges: FloatArray, n_values: int) -> Callable[..., IntArray]:
-    """Codes by ``np.searchsorted``; for many values by a table that is several times faster.
-
-    The table over equal cells of the range holds the codes of cells with no edge in or next to them; others are
-    searched.
-    """
-    low, high, last = edges[0], edges[-1], edges.size - 2
-
-    def searched(values: FloatArray) -> IntArray:
-        codes = np.searchsorted(edges, values, side="right") - 1
-        codes[values == high] = last
-        codes[codes > last] = -1
-        return codes
-
-    with np.errstate(over="ignore"):
-        per_unit = _TABLE_CELLS / (high - low)
-    if n_values < 4 * _TABLE_CELLS or not np.isfinite(per_unit):
-        return searched
-    borders = low + np.arange(-1, _TABLE_CELLS + 2) / _TABLE_CELLS * (high - low)
-    first, then = (np.searchsorted(edges, borders, side=side) for side in ("left", "right"))
-    # cell c, borders c + 1 and c + 2, is sure if no edge lies between borders c and c + 3
-    table = np.where(first[:-3] == then[3:], then[:-3] - 1, -2)
-
-    def looked_up(values: FloatArray) -> IntArray:
-        place = values - low
-        place *= per_unit
-        np.clip(place, 0, _TABLE_CELLS - 1, out=place)
-        codes = table.take(place.astype(np.int32))
-        unsure = np.flatnonzero(codes == -2)
-        codes[unsure] = searched(values[unsure])
-        return np.asarray(codes, dtype=np.int64)
-
-    return looked_up
 
 
 def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:

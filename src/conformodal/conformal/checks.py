@@ -1,4 +1,4 @@
-"""Checks of arguments: arrays come out in one form, or an error names what is wrong.
+"""Checks of arguments: arrays and single values come out in one form, or an error names what is wrong.
 
 Every array passes :func:`as_reals`, which returns real numbers of native byte order, float32 or float64. Strings, dates
 and masked entries, which NumPy and scikit-learn would convert, are refused.
@@ -6,12 +6,13 @@ and masked entries, which NumPy and scikit-learn would convert, are refused.
 
 from __future__ import annotations
 
-import os
+import operator
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from decimal import Decimal
-from numbers import Real
-from typing import Any, TypeAlias
+from fractions import Fraction
+from numbers import Rational, Real
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,47 +22,112 @@ from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
 from .errors import ConformalError
-from .scalars import Alpha, as_alpha, brief
 
+Alpha: TypeAlias = float | str | Decimal | Fraction
 Probabilities: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
-
-__all__ = ["Alpha", "as_alpha"]
 
 # float16 softmax rows of a few hundred classes sum to one within about this
 _ROW_SUM_TOLERANCE = 5e-3
-_DEEPEST_LIST = 4
 _BLOCK_ROWS = 4096
-_ROWS_WORTH_THREADS = 1 << 16
+# powers of ten beyond which a decimal is not a rate, and would take long to read
+_MOST_DIGITS = 400
+_LONGEST_REPR = 80
+
+
+def brief(value: object) -> str:
+    """`value` as errors show it, on one line."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # whatever a foreign class raises
+        text = f"<{type(value).__name__}>"
+    return shortened(text, _LONGEST_REPR)
+
+
+def shortened(text: str, most: int = 300) -> str:
+    """`text` without its middle if it is longer than `most`."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
+
+
+def as_alpha(alpha: Alpha) -> Fraction:
+    """A miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055."""
+    try:
+        if isinstance(alpha, bool):
+            raise TypeError
+        power = str(alpha).lower().partition("e")[2]
+        if power and abs(int(power)) > _MOST_DIGITS:
+            raise ValueError
+        value = Fraction(alpha if isinstance(alpha, Rational) else str(alpha))
+    except (ValueError, TypeError, OverflowError, ZeroDivisionError):
+        raise ConformalError(f"alpha must be a number strictly between 0 and 1, got {brief(alpha)}") from None
+    if not 0 < value < 1:
+        percent = float(value) / 100  # a miscoverage, or, if it is more than half, a coverage
+        hint = f"; did you mean {min(percent, 1 - percent):g}?" if 1 < value < 100 else ""
+        found = brief(str(alpha)).strip("'")
+        raise ConformalError(f"alpha must lie strictly between 0 and 1 (a miscoverage rate), got {found}{hint}")
+    return value
+
+
+def as_count(value: Any, name: str, least: int = 0, most: int | None = None) -> int:
+    """An integer of at least `least` and at most `most`; booleans and floats are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except Exception:  # whatever a foreign class raises
+        raise ConformalError(f"{name} must be a whole number, at least {least}, got {brief(value)}") from None
+    if number < least or (most is not None and number > most):
+        end = "" if most is None else f" and at most {most}"
+        raise ConformalError(f"{name} must be a whole number, at least {least}{end}, got {number}")
+    return number
+
+
+def as_number(value: Any, name: str, expected: str, holds: Callable[[float], bool]) -> float:
+    """A real number for which `holds`; `expected` describes it in messages."""
+    if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
+        value = value[()]
+    number = float("nan")
+    if isinstance(value, (Real, Decimal)) and not isinstance(value, bool):
+        with suppress(OverflowError, ValueError):
+            number = float(value)
+    if not holds(number):
+        raise ConformalError(f"{name} must be {expected}, got {brief(value)}")
+    return number
+
+
+def as_choice(value: Any, options: Any, name: str) -> None:
+    """Check a name against a ``Literal``."""
+    if not isinstance(value, str) or value not in get_args(options):
+        raise ConformalError(f"{name} must be one of {list(get_args(options))}, got {brief(value)}")
+
+
+def as_random(random_state: Any) -> np.random.RandomState:
+    """The random numbers of a seed, a ``RandomState`` or None, as in scikit-learn."""
+    from sklearn.utils import check_random_state  # noqa: PLC0415 - a second to import
+
+    try:
+        found: np.random.RandomState = check_random_state(random_state)
+        return found
+    except (ValueError, TypeError):
+        raise ConformalError(f"random_state must be a seed, a RandomState or None, got {brief(random_state)}") from None
 
 
 def as_array(values: Any, name: str) -> npt.NDArray[Any]:
     """Any array-like as an array of any dtype; masked entries, which NumPy would drop, are refused."""
-    _refuse_masked(values, name)
     if issparse(values):
         raise ConformalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
     try:
+        if isinstance(values, (list, tuple, np.ma.MaskedArray)):
+            masked = np.argwhere(np.ma.getmaskarray(np.ma.asanyarray(values)))
+            if masked.size:
+                raise ConformalError(f"{name} must not hold masked entries, found one at position {masked[0].tolist()}")
         if callable(getattr(values, "detach", None)):  # a tensor of torch, with a gradient or on a device
             values = values.detach().cpu()
-            if "float8" in str(values.dtype) or "bfloat16" in str(values.dtype):
-                values = values.float()  # NumPy has no such type; float32 holds all its numbers
         return np.asarray(values)
-    except MemoryError:
+    except (ConformalError, MemoryError):
         raise
     except Exception as exc:  # whatever a foreign class raises
-        why = " ".join(str(exc).split())
+        why = shortened(" ".join(str(exc).split()))
         raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {why}") from None
-
-
-def _refuse_masked(values: Any, name: str, depth: int = 0) -> None:
-    if isinstance(values, np.ma.MaskedArray) and values.dtype.names is None:
-        mask = np.ma.getmaskarray(values)
-        if mask.any():
-            at = np.argwhere(mask)[0].tolist()
-            raise ConformalError(f"{name} must not hold masked entries, found one at position {at}")
-    elif isinstance(values, (list, tuple)) and depth < _DEEPEST_LIST:
-        for value in values:
-            if isinstance(value, (list, tuple, np.ma.MaskedArray)):
-                _refuse_masked(value, name, depth + 1)
 
 
 def as_reals(values: Any, name: str) -> RealArray:
@@ -73,29 +139,17 @@ def as_reals(values: Any, name: str) -> RealArray:
         return values
     arr = as_array(values, name)
     if arr.dtype.kind == "O":
-        return _from_objects(arr, name)
-    if arr.dtype.kind not in "biuf":
+        for at, value in np.ndenumerate(arr):
+            if not isinstance(value, (Real, Decimal, np.bool_)):
+                place = f" at position {list(at)}" if at else ""
+                raise ConformalError(f"{name} must be numeric, of real numbers, found {brief(value)}{place}")
+    elif arr.dtype.kind not in "biuf":
         raise ConformalError(f"{name} must be numeric, of real numbers, got dtype {arr.dtype}")
-    short = arr.dtype.kind == "f" and arr.dtype.itemsize <= 4
-    with np.errstate(over="ignore"):
-        found: RealArray = arr.astype(np.float32, copy=False) if short else arr.astype(np.float64, copy=False)
-    if arr.dtype.itemsize > 8 and not np.array_equal(np.isinf(found), np.isinf(arr)):
-        raise ConformalError(f"{name} holds a number too large for float64, dtype {arr.dtype}")
-    return found
-
-
-def _from_objects(arr: npt.NDArray[Any], name: str) -> FloatArray:
-    found = np.empty(arr.shape)
-    for at, value in np.ndenumerate(arr):
-        place = f" at position {list(at)}" if at else ""
-        if not isinstance(value, (Real, Decimal, np.bool_)):
-            what = brief(value) if value is None or isinstance(value, (str, complex)) else type(value).__name__
-            raise ConformalError(f"{name} must be numeric, of real numbers, found {what}{place}")
-        try:
-            found[at] = float(value)
-        except (OverflowError, ValueError):
-            raise ConformalError(f"{name} holds a number too large for float64{place}") from None
-    return found
+    try:
+        with np.errstate(over="ignore"):
+            return arr.astype(np.float32 if arr.dtype.char in "ef" else np.float64, copy=False)
+    except (OverflowError, ValueError) as exc:
+        raise ConformalError(f"{name} holds a number that float64 cannot hold: {exc}") from None
 
 
 def as_doubles(values: Any, name: str) -> FloatArray:
@@ -167,37 +221,22 @@ def as_table(
     for j, (part, k) in enumerate(zip(parts, n_bins, strict=True)):
         if part.shape != (n, k):
             raise ConformalError(f"{name} of target {j} has shape {part.shape}, expected ({n}, {k}): {k} bins")
-        if check:
-            check_rows(part, f"{name} of target {j}")
+        for rows in blocks(n if check else 0):  # block by block, so that memory is read once
+            check_block(part[rows], f"{name} of target {j}", rows.start)
     return parts, whole
 
 
 def _one_per_target(proba: Sequence[Any], n_bins: Sequence[int]) -> bool:
     """Whether a list holds one (n, K_j) array per target, rather than one (d, K) table per sample."""
-    d = len(n_bins)
-    if len(proba) != d:
+    d, lists = len(n_bins), all(isinstance(part, (list, tuple)) for part in proba)
+    if len(proba) != d or any(as_array(part, "proba").ndim != 2 for part in proba):
         return False
-    if not all(isinstance(part, (list, tuple)) for part in proba):
-        return all(getattr(part, "ndim", 2) == 2 for part in proba)
-    if not all(part and _is_row(part[0]) for part in proba):
-        return False
-    # d tables of d rows, all with as many bins: what NumPy makes of them, (n, d, K)
-    return len(set(n_bins)) > 1 or any(len(part) != d for part in proba)
-
-
-def _is_row(row: Any) -> bool:
-    if isinstance(row, (list, tuple)):
-        return not (row and isinstance(row[0], (list, tuple)))
-    return getattr(row, "ndim", 0) == 1
-
-
-def check_rows(part: npt.NDArray[Any], name: str) -> None:
-    """Check that rows (the last axis) are probabilities, block by block so that memory is read once."""
-    for_blocks(part.shape[0], lambda rows: check_block(part[rows], name, rows.start))
+    # d lists of d rows, all with as many bins: what NumPy makes of them, (n, d, K)
+    return not lists or len(set(n_bins)) > 1 or any(len(part) != d for part in proba)
 
 
 def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
-    """:func:`check_rows` for some rows, of which the first is row `first_row` of the whole."""
+    """Check that rows (the last axis) are probabilities; the first is row `first_row` of the whole."""
     if block.size == 0:
         return
     low = block.min()
@@ -216,15 +255,3 @@ def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
 def blocks(n: int) -> Iterator[slice]:
     """Slices of at most ``_BLOCK_ROWS`` rows that cover n rows."""
     return (slice(start, min(start + _BLOCK_ROWS, n)) for start in range(0, n, _BLOCK_ROWS))
-
-
-def for_blocks(n: int, work: Callable[[slice], None]) -> None:
-    """Call `work` for every block of rows, in threads if there are many; blocks must write to disjoint rows."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if n < _ROWS_WORTH_THREADS or cores == 1:
-        for rows in blocks(n):
-            work(rows)
-        return
-    with ThreadPoolExecutor(cores) as pool:
-        for _ in pool.map(work, blocks(n)):
-            pass

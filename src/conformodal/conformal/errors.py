@@ -26,44 +26,16 @@ class ConformalTypeError(ConformalError, TypeError):
 
 
 class NotCalibratedError(ConformalError):
-    """A calibrator, or bins, used before they are fitted.
-
-    Examples
-    --------
-    >>> from conformodal.conformal import NotCalibratedError, QuantileBins, SplitConformal
-    >>> try:
-    ...     SplitConformal(QuantileBins.from_edges([[0, 1]])).predict([[1.0]])
-    ... except NotCalibratedError as error:
-    ...     print(error)
-    SplitConformal is not calibrated yet: call calibrate first
-    """
+    """A calibrator such as :class:`SplitConformal`, or bins, used before they are fitted."""
 
 
 class SlowFitWarning(UserWarning):
-    """A fit that will take more than ten seconds; estimates the time and names a faster estimator.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> from conformodal.conformal import SlowFitWarning
-    >>> warnings.simplefilter("ignore", SlowFitWarning)  # if you accept the wait
-    """
+    """A fit, of a :class:`ConformalRegressor`, of more than ten seconds; names a faster estimator."""
 
 
 class WholeRangeWarning(UserWarning):
     """The threshold is the worst possible score, so that every set holds every bin.
 
-    This happens if more than alpha of the calibration rows lie in bins of probability 0.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import numpy as np
-    >>> from conformodal.conformal import QuantileBins, SplitConformal, WholeRangeWarning
-    >>> bins = QuantileBins.from_edges([[0, 1, 2]])
-    >>> proba, y = np.tile([1.0, 0.0], (40, 1)), np.tile([0.5, 1.5], 20)
-    >>> with warnings.catch_warnings(record=True) as caught:
-    ...     calibrator = SplitConformal(bins, alpha=0.1).calibrate(proba, y)
-    >>> caught[0].category is WholeRangeWarning
-    True
+    This happens if more than alpha of the calibration rows lie in bins of probability 0. :class:`ConformalRegressor`
+    smooths the probabilities, so that none is 0.
     """

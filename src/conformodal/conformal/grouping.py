@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
-from datetime import date, datetime, timedelta
+from collections.abc import Hashable
+from contextlib import suppress
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,8 @@ import numpy.typing as npt
 
 from conformodal.core.arrays import IntArray
 
-from .checks import as_array
+from .checks import as_array, brief
 from .errors import ConformalError
-from .scalars import brief
 
 
 def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
@@ -24,11 +24,9 @@ def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArra
     ``pandas.NA``, masked) and labels that are not hashable are refused.
     """
     # a list is read label by label: as an array its numbers could become text, and its tuples rows
-    arr = _vector(groups) if isinstance(groups, (list, tuple)) else as_array(groups, name)
+    arr = _vector(list(groups)) if isinstance(groups, (list, tuple)) else as_array(groups, name)
     if arr.shape != (n,):
         raise ConformalError(f"{name} must have one label per sample, shape ({n},), got {arr.shape}")
-    if arr.dtype.kind == "f" and not np.isnan(arr).any():
-        return arr.astype(np.float64, copy=False)
     if arr.dtype.kind in "biuU":
         return arr.astype(arr.dtype.newbyteorder("="), copy=False)
     labels = []
@@ -46,25 +44,31 @@ def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArra
 
 def as_label(label: Any) -> Hashable:
     """A label as a plain Python object if possible: the same for all types that mean the same."""
-    if callable(getattr(label, "to_datetime64", None)) and getattr(label, "tzinfo", None) is None:
-        label = label.to_datetime64()  # a time of pandas, to the nanosecond
-    elif callable(getattr(label, "to_timedelta64", None)):
-        label = label.to_timedelta64()
-    elif isinstance(label, date) and not isinstance(label, datetime):
-        label = datetime(label.year, label.month, label.day)
-    if isinstance(label, (np.datetime64, np.timedelta64)):
-        label = _as_time(label)
+    if isinstance(label, (date, np.datetime64)) and getattr(label, "tzinfo", None) is None:
+        exact = getattr(label, "to_datetime64", None)  # of pandas, to the nanosecond
+        label = np.datetime64(exact() if callable(exact) else label)
+        with suppress(OverflowError):  # of far years
+            micro = label.astype("M8[us]")
+            label = None if np.isnat(label) else micro.item() if micro == label else label
     elif getattr(label, "ndim", None) == 0 and callable(getattr(label, "item", None)) and label is not np.ma.masked:
         label = label.item()
     if isinstance(label, tuple):
         label = tuple(as_label(part) for part in label)
-    if _is_missing(label):
+    if is_missing(label):
         raise ConformalError(f"not hold NaN or another missing label, found {brief(label)}")
     try:
         hash(label)
     except TypeError:
         raise ConformalError(f"hold labels that are hashable, found a {type(label).__name__}") from None
     return label  # type: ignore[no-any-return]
+
+
+def is_missing(value: Any) -> bool:
+    """Whether a value stands for none: None, NaN, NaT, ``pandas.NA``, masked."""
+    try:
+        return value is None or value is np.ma.masked or bool(value != value)  # noqa: PLR0124 - NaN
+    except Exception:  # pandas.NA has no truth value
+        return True
 
 
 def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
@@ -77,40 +81,15 @@ def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
     keys: list[Any] = list(place)
     try:
         order = sorted(range(len(keys)), key=keys.__getitem__)
-    except TypeError:
+    except (TypeError, ValueError):
         return keys, codes
     rank = np.empty(len(keys), dtype=np.int64)
     rank[order] = np.arange(len(keys))
     return [keys[i] for i in order], rank[codes]
 
 
-def _is_missing(label: Any) -> bool:
-    """Whether a label stands for no label."""
-    if label is None or label is np.ma.masked:
-        return True
-    try:
-        return bool(label != label)  # noqa: PLR0124 - NaN and NaT differ from themselves, pandas.NA has no truth value
-    except Exception:  # whatever a foreign class raises
-        return True
-
-
-def _as_time(label: np.datetime64 | np.timedelta64) -> Any:
-    if np.isnat(label):
-        return None
-    kind = "M8[us]" if isinstance(label, np.datetime64) else "m8[us]"
-    try:
-        found, finer = label.astype(kind), label.astype(kind.replace("us", "ns"))
-        plain = found.item()
-        if found == label and isinstance(plain, (datetime, timedelta)):
-            return plain
-        return finer if finer == label else label
-    except (TypeError, OverflowError):  # months have no length, far years no microseconds
-        return label
-
-
-def _vector(labels: Iterable[Any]) -> npt.NDArray[np.object_]:
-    items = list(labels)
-    arr = np.empty(len(items), dtype=object)
-    for i, item in enumerate(items):
-        arr[i] = item
+def _vector(labels: list[Any]) -> npt.NDArray[np.object_]:
+    arr = np.empty(len(labels), dtype=object)
+    for i, label in enumerate(labels):  # at once, tuples would become rows
+        arr[i] = label
     return arr

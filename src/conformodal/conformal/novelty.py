@@ -40,11 +40,6 @@ class NoveltyTest:
     weights_ : (n,) one over the size of each sample's group
     n_groups : number of groups, K; no p-value is smaller than ``1 / (K + 1)``
 
-    Raises
-    ------
-    ConformalError
-        If shapes do not fit, values are not finite, or there are fewer than two groups.
-
     Examples
     --------
     >>> import numpy as np

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import RealArray
 
-from .checks import Alpha, as_alpha, as_scores
+from .checks import Alpha, as_alpha, as_count, as_scores
 from .errors import ConformalError
-from .scalars import as_count
-
-MANY = 20_000_000  # scores, of which a copy is avoided
-_ROWS, _DIGIT = 1 << 20, 16
 
 
 def conformal_rank(n: int, alpha: Alpha) -> int:
@@ -32,11 +26,6 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     int
         k between 1 and n + 1. ``k == n + 1`` means that no finite threshold gives the coverage: the region is
         unbounded.
-
-    Raises
-    ------
-    ConformalError
-        If `n` is negative or not an integer, or `alpha` is outside (0, 1).
 
     Examples
     --------
@@ -57,8 +46,7 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     Parameters
     ----------
     scores
-        Nonconformity scores. ``+inf`` is allowed and counts as the worst score. A vector may be a memory-mapped file:
-        of very many scores no copy is made.
+        Nonconformity scores. ``+inf`` is allowed and counts as the worst score.
     alpha
         Miscoverage rate in (0, 1).
     axis
@@ -68,11 +56,6 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     -------
     ndarray
         `scores` without `axis`; 0-d for a vector.
-
-    Raises
-    ------
-    ConformalError
-        If `scores` is a scalar or holds NaN, or `alpha` is outside (0, 1).
 
     Examples
     --------
@@ -90,38 +73,4 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     k = conformal_rank(n, alpha)
     if k > n:
         return np.full(arr.shape[1:], np.inf, dtype=arr.dtype)
-    if arr.ndim == 1 and n > MANY:
-        return kth_smallest(arr, k)
     return np.asarray(np.partition(arr, k - 1, axis=0)[k - 1])
-
-
-def kth_smallest(values: npt.NDArray[np.floating[Any]], k: int) -> npt.NDArray[np.floating[Any]]:
-    """The k-th smallest, from 1, of a vector without NaN, which may be a mapped file, without a sorted copy.
-
-    The bits of floats, read as integers, have the order of the floats once those of negative ones are inverted. The
-    number is found sixteen bits at a time from the highest: each pass counts, block by block, the digits of the numbers
-    that begin with the digits found so far. This takes a few megabytes, whatever the size of the vector.
-    """
-    unsigned = np.dtype(f"u{values.dtype.itemsize}")
-    found, left = 0, k  # the digits so far, and the rank among the numbers that begin with them
-    for shift in range(8 * unsigned.itemsize - _DIGIT, -1, -_DIGIT):
-        counts = np.zeros(1 << _DIGIT, dtype=np.int64)
-        for start in range(0, values.size, _ROWS):
-            places = _in_order(values[start : start + _ROWS], unsigned) >> unsigned.type(shift)
-            if shift + _DIGIT < 8 * unsigned.itemsize:
-                places = places[places >> unsigned.type(_DIGIT) == found]
-            counts += np.bincount((places & unsigned.type((1 << _DIGIT) - 1)).astype(np.int64), minlength=1 << _DIGIT)
-        reached = np.cumsum(counts)
-        digit = int(np.searchsorted(reached, left))
-        left -= int(reached[digit] - counts[digit])
-        found = (found << _DIGIT) | digit
-    top = 1 << (8 * unsigned.itemsize - 1)
-    bits = found ^ top if found & top else found ^ (2 * top - 1)
-    return np.array([bits], dtype=unsigned).view(values.dtype).reshape(())
-
-
-def _in_order(block: npt.NDArray[np.floating[Any]], unsigned: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Integers in the order of the floats; both zeros are the same."""
-    bits = (block + block.dtype.type(0)).view(unsigned)  # minus zero plus zero is zero
-    top = unsigned.type(1 << (8 * unsigned.itemsize - 1))
-    return np.where(bits & top, ~bits, bits | top)

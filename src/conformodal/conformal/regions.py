@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,8 @@ import numpy.typing as npt
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
-from .checks import as_array, as_flags, as_targets, for_blocks
+from .checks import as_array, as_count, as_flags, as_targets, brief
 from .errors import ConformalError
-from .scalars import as_count, brief
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,18 +32,11 @@ class Regions:
         One (n, K_j) boolean array per target, or one (n, d, K) for all: the bins in the set. Not copied.
     unbounded
         (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask holds.
-
-    Raises
-    ------
-    ConformalError
-        If shapes do not fit the bins.
     """
 
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
         if not isinstance(masks, (list, tuple)):
             masks = as_flags(masks, "masks", np.ndim(masks))
-        # one array for all targets is looked up in one go
-        stacked = masks if isinstance(masks, np.ndarray) and masks.ndim == 3 and masks.flags.c_contiguous else None
         if isinstance(masks, np.ndarray):
             masks = list(np.moveaxis(masks, 1, 0)) if masks.ndim == 3 else [masks]
         masks = [as_flags(mask, f"mask of target {j}", 2) for j, mask in enumerate(masks)]
@@ -60,7 +52,6 @@ class Regions:
         anywhere = np.atleast_1d(unbounded.any(axis=0))
         self.bins = bins
         self.masks = [mask | unbounded[:, j, None] if anywhere[j] else mask for j, mask in enumerate(masks)]
-        self._stacked = stacked
         self.unbounded = unbounded
 
     def __len__(self) -> int:
@@ -90,52 +81,20 @@ class Regions:
         parts = list(parts) if isinstance(parts, Iterable) else []
         if not parts or not all(isinstance(part, Regions) for part in parts):
             raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
-        for part in parts[1:]:
-            _same_bins(parts[0], part)
+        edges = [part.bins.edges_ for part in parts]
+        if any(len(e) != len(edges[0]) or not all(map(np.array_equal, e, edges[0])) for e in edges):
+            raise ConformalError("regions over different bins cannot be combined: refit, or use the same bins")
         masks = [np.concatenate([p.masks[j] for p in parts]) for j in range(parts[0].bins.n_targets)]
         return cls(parts[0].bins, masks, np.concatenate([p.unbounded for p in parts]))
-
-    def intersection(self, other: Regions) -> Regions:
-        """Sample-wise intersection; also ``self & other``.
-
-        It has a lower coverage guarantee: the intersection of two regions at alpha / 2 each has that of one at alpha.
-        """
-        _same_bins(self, other)
-        if len(self) != len(other):
-            raise ConformalError(f"regions of {len(self)} and {len(other)} samples cannot be intersected")
-        masks = [a & b for a, b in zip(self.masks, other.masks, strict=True)]
-        return Regions(self.bins, masks, self.unbounded & other.unbounded)
-
-    def __and__(self, other: Regions) -> Regions:
-        return self.intersection(other)
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
         """Whether each set holds the value `y`, (n, d), or (n,) for one target; with `joint`, whether all do, (n,)."""
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
             raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
-        inside = self.unbounded.copy()
-        finders = self.bins.finders(len(self))
-
-        def look_up(rows: slice) -> None:
-            codes = np.empty((rows.stop - rows.start, len(finders)), dtype=np.int64)
-            for j, find in enumerate(finders):
-                codes[:, j] = find(values[rows, j])
-            outside = codes < 0 if codes.min() < 0 else None
-            if outside is not None:
-                codes[outside] = 0
-            if self._stacked is not None:
-                block = self._stacked[rows]
-                codes += np.arange(0, block.size, block.shape[2]).reshape(codes.shape)
-                held = block.reshape(-1).take(codes)  # several times faster than block[i, j, code]
-            else:
-                at = np.arange(len(codes))
-                held = np.stack([mask[rows][at, code] for mask, code in zip(self.masks, codes.T, strict=True)], axis=1)
-            if outside is not None:
-                held &= ~outside
-            inside[rows] |= held
-
-        for_blocks(len(self), look_up)
+        codes, at = self.bins.encode(values), np.arange(len(self))
+        held = [mask[at, code] & (code >= 0) for mask, code in zip(self.masks, codes.T, strict=True)]
+        inside = np.stack(held, axis=1) | self.unbounded
         return np.asarray(inside.all(axis=1)) if joint else inside
 
     def runs(self, i: int) -> list[IntArray]:
@@ -185,13 +144,13 @@ class Regions:
     @property
     def n_intervals(self) -> IntArray:
         """Number of disjoint intervals, (n, d); 0 for an empty set."""
-        return self._per_block(_count_runs, np.int64)
+        starts = [np.count_nonzero(mask[:, 1:] & ~mask[:, :-1], axis=1) + mask[:, 0] for mask in self.masks]
+        return np.stack(starts, axis=1).astype(np.int64)
 
     @property
     def length(self) -> FloatArray:
         """Total length of the intervals in the target's unit, (n, d); ``inf`` where unbounded."""
-        widths = self.bins.widths
-        lengths = self._per_block(lambda mask, j: mask.astype(np.float64) @ widths[j], np.float64)
+        lengths = np.stack([mask @ width for mask, width in zip(self.masks, self.bins.widths, strict=True)], axis=1)
         lengths[self.unbounded] = np.inf
         return lengths
 
@@ -211,9 +170,9 @@ class Regions:
     def to_arrow(self) -> pa.Table:
         """As an Arrow table with one row per sample; needs the extra ``arrow``.
 
-        Columns ``target_J``, ``list<fixed_size_list<double>[2]>``, hold the sorted, disjoint intervals: ``[-inf, inf]``
-        if unbounded, an empty list for an empty set. The schema's metadata holds the edges as JSON, key
-        ``conformodal.edges``.
+        Columns, named as the targets or ``target_J``, are of ``list<fixed_size_list<double>[2]>`` and hold the sorted,
+        disjoint intervals: ``[-inf, inf]`` if unbounded, an empty list for an empty set. The schema's metadata holds
+        the edges as JSON, key ``conformodal.edges``.
         """
         try:
             import pyarrow as pa  # noqa: PLC0415
@@ -225,23 +184,8 @@ class Regions:
             pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
             columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
         edges = json.dumps([e.tolist() for e in self.bins.edges_]).encode()
-        names = [f"target_{j}" for j in range(len(columns))]
+        names = self.bins.names or [f"target_{j}" for j in range(len(columns))]
         return pa.table(columns, names=names).replace_schema_metadata({b"conformodal.edges": edges})
-
-    def _per_block(self, measure: Callable[[BoolArray, int], Any], dtype: type) -> npt.NDArray[Any]:
-        out: npt.NDArray[Any] = np.empty(self.unbounded.shape, dtype=dtype)
-
-        def fill(rows: slice) -> None:
-            for j, mask in enumerate(self.masks):
-                out[rows, j] = measure(mask[rows], j)
-
-        for_blocks(len(self), fill)
-        return out
-
-
-def _count_runs(mask: BoolArray, _target: int) -> IntArray:
-    starts = np.count_nonzero(mask[:, 1:] & ~mask[:, :-1], axis=1)
-    return np.asarray(starts + mask[:, 0], dtype=np.int64)
 
 
 def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
@@ -251,11 +195,3 @@ def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     padded[:, 1:-1] = mask
     rows, at = np.nonzero(padded[:, 1:] != padded[:, :-1])
     return np.bincount(rows, minlength=n) // 2, at.reshape(-1, 2)
-
-
-def _same_bins(a: Regions, b: Regions) -> None:
-    if not isinstance(b, Regions):
-        raise ConformalError(f"regions can only be combined with Regions, got {type(b).__name__}")
-    same = a.bins.n_targets == b.bins.n_targets and all(map(np.array_equal, a.bins.edges_, b.bins.edges_))
-    if not same:
-        raise ConformalError("regions over different bins cannot be combined: refit, or use the same bins")

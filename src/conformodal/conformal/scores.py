@@ -8,9 +8,8 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, RealArray
 
-from .checks import as_reals
+from .checks import as_choice, as_count, as_number, as_reals, brief
 from .errors import ConformalError
-from .scalars import as_choice, as_count, as_number, brief
 
 
 @runtime_checkable
@@ -20,11 +19,9 @@ class Score(Protocol):
     ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
     probabilities' own floating type. A row's scores may depend on that row only.
 
-    Four attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns (n, K
-    * cells). ``normalised`` (bool): scores of different targets are comparable, so that one threshold over all of them
-    needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target. ``elementwise`` (bool): a
-    bin's score depends on its own probability and width only and never rises with the probability; sets are then found
-    without computing a score.
+    Three attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
+    (n, K * cells). ``normalised`` (bool): scores of different targets are comparable, so that one threshold over all of
+    them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
     """
 
     name: str
@@ -49,7 +46,6 @@ class Lac:
     """
 
     name = "lac"
-    elementwise = True
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``1 - proba``."""
@@ -72,7 +68,6 @@ class Density:
     """
 
     name = "density"
-    elementwise = True
     per_unit = True
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:

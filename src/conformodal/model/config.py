@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any, Self
 
 from conformodal.conformal import QuantileBins
-from conformodal.conformal.calibration import as_joint
+from conformodal.conformal.calibration.joint import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.choices import as_member

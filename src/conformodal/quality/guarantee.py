@@ -8,8 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from conformodal.conformal import SplitConformal
-from conformodal.conformal.diagnostics import coverage_band
+from conformodal.conformal import SplitConformal, coverage_band
 from conformodal.datasets import SplitKind
 from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing

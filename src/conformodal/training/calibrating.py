@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from conformodal.conformal import QuantileBins, SplitConformal, grouped_quantile
-from conformodal.conformal.calibration import Joint, as_joint
+from conformodal.conformal.calibration.joint import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray

@@ -5,14 +5,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from conformodal.conformal import ConformalError, QuantileBins, Regions, SplitConformal, diagnose
-from conformodal.conformal.diagnostics import (
-    check_uniformity,
-    coverage_by_group,
-    coverage_by_size,
-    summarise_sizes,
-    worst_slab,
-)
-from conformodal.conformal.diagnostics.slab import lowest_run
+from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
+from conformodal.conformal.diagnostics.diagnosis import summarise_sizes
+from conformodal.conformal.diagnostics.slab import lowest_run, worst_slab
+from conformodal.conformal.diagnostics.uniformity import check_uniformity
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=18), st.integers(1, 18))

@@ -5,8 +5,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
 from conformodal.conformal.learning import process
+from conformodal.conformal.learning.location import folds_of
 from conformodal.conformal.learning.process import SparseProcess
-from conformodal.conformal.learning.quick_location import folds_of
 
 
 def table(n, seed=0):

@@ -9,9 +9,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
 from conformodal.conformal import ConformalError, ConformalRegressor, NotCalibratedError, check_coverage
-from conformodal.conformal.learning import process, quick, quick_location
-from conformodal.conformal.learning.kernels import shifted_masses
-from conformodal.conformal.learning.quick_location import boosting
+from conformodal.conformal.learning import location, process, quick
+from conformodal.conformal.learning.location import boosting
+from conformodal.conformal.learning.mixture import shifted_masses
 
 
 def forest():
@@ -59,7 +59,7 @@ def test_grid_search_sees_the_parameters():
 
 @pytest.mark.filterwarnings("ignore")
 def test_the_default_passes_the_checks_of_scikit_learn(monkeypatch):
-    for module in (quick, quick_location):  # hundreds of fits: short ones
+    for module in (quick, location):  # hundreds of fits: short ones
         monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
     monkeypatch.setattr(process, "_STAGES", ((30, 3),))
     monkeypatch.setattr(quick, "_TREES", ((3000, 5),))
@@ -140,15 +140,15 @@ def test_coverage_is_exact_whatever_the_weights():
 @pytest.mark.parametrize(
     ("weight", "what"),
     [
-        (np.ones(5), r"sample_weight must have shape \(60,\), one weight per row of X, got \(5,\)"),
-        (np.full(60, -1.0), "sample_weight must be finite and at least 0, found -1 at position 0"),
-        (np.full(60, np.inf), "sample_weight must be finite and at least 0, found inf at position 0"),
-        (np.zeros(60), "sample_weight must be above zero for a sample at least, all 60 are zero"),
-        (["a"] * 60, "sample_weight must be numeric"),
+        (np.ones(5), "shape"),
+        (np.full(60, -1.0), "Negative"),
+        (np.full(60, np.inf), "infinity"),
+        (np.zeros(60), "zero"),
+        (["a"] * 60, "numeric"),
     ],
 )
 def test_weights_that_cannot_be_used(weight, what):
-    with pytest.raises(ConformalError, match=what):
+    with pytest.raises(ConformalError, match=f"sample_weight.*{what}"):
         ConformalRegressor(forest()).fit(*bimodal(60), weight)
 
 

@@ -15,24 +15,21 @@ from conformodal.conformal.checks import (
     Alpha,
     Probabilities,
     as_alpha,
+    as_choice,
     as_scores,
     as_table,
     as_targets,
     blocks,
     check_block,
-    check_rows,
-    for_blocks,
 )
 from conformodal.conformal.errors import ConformalError, NotCalibratedError, WholeRangeWarning
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scalars import as_choice
 from conformodal.conformal.scores import BUILT_IN, Score, cells_of, resolve_score
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 
 from .joint import Joint, JointRule
 
 Empty = Literal["allow", "mode"]
-_ROWS_OF_A_CUT = 64
 
 
 class Calibrator:
@@ -108,9 +105,6 @@ class Calibrator:
         for j, (part, widths) in enumerate(zip(parts, self.bins.widths, strict=True)):
             known = np.flatnonzero(codes[:, j] >= 0)
             at = codes[known, j]
-            if self._elementwise:
-                scores[known, j] = self.scores_of(part[known, at][None], widths[at])[0]
-                continue
             for rows in blocks(known.size):
                 all_bins = self.scores_of(part[known[rows]], widths)
                 scores[known[rows], j] = all_bins[np.arange(all_bins.shape[0]), at[rows]]
@@ -121,20 +115,15 @@ class Calibrator:
 
         ``+inf`` gives an unbounded set, ``-inf`` the empty set.
         """
-        parts, whole = as_table(proba, self.bins.sizes, check=False)
+        parts, _ = as_table(proba, self.bins.sizes, check=False)
         n, d = parts[0].shape[0], self.bins.n_targets
         limits = as_scores(thresholds, "thresholds")
         if limits.shape not in ((d,), (n, d)):
             raise ConformalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
-        if whole is not None and whole.flags.c_contiguous and limits.ndim == 1 and self._by_cuts(n):
-            masks: BoolArray | list[BoolArray] = self._masks_at_once(whole, limits)
-        else:
-            for j, part in enumerate(parts):
-                check_rows(part, f"proba of target {j}")
-            masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
+        masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
         unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
         if self.empty == "mode":
-            self._fill_empty(parts, list(np.moveaxis(masks, 1, 0)) if isinstance(masks, np.ndarray) else masks)
+            self._fill_empty(parts, masks)
         return Regions(self.cells, masks, unbounded)
 
     def warn_of_whole_range(self, thresholds: RealArray, where: str = "") -> None:
@@ -169,45 +158,13 @@ class Calibrator:
             raise NotCalibratedError(f"{type(self).__name__} is not calibrated yet: call calibrate first")
         return self.scores_
 
-    @property
-    def _elementwise(self) -> bool:
-        return bool(getattr(self.score, "elementwise", False))
-
-    def _by_cuts(self, n: int) -> bool:
-        """Whether to find the least probability in a set first: it costs as much as scoring about sixty rows."""
-        return self._elementwise and n > _ROWS_OF_A_CUT
-
-    def _masks_at_once(self, proba: RealArray, limits: RealArray) -> BoolArray:
-        """Check and compare all targets in one pass over contiguous (n, d, K): memory is read once."""
-        n, d, k = proba.shape
-        cuts = [
-            lowest_probability(self.score, w, t, proba.dtype) for w, t in zip(self.bins.widths, limits, strict=True)
-        ]
-        flat_cuts = np.concatenate(cuts)
-        masks = np.empty((n, d, k), dtype=bool)
-
-        def fill(rows: slice) -> None:
-            check_block(proba[rows], "proba", rows.start)
-            np.greater_equal(proba[rows].reshape(-1, d * k), flat_cuts, out=masks[rows].reshape(-1, d * k))
-
-        for_blocks(n, fill)
-        return masks
-
     def _mask(self, part: RealArray, j: int, limit: RealArray) -> BoolArray:
         widths = self.bins.widths[j]
         mask = np.empty((part.shape[0], self.cells.sizes[j]), dtype=bool)
-        cut = None
-        if limit.ndim == 0 and self._by_cuts(len(part)):
-            cut = lowest_probability(self.score, widths, limit, part.dtype)
-
-        def fill(rows: slice) -> None:
-            if cut is not None:
-                np.greater_equal(part[rows], cut, out=mask[rows])
-            else:
-                each = limit if limit.ndim == 0 else limit[rows, None]
-                np.less_equal(self.scores_of(part[rows], widths), each, out=mask[rows])
-
-        for_blocks(part.shape[0], fill)
+        for rows in blocks(part.shape[0]):
+            check_block(part[rows], f"proba of target {j}", rows.start)
+            each = limit if limit.ndim == 0 else limit[rows, None]
+            np.less_equal(self.scores_of(part[rows], widths), each, out=mask[rows])
         return mask
 
     def _fill_empty(self, parts: Sequence[RealArray], masks: Sequence[BoolArray]) -> None:
@@ -215,27 +172,3 @@ class Calibrator:
             rows = np.flatnonzero(~mask.any(axis=1))
             if rows.size:
                 mask[rows, self.scores_of(part[rows], widths).argmin(axis=1)] = True
-
-
-def lowest_probability(score: Score, widths: FloatArray, threshold: npt.ArrayLike, dtype: np.dtype[Any]) -> RealArray:
-    """Smallest probability of each bin whose score is at most `threshold`, ``+inf`` if there is none.
-
-    For an elementwise score this reduces a set to one comparison per bin. Bisection over the floats themselves makes
-    ``proba >= cut`` and ``score <= threshold`` agree for all of them.
-    """
-    kind = {2: np.uint16, 4: np.uint32, 8: np.uint64}[dtype.itemsize]
-    # rows may sum to a little more than one; the bits of positive floats are ordered as they are
-    low = np.zeros(widths.size, dtype=np.uint64)
-    high = np.full(widths.size, np.array([2], dtype=dtype).view(kind)[0], dtype=np.uint64)
-
-    def fits(bits: npt.NDArray[np.uint64]) -> BoolArray:
-        return np.asarray(score.of_bins(bits.astype(kind).view(dtype)[None], widths)[0] <= threshold)
-
-    never = ~fits(high)
-    while (low < high).any():
-        middle = (low + high) // 2
-        ok = fits(middle)
-        low, high = np.where(ok, low, np.minimum(middle + 1, high)), np.where(ok, middle, high)
-    cut = low.astype(kind).view(dtype).copy()
-    cut[never] = np.inf
-    return np.asarray(cut)

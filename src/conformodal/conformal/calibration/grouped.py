@@ -12,10 +12,9 @@ from math import lcm
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, as_alpha, as_doubles, as_scores
+from conformodal.conformal.checks import Alpha, as_alpha, as_count, as_doubles, as_scores
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.rank import conformal_quantile
-from conformodal.conformal.scalars import as_count
 from conformodal.core.arrays import FloatArray
 
 
@@ -41,11 +40,6 @@ def grouped_quantile(groups: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Seque
     -------
     float
         One of the scores, or ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole groups.
-
-    Raises
-    ------
-    ConformalError
-        If a group is empty or not a vector, scores hold NaN, or `alpha` is outside (0, 1).
 
     Examples
     --------

@@ -8,10 +8,9 @@ from typing import Literal, cast
 
 import numpy as np
 
-from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.conformal.checks import Alpha, as_alpha, as_choice
 from conformodal.conformal.errors import ConformalError, NotCalibratedError
 from conformodal.conformal.rank import conformal_quantile
-from conformodal.conformal.scalars import as_choice
 from conformodal.conformal.scores import row_uniforms
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 

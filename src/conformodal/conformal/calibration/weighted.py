@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_doubles, as_scores, as_table
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_finite, as_scores, as_table
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray, RealArray
@@ -41,11 +41,6 @@ def weighted_quantile(
     Returns
     -------
     (m,) thresholds, ``+inf`` where no score carries enough.
-
-    Raises
-    ------
-    ConformalError
-        If weights are negative, not finite, or of another shape; if scores hold NaN.
 
     Examples
     --------
@@ -85,13 +80,9 @@ class WeightedRanks:
 
 def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
     """Weights as a float64 vector."""
-    arr = as_doubles(weights, name)
-    if arr.ndim != 1:
-        raise ConformalError(f"{name} must be a vector, got shape {arr.shape}")
-    bad = ~(np.isfinite(arr) & (arr >= 0))
-    if bad.any():
-        at = int(np.argmax(bad))
-        raise ConformalError(f"{name} must be finite and at least 0, found {arr[at]} at position {at}")
+    arr = as_finite(weights, name, "(n,)")
+    if (arr < 0).any():
+        raise ConformalError(f"{name} must be at least 0, found {arr.min()} at position {arr.argmin()}")
     return arr
 
 

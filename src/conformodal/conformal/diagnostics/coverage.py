@@ -4,17 +4,16 @@ distribution.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, as_doubles, as_flags
+from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_number
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_rank
-from conformodal.conformal.scalars import as_count, as_number
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,6 @@ class CoverageCheck:
 def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 0.99) -> tuple[float, float]:
     """Central band of the coverage over `n_test` samples, as shares: exact Beta-binomial quantiles.
 
-    Raises
-    ------
-    ConformalError
-        If `n_test` is below 1 or `level` outside (0, 1).
-
     Examples
     --------
     >>> from conformodal.conformal import coverage_band
@@ -69,15 +63,7 @@ def coverage_band(n_calibration: int, n_test: int, alpha: Alpha, level: float = 
     >>> coverage_band(n_calibration=8, n_test=1000, alpha=0.1)  # too few: unbounded, always covered
     (1.0, 1.0)
     """
-    n_test, level = as_count(n_test, "n_test", 1), _as_level(level)
-    k = conformal_rank(n_calibration, alpha)
-    if k > n_calibration:
-        return 1.0, 1.0
-    from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
-
-    law = betabinom(n_test, k, n_calibration + 1 - k)
-    tail = (1 - level) / 2
-    return float(law.ppf(tail)) / n_test, float(law.ppf(1 - tail)) / n_test
+    return grouped_coverage_band([(n_calibration, as_count(n_test, "n_test", 1))], alpha, level)
 
 
 def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level: float = 0.99) -> tuple[float, float]:
@@ -93,11 +79,6 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     alpha, level
         As for :func:`coverage_band`.
 
-    Raises
-    ------
-    ConformalError
-        If there are no test samples or `level` is outside (0, 1).
-
     Examples
     --------
     >>> from conformodal.conformal import grouped_coverage_band
@@ -111,7 +92,7 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     n_test = sum(m for _, m in groups)
     if n_test < 1:
         raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
-    level = _as_level(level)
+    level = as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
     from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
 
     law, always = np.ones(1), 0
@@ -127,11 +108,6 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     return (always + low) / n_test, (always + min(high, len(law) - 1)) / n_test
 
 
-def _as_level(level: float) -> float:
-    """The probability of a band, strictly between 0 and 1."""
-    return as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
-
-
 def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99) -> CoverageCheck:
     """Compare the coverage of one target's test samples with its exact band.
 
@@ -145,11 +121,6 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
         Miscoverage rate of the calibration.
     level
         Probability of the central band.
-
-    Raises
-    ------
-    ConformalError
-        If `inside` is not a vector of booleans, or is empty.
 
     Examples
     --------
@@ -167,9 +138,15 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
 
 
 def coverage_by_group(
-    inside: npt.ArrayLike, groups: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99
+    inside: npt.ArrayLike,
+    groups: npt.ArrayLike,
+    n_calibration: int | Mapping[Hashable, int],
+    alpha: Alpha,
+    level: float = 0.99,
 ) -> dict[str, CoverageCheck]:
     """Coverage of every group of test samples, for (n_test,) labels `groups`; the rest as in :func:`check_coverage`.
+
+    `n_calibration` are all calibration samples, or by label those of each group if each has its own threshold.
 
     Split conformal prediction guarantees nothing for a group alone. The band is that of a group chosen in advance whose
     scores are distributed like all others: coverage outside it shows that the group differs. Of G groups about
@@ -180,7 +157,11 @@ def coverage_by_group(
     names = [str(label) for label in labels]
     if len(set(names)) < len(names):  # 1 and "1"
         names = [repr(label) for label in labels]
-    return {name: check_coverage(held[codes == k], n_calibration, alpha, level) for k, name in enumerate(names)}
+    own = n_calibration if isinstance(n_calibration, Mapping) else dict.fromkeys(labels, n_calibration)
+    return {
+        name: check_coverage(held[codes == k], own.get(label, 0), alpha, level)
+        for k, (name, label) in enumerate(zip(names, labels, strict=True))
+    }
 
 
 def coverage_by_size(

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, as_doubles, as_flags
+from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_number, as_random
 from conformodal.conformal.errors import ConformalError
-from conformodal.conformal.scalars import as_count, as_number, as_random
 from conformodal.core.arrays import BoolArray, FloatArray
 
 from .coverage import CoverageCheck, check_coverage
@@ -69,7 +68,11 @@ def worst_slab(
         raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.size}")
     mass = as_number(mass, "mass", "a share in (0, 1]", lambda share: 0 < share <= 1)
     directions, random = as_count(directions, "directions"), as_random(random_state)
-    scaled = _scaled(inputs)
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = inputs.std(axis=0)
+    if not np.isfinite(spread).all():
+        raise ConformalError(f"X is too large for float64 to hold its spread, up to {np.abs(inputs).max():g}")
+    scaled = np.divide(inputs, spread, out=np.zeros_like(inputs), where=spread > 0)
     order = random.permutation(len(inputs))
     first, second = np.split(order, [min(len(order) // 2, _MOST_CHOOSE)])
     tried = random.standard_normal((directions, inputs.shape[1]))
@@ -81,18 +84,6 @@ def worst_slab(
     own = inside[second][(low <= at) & (at <= high)]
     check = check_coverage(own, n_calibration, alpha, level) if own.size else None
     return SlabCheck(tried[found], low, high, check)
-
-
-def _scaled(inputs: FloatArray) -> FloatArray:
-    """Inputs (n, p) over their standard deviations; 0 where one never changes."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        spread = inputs.std(axis=0)
-    if not np.isfinite(spread).all():
-        raise ConformalError(f"X is too large for float64 to hold its spread, up to {np.abs(inputs).max():g}")
-    moving = np.flatnonzero(spread > 0)
-    scaled = np.zeros_like(inputs)
-    scaled[:, moving] = inputs[:, moving] / spread[moving]
-    return scaled
 
 
 def _lowest_slab(inside: BoolArray, at: FloatArray, least: int) -> tuple[float, float, float]:

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import as_doubles
+from conformodal.conformal.checks import as_count, as_doubles, as_random
 from conformodal.conformal.errors import ConformalError
-from conformodal.conformal.scalars import as_count, as_random
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 # samples of either kind that are tested; of more, as many drawn at random

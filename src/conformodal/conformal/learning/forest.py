@@ -11,71 +11,20 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from scipy import sparse
 from scipy.stats import rankdata
-from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 # Values are gathered into at most this many groups of neighbours, which is all the detail a weight can have.
 _GROUPS = 256
-_COSINES = 4
-# the group (n,) that every training value is in, and the number of groups
-Grouping: TypeAlias = tuple[IntArray, int]
+# the group (n,) of every training value, and the means of the groups' values (G,)
+Groups: TypeAlias = tuple[IntArray, FloatArray]
 
 
 class LeafForest:
-    """Weights over groups of training values.
+    """Weights over several groupings of training values, which share the trees.
 
-    Attributes
-    ----------
-    values_ : (G,) mean value of each group
-    out_of_bag_ : (n, G) weights of the training samples, by the trees that did not see them; rows sum to one
-    """
-
-    values_: FloatArray
-    out_of_bag_: FloatArray
-
-    def __init__(self, min_samples_leaf: int, n_trees: int, random_state: int, n_jobs: int | None) -> None:
-        self.forest = RandomForestRegressor(
-            n_trees, min_samples_leaf=min_samples_leaf, max_features=0.5, random_state=random_state, n_jobs=n_jobs
-        )
-
-    def fit(self, X: FloatArray, values: FloatArray) -> Self:
-        """Grow the forest on features (n, p) and values (n,)."""
-        n = values.size
-        groups, self.values_ = group_values(values)
-        self.forest.fit(X, rank_cosines(values, _COSINES))
-        leaves = self.forest.apply(X)
-        member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, self.values_.size))
-        self.tables_: list[Any] = []
-        weights, seen = np.zeros((n, self.values_.size)), np.zeros(n)
-        for tree_leaves, drawn in zip(leaves.T, self.forest.estimators_samples_, strict=True):
-            times = np.bincount(drawn, minlength=n).astype(np.float64)
-            in_leaf = sparse.csr_array((times, (tree_leaves, np.arange(n))), (tree_leaves.max() + 1, n))
-            share = sparse.diags_array(1 / np.maximum(np.asarray(in_leaf.sum(axis=1)).ravel(), 1))
-            table = sparse.csr_array(share @ (in_leaf @ member))
-            self.tables_.append(table)
-            out = np.flatnonzero(times == 0)
-            weights[out] += table[tree_leaves[out]].toarray()
-            seen[out] += 1
-        marginal = np.bincount(groups, minlength=self.values_.size) / n
-        self.out_of_bag_ = np.where(seen[:, None] > 0, weights / np.maximum(seen, 1)[:, None], marginal)
-        return self
-
-    def weights(self, X: FloatArray) -> FloatArray:
-        """Weights of the groups for new samples, (n, G); rows sum to one."""
-        total = np.zeros((X.shape[0], self.values_.size))
-        for tree_leaves, table in zip(self.forest.apply(X).T, self.tables_, strict=True):
-            total += table[tree_leaves].toarray()
-        return total / len(self.tables_)
-
-
-class SharedForest:
-    """Weights over several groupings of training values, from extremely randomised trees on bootstrap samples.
-
-    Faster than :class:`LeafForest`: trees are split at random cuts, groupings share the trees, and out-of-bag weights
-    are computed for requested rows only.
-
-    Source: Geurts, Ernst and Wehenkel (2006); Meinshausen (2006).
+    `kind` is ``RandomForestRegressor`` or the faster ``ExtraTreesRegressor`` of scikit-learn, which splits at random
+    cuts (Geurts, Ernst and Wehenkel 2006); both draw bootstrap samples.
 
     Attributes
     ----------
@@ -86,8 +35,8 @@ class SharedForest:
     out_of_bag_: list[FloatArray]
     out_of_bag_mean_: FloatArray
 
-    def __init__(self, n_trees: int, min_samples_leaf: int, random_state: int, n_jobs: int | None) -> None:
-        self.forest = ExtraTreesRegressor(
+    def __init__(self, kind: Any, n_trees: int, min_samples_leaf: int, random_state: int, n_jobs: int | None) -> None:
+        self.forest = kind(
             n_trees,
             min_samples_leaf=min_samples_leaf,
             max_features=0.5,
@@ -102,7 +51,7 @@ class SharedForest:
         targets: FloatArray,
         values: FloatArray,
         weight: FloatArray,
-        groupings: list[Grouping],
+        groupings: list[Groups],
         rows: IntArray,
     ) -> Self:
         """Fit on features (n, p) and split targets (n, c); average `values` and `groupings` in the leaves."""
@@ -118,20 +67,19 @@ class SharedForest:
         share = 1 / np.maximum(np.asarray(drawn.sum(axis=1)).ravel(), 1e-300)
         drawn = sparse.csr_array(sparse.diags_array(np.where(share < 1e300, share, 0.0)) @ drawn)
         self._means = np.asarray(drawn @ values)
-        self._tables: list[Any] = []
-        for groups, size in groupings:
-            member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, size))
-            self._tables.append(sparse.csr_array(drawn @ member))
 
         out = times == 0
         count = out.sum(axis=1)
         total = np.where(out, self._means[leaves], 0.0).sum(axis=1)
         self.out_of_bag_mean_ = np.where(count > 0, total / np.maximum(count, 1), np.average(values, weights=weight))
         query = self._query(leaves[rows], out[rows])
+        self._tables: list[Any] = []
         self.out_of_bag_ = []
-        for table, (groups, size) in zip(self._tables, groupings, strict=True):
-            pooled = np.bincount(groups, weight, minlength=size) / weight.sum()
-            self.out_of_bag_.append(np.where(count[rows, None] > 0, (query @ table).toarray(), pooled))
+        for groups, means in groupings:
+            member = sparse.csr_array((np.ones(n), (np.arange(n), groups)), (n, means.size))
+            self._tables.append(sparse.csr_array(drawn @ member))
+            pooled = np.bincount(groups, weight, minlength=means.size) / weight.sum()
+            self.out_of_bag_.append(np.where(count[rows, None] > 0, (query @ self._tables[-1]).toarray(), pooled))
         return self
 
     def apply(self, X: FloatArray) -> IntArray:
@@ -153,7 +101,7 @@ class SharedForest:
         return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))
 
 
-def group_values(values: FloatArray) -> tuple[IntArray, FloatArray]:
+def group_values(values: FloatArray) -> Groups:
     """Group (n,) of every value among at most 256 groups of equal size, and the means of the groups (G,)."""
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _GROUPS + 1)[1:-1]))
     raw = np.searchsorted(cuts, values, side="right")

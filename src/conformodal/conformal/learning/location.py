@@ -1,13 +1,16 @@
-"""A stack of regressors with out-of-fold predictions of the training data."""
+"""Regressors, stacked to predict the location of a value, in and out of fold."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any, Self
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Self, TypeAlias
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor
+from scipy.optimize import nnls
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
@@ -19,71 +22,113 @@ from sklearn.preprocessing import StandardScaler
 from conformodal.core.arrays import FloatArray
 from conformodal.core.progress import Progress
 
-from .quick_location import Location, boosting
+from .process import Folds, SparseProcess
 
-_FOLDS = 5
-_NETWORKS = 3
-# gradient steps of a network: rows times epochs, within limits
-_ROWS_SEEN = 600_000
-# beyond so many rows a Gaussian process, whose cost is cubic, is left out
-GAUSSIAN_PROCESS_ROWS = 1500
+Maker: TypeAlias = Callable[[], Any]
+
+# (rows, folds): folds for at most so many rows
+_FOLDS = ((1500, 5), (8000, 3))
+_FEWEST_FOLDS = 2
+# a second boosting, of smaller trees, is fitted on at most so many rows
+_SECOND_ROWS = 700
+# the sparse Gaussian process, and the exact one of the stack, are fitted on at most so many rows
+_SPARSE_PROCESS_ROWS, PROCESS_ROWS = 10_000, 1500
+# networks of the stack; gradient steps of each: rows times epochs, within limits
+_NETWORKS, _ROWS_SEEN = 3, 600_000
 
 
-class StackedLocation(Location):
-    """Boosted trees, random trees, networks and, on small tables, a Gaussian process."""
+class Location:
+    """Predictions of the location of a value, weighted by non-negative least squares (Breiman 1996).
 
-    def __init__(self, random_state: int, n_jobs: int | None) -> None:
-        self.random_state = random_state
-        self.n_jobs = n_jobs
+    Attributes
+    ----------
+    out_of_fold_ : (n, m) predictions of every training value by models that did not see it
+    weights_ : (m,), sum to one
+    """
 
-    def fit(self, X: FloatArray, y: FloatArray, progress: Progress | None = None) -> Self:
-        """Fit on features (n, p) and values (n,) of about unit spread; `progress` is called after every fit."""
-        members = self._members(y.size)
-        n_folds = min(_FOLDS, y.size)
-        total, done = (n_folds + 1) * len(members), 0
+    out_of_fold_: FloatArray
+    weights_: FloatArray
 
-        def fitted(member: Any, rows: Any) -> Any:
+    def fit(
+        self,
+        members: list[Maker | SparseProcess],
+        X: FloatArray,
+        y: FloatArray,
+        weight: FloatArray,
+        folds: Folds,
+        forest: FloatArray | None = None,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Fit on features (n, p), values (n,) of about unit spread and weights.
+
+        `members` make untrained regressors, or are a process; a process whose matrix is singular is left out. `forest`
+        (n,) are out-of-bag means of a forest, one more member; `progress` is called after every fit of a regressor.
+        """
+        out_of_fold, self._models = [], []
+        self._with_forest, done = forest is not None, 0
+
+        def tick() -> None:
             nonlocal done
-            member.fit(X[rows], y[rows])
             done += 1
             if progress is not None:
-                progress(done, total)
-            return member
+                progress(done, (len(folds) + 1) * len(members))
 
-        out_of_fold = np.empty((y.size, len(members)))
-        folds = KFold(n_folds, shuffle=True, random_state=self.random_state)
-        for seen, left_out in folds.split(X):
-            for j, member in enumerate(members):
-                out_of_fold[left_out, j] = fitted(clone(member), seen).predict(X[left_out])
-        self._weigh(out_of_fold, y, np.ones(y.size))
-        self.members_ = [fitted(member, slice(None)) for member in members]
+        for member in members:
+            if isinstance(member, SparseProcess):
+                with suppress(np.linalg.LinAlgError):
+                    out_of_fold.append(member.fit(X, y, weight, folds).out_of_fold_)
+                    self._models.append(member)
+                continue
+            guess, model = fit_out_of_fold(member, X, y, weight, folds, tick)
+            out_of_fold.append(guess)
+            self._models.append(model)
+        self.out_of_fold_ = np.column_stack([*out_of_fold, *([] if forest is None else [forest])])
+        root = np.sqrt(weight)
+        found, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
+        self.weights_ = found / found.sum() if found.sum() > 0 else np.full(found.size, 1 / found.size)
         return self
 
-    def predict(self, X: FloatArray) -> FloatArray:
-        """Predictions of all members, (n, m)."""
-        return np.column_stack([member.predict(X) for member in self.members_])
+    def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
+        """:meth:`summary` of the predictions for new samples; `forest` are the forest's means (n,)."""
+        own = [model.predict(X) for model in self._models]
+        return self.summary(np.column_stack([*own, forest] if self._with_forest else own))
 
-    def _members(self, n: int) -> list[Any]:
-        seed = self.random_state
+    def summary(self, predictions: FloatArray) -> FloatArray:
+        """The weighted mean and the standard deviation of the members' predictions (n, m), as (n, 2)."""
+        return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
 
-        def networks(decay: float, rate: float) -> Any:
-            one = MLPRegressor(
-                hidden_layer_sizes=(64, 64),
-                alpha=decay,
-                learning_rate_init=rate,
-                max_iter=int(np.clip(_ROWS_SEEN // n, 30, 400)),
-                n_iter_no_change=1000,  # no early stopping: the folds of the stack guard against overfitting
-                random_state=seed,
-            )
-            bag = BaggingRegressor(one, _NETWORKS, bootstrap=False, n_jobs=self.n_jobs, random_state=seed)
-            return make_pipeline(StandardScaler(), bag)
 
-        trees = ExtraTreesRegressor(200, n_jobs=self.n_jobs, random_state=seed)
-        boosters = [boosting(0.05, 500, 31, 10, seed)(), boosting(0.05, 1000, 8, 5, seed)()]
-        members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
-        if n <= GAUSSIAN_PROCESS_ROWS:
-            members.append(make_pipeline(StandardScaler(), _AnisotropicProcess()))
-        return members
+def quick_members(n: int, seed: int) -> list[Maker | SparseProcess]:
+    """Boosted trees and, on tables that are not large, a sparse Gaussian process."""
+    members: list[Maker | SparseProcess] = [boosting(0.15, 150, 15, 5, seed)]
+    if n <= _SECOND_ROWS:
+        members.append(boosting(0.1, 300, 8, 5, seed))
+    return [*members, SparseProcess(seed)] if n <= _SPARSE_PROCESS_ROWS else members
+
+
+def stacked_members(n: int, seed: int, n_jobs: int | None) -> list[Maker | SparseProcess]:
+    """Boosted trees, random trees, networks and, on small tables, an exact Gaussian process."""
+
+    def networks(decay: float, rate: float) -> Maker:
+        one = MLPRegressor(
+            hidden_layer_sizes=(64, 64),
+            alpha=decay,
+            learning_rate_init=rate,
+            max_iter=int(np.clip(_ROWS_SEEN // n, 30, 400)),
+            n_iter_no_change=1000,  # no early stopping: the folds of the stack guard against overfitting
+            random_state=seed,
+        )
+        options: Any = {"bootstrap": False, "n_jobs": n_jobs, "random_state": seed}
+        return lambda: make_pipeline(StandardScaler(), BaggingRegressor(one, _NETWORKS, **options))
+
+    def trees() -> Any:
+        return ExtraTreesRegressor(200, n_jobs=n_jobs, random_state=seed)
+
+    boosters = [boosting(0.05, 500, 31, 10, seed), boosting(0.05, 1000, 8, 5, seed)]
+    members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
+    if n <= PROCESS_ROWS:
+        members.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
+    return [*members]
 
 
 class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -98,3 +143,41 @@ class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict(self, X: FloatArray) -> FloatArray:
         return np.asarray(self.process_.predict(X))
+
+
+def folds_of(n: int, random_state: int, n_folds: int | None = None, most_folds: int = 5) -> Folds:
+    """Folds of `n` rows, at least 2: by default fewer for many rows."""
+    n_folds = n_folds or next((folds for most, folds in _FOLDS if n <= most), _FEWEST_FOLDS)
+    return list(KFold(min(n_folds, most_folds, n), shuffle=True, random_state=random_state).split(np.empty((n, 1))))
+
+
+def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Maker:
+    """A factory of untrained boosted trees."""
+    return lambda: HistGradientBoostingRegressor(
+        learning_rate=rate,
+        max_iter=rounds,
+        max_leaf_nodes=leaves,
+        min_samples_leaf=least,
+        l2_regularization=1.0,
+        max_features=0.5,
+        early_stopping=False,
+        random_state=random_state,
+    )
+
+
+def fit_out_of_fold(
+    make: Maker, X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds, tick: Callable[[], None] = lambda: None
+) -> tuple[FloatArray, Any]:
+    """Out-of-fold predictions (n,), and a model of all rows; `tick` is called after every fit."""
+
+    def fitted(rows: Any) -> Any:
+        # boosting takes several times as long with weights, equal ones too
+        share = {"sample_weight": weight[rows]} if np.ptp(weight) else {}
+        model = make().fit(X[rows], y[rows], **share)
+        tick()
+        return model
+
+    found = np.empty(y.size)
+    for seen, left_out in folds:
+        found[left_out] = fitted(seen).predict(X[left_out])
+    return found, fitted(slice(None))

@@ -6,15 +6,15 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.ensemble import ExtraTreesRegressor
 from threadpoolctl import threadpool_limits
 
-from conformodal.conformal.scalars import as_count, as_random
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.conformal.checks import as_count, as_random
 
-from .forest import SharedForest, group_values, rank_cosines
-from .mixture import RESIDUAL, Groups, MixtureDensity, least_spread
-from .quick_location import QuickLocation, boosting, fit_out_of_fold, folds_of
-from .standard import Standardised, standardised
+from .forest import LeafForest, group_values, rank_cosines
+from .location import Location, boosting, fit_out_of_fold, folds_of, quick_members
+from .mixture import MixtureDensity, log_spread, standardised
+from .tables import TableEncoder
 
 # seconds of a fit, as measured
 _LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
@@ -34,7 +34,7 @@ class QuickDensity(MixtureDensity):
 
     - the marginal distribution of the values;
     - residuals from the location, scaled by the spread, the same for all samples;
-    - scaled residuals, weighted by a forest on features and location (:class:`~.forest.SharedForest`);
+    - scaled residuals, weighted by a forest on features and location (:class:`~.forest.LeafForest`);
     - values, weighted by the same forest;
     - values, weighted by a forest on the features alone, for multimodal values, which have no single location.
 
@@ -66,8 +66,6 @@ class QuickDensity(MixtureDensity):
     (1, 3)
     """
 
-    _rows_at_once = 2048
-
     def __init__(self, max_rows: int = 30_000, random_state: Any = None, n_jobs: int | None = None) -> None:
         self.max_rows = max_rows
         self.random_state = random_state
@@ -76,64 +74,40 @@ class QuickDensity(MixtureDensity):
     def fit_bins(
         self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
     ) -> Self:
-        """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
+        """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,).
 
         Rows of weight 0 are left out; bandwidths are chosen as if all others weighed the same.
         """
-        most = as_count(self.max_rows, "max_rows", 2)
-        random = as_random(self.random_state)
-        table = standardised(X, y, edges, sample_weight)
+        most, random = as_count(self.max_rows, "max_rows", 2), as_random(self.random_state)
+        self.encoder_ = TableEncoder().fit(X)
+        table = standardised(self.encoder_.transform(X), y, edges, sample_weight)
         seed = int(random.randint(2**31 - 1))
         if table.z.size > most:
             kept = random.permutation(table.z.size)[:most]
             table.X, table.z, table.weight = table.X[kept], table.z[kept], table.weight[kept]
-        validation = random.permutation(table.z.size)[:_VALIDATION_ROWS]
+        features, z, weight, n = table.X, table.z, table.weight, table.z.size
+        validation = random.permutation(n)[:_VALIDATION_ROWS]
+        n_trees = next((trees for most, trees in _TREES if n <= most), _FEWEST_TREES)
         with threadpool_limits(1):  # waiting threads spin: on a busy core that costs minutes
-            place, groups, by_forest = self._learn(table, validation, seed)
-        self._mix(table, place, groups, by_forest, validation)
+            values = group_values(z)
+            direct = LeafForest(ExtraTreesRegressor, n_trees, 3, seed, self.n_jobs)
+            direct.fit(features, rank_cosines(z, 4), z, weight, [values], validation)
+            means, members = direct.out_of_bag_mean_, quick_members(n, seed)
+            self.location_ = Location().fit(members, features, z, weight, folds_of(n, seed), means)
+            summary = self.location_.summary(self.location_.out_of_fold_)
+            loc, extended = summary[:, 0], np.column_stack((features, summary))
+            rough, folds = boosting(0.1, 40, 8, 20, seed), folds_of(n, seed, most_folds=3)
+            found, self.spread_ = fit_out_of_fold(rough, extended, log_spread(z - loc), weight, folds)
+            spread = np.exp(found)
+            scaled = (z - loc) / spread
+            residuals = group_values(scaled)
+            guided = LeafForest(ExtraTreesRegressor, n_trees, 5, seed + 1, self.n_jobs)
+            both = np.column_stack((rank_cosines(scaled, 2), rank_cosines(z, 4)))
+            guided.fit(extended, both, z, weight, [residuals, values], validation)
+        self.forests_ = guided, direct
+        self._mix(table, (loc, spread), (values, residuals), [*guided.out_of_bag_, *direct.out_of_bag_], validation)
         return self
-
-    def _learn(
-        self, table: Standardised, validation: IntArray, seed: int
-    ) -> tuple[tuple[FloatArray, FloatArray], tuple[Groups, Groups], list[FloatArray]]:
-        """Location and spread, groups of values and of scaled residuals, and out-of-bag weights of validation rows."""
-        X, z, weight = table.X, table.z, table.weight
-        n_trees = next((trees for most, trees in _TREES if z.size <= most), _FEWEST_TREES)
-        values, z_at = group_values(z)
-        direct = SharedForest(n_trees, 3, seed, self.n_jobs)
-        direct.fit(X, rank_cosines(z, 4), z, weight, [(values, z_at.size)], validation)
-        self.location_ = QuickLocation(seed).fit(X, z, weight, direct.out_of_bag_mean_)
-        summary = self.location_.summary(self.location_.out_of_fold_)
-        loc, extended = summary[:, 0], np.column_stack((X, summary))
-        residual = np.abs(z - loc)
-        make = boosting(0.1, 40, 8, 20, seed)
-        of_spread = np.log(residual + least_spread(residual))
-        log_spread, self.spread_ = fit_out_of_fold(make, extended, of_spread, weight, folds_of(z.size, seed, 3))
-        spread = np.exp(log_spread)
-        scaled = (z - loc) / spread
-        residuals, scaled_at = group_values(scaled)
-        guided = SharedForest(n_trees, 5, seed + 1, self.n_jobs)
-        both = np.column_stack((rank_cosines(scaled, 2), rank_cosines(z, 4)))
-        guided.fit(extended, both, z, weight, [(residuals, scaled_at.size), (values, z_at.size)], validation)
-        self.forests_ = direct, guided
-        groups = (values, z_at), (residuals, scaled_at)
-        return (loc, spread), groups, [*guided.out_of_bag_, *direct.out_of_bag_]
 
     def expected_seconds(self, n_rows: int, n_features: int) -> float:
         """About how long a fit takes on one core."""
         return _LEAST_SECONDS + _SECONDS_A_NUMBER * min(n_rows, self.max_rows) * n_features
-
-    def _proba(self, features: FloatArray) -> FloatArray:
-        direct, guided = self.forests_
-        leaves = direct.apply(features)
-        summary = self.location_.summary(self.location_.predict(features, direct.means(leaves)))
-        extended = np.column_stack((features, summary))
-        weights = [*self._pooled, *guided.weights(guided.apply(extended)), *direct.weights(leaves)]
-        masses = [share * (w @ k) for share, w, k in zip(self.weights_, weights, self._kernels, strict=True)]
-        residual = np.sum(self.weights_[[*RESIDUAL]])
-        # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
-        shifted = self._shifted(
-            (masses[1] + masses[2]) / residual, summary[:, 0], np.exp(self.spread_.predict(extended))
-        )
-        total = masses[0] + masses[3] + masses[4] + residual * shifted
-        return np.asarray(total / total.sum(axis=1, keepdims=True))

@@ -1,4 +1,7 @@
-"""Trackers, which turn a stream of scores into thresholds: adaptive conformal inference and conformal PID control."""
+"""Online conformal prediction for sequences that drift: trackers turn a stream of scores into thresholds.
+
+Trackers: adaptive conformal inference and conformal PID control.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,19 @@ from collections.abc import Callable
 from fractions import Fraction
 from math import ceil, inf, pi, sqrt, tan
 from sys import float_info
+from typing import Protocol, Self
 
-from conformodal.conformal.checks import Alpha, as_alpha
-from conformodal.conformal.errors import ConformalError
-from conformodal.conformal.scalars import as_count, as_number, brief
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray, RealArray
+
+from .bins import QuantileBins
+from .calibration.base import Calibrator, Empty
+from .checks import Alpha, Probabilities, as_alpha, as_count, as_doubles, as_number, brief
+from .errors import ConformalError
+from .regions import Regions
+from .scores import Score
 
 # a quarter of the largest float, so that sums of forecast, tracked and integral stay finite
 _MOST = float_info.max / 4
@@ -117,14 +129,14 @@ class Aci:
 class ConformalPid:
     """Conformal PID control (Angelopoulos, Candes and Tibshirani 2023).
 
-    It tracks a quantile (P), integrates the error (I) and optionally uses a forecast of the scores (D).
+    It tracks a quantile (P) and integrates the error (I); the source's forecast (D) is left out.
 
-    The threshold is ``forecast + tracked + integral``. `tracked` moves by ``rate * spread * (missed - alpha)`` after
+    The threshold is ``tracked + integral``. `tracked` moves by ``rate * spread * (missed - alpha)`` after
     every score, `spread` being the range of the last `window` scores. The integral is
     ``integral_gain * spread * tan(E / (saturation sqrt(t)))``, E the sum of ``missed - alpha`` over t scores; where its
     argument leaves (-pi/2, pi/2) it is infinite, and the set unbounded, or empty (it then misses every score).
 
-    For any sequence and forecast, the share of misses over T steps differs from alpha by at most
+    For any sequence, the share of misses over T steps differs from alpha by at most
     ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation ``h(t) = sqrt(t)``; as the
     integral saturates at infinity, scores may be unbounded. With the source's ``t / log(t)`` the bound would be useless
     for millions of steps. Without the integral (``integral_gain=0``) nothing is guaranteed: the source's bound for the
@@ -144,8 +156,6 @@ class ConformalPid:
         Scores whose range sets the steps; None for all: memory then grows with the stream.
     start
         Threshold before the first score; None gives unbounded sets until then.
-    forecast
-        Forecast of the next score's quantile, a function of the number of scores so far.
 
     Examples
     --------
@@ -167,19 +177,15 @@ class ConformalPid:
         saturation: float = 1.0,
         window: int | None = 100,
         start: float | None = None,
-        forecast: Callable[[int], float] | None = None,
     ) -> None:
         for name, value in (("rate", rate), ("saturation", saturation)):
             as_number(value, name, "above 0, and finite", lambda v: 0 < v < inf)
         as_number(integral_gain, "integral_gain", "at least 0, and finite", lambda v: 0 <= v < inf)
-        if forecast is not None and not callable(forecast):
-            raise ConformalError(f"forecast must be a function of the number of scores, got {brief(forecast)}")
         self.alpha = as_alpha(alpha)
         self.rate = float(rate)
         self.integral_gain = float(integral_gain)
         self.saturation = float(saturation)
-        self.forecast = forecast
-        self.tracked = None if start is None else as_number(start, "start", "finite", _is_finite)
+        self.tracked = None if start is None else as_number(start, "start", "finite", lambda v: abs(v) <= _MOST)
         self.error = 0 * self.alpha
         self.steps = 0
         self.past = PastScores(window)
@@ -189,24 +195,19 @@ class ConformalPid:
         if self.tracked is None:
             return inf
         integral = self._integral()
-        return integral if abs(integral) == inf else _clipped(self._ahead() + self.tracked + integral)
+        return integral if abs(integral) == inf else _clipped(self.tracked + integral)
 
     def update(self, score: float) -> None:
         """Learn the score."""
         value = as_score(score)
-        ahead, limit = self._ahead(), self.threshold()
+        limit = self.threshold()
         missed = int(value > limit or limit == -inf)  # the empty set misses -inf too
         self.past.add(value)
         if self.tracked is None:
-            self.tracked = value - ahead if abs(value) < inf else 0.0
+            self.tracked = value if abs(value) < inf else 0.0
         self.error += missed - self.alpha
         self.tracked = _clipped(self.tracked + self.rate * self.past.spread() * float(missed - self.alpha))
         self.steps += 1
-
-    def _ahead(self) -> float:
-        if self.forecast is None:
-            return 0.0
-        return as_number(self.forecast(self.steps), "forecast", "a finite number", _is_finite)
 
     def _integral(self) -> float:
         if self.integral_gain == 0 or self.steps == 0:
@@ -217,9 +218,106 @@ class ConformalPid:
         return _clipped(self.integral_gain * self.past.spread() * tan(angle))
 
 
-def _is_finite(value: float) -> bool:
-    return abs(value) <= _MOST
-
-
 def _clipped(value: float) -> float:
     return min(max(value, -_MOST), _MOST)
+
+
+class Tracker(Protocol):
+    """A method that turns a stream of scores into thresholds, one before each score."""
+
+    def threshold(self) -> float:
+        """Threshold for the next score; ``inf`` for an unbounded set, ``-inf`` for the empty set."""
+        ...
+
+    def update(self, score: float) -> None:
+        """Learn the score."""
+        ...
+
+
+METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPid}
+
+
+class OnlineConformal:
+    """Regions for a sequence: predict, see the truth, update.
+
+    For any sequence, the share of misses of a target over T samples differs from alpha by at most
+
+    - ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)`` with ``"aci"`` (:class:`Aci`),
+    - ``(pi/2 sqrt(T) + 1) / T`` with ``"pid"`` (:class:`ConformalPid`).
+
+    Nothing is guaranteed for a single sample, or for the size of sets: against an adversary most are unbounded.
+
+    Parameters
+    ----------
+    bins
+        Fitted bins.
+    alpha
+        Miscoverage rate in (0, 1), per target.
+    score
+        As in :class:`~conformodal.conformal.calibration.base.Calibrator`.
+    method
+        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha. ``"aci"``
+        stores all past scores, about 40 bytes per sample and target; ``lambda alpha: Aci(alpha, window=1000)`` stores
+        the last thousand and has the same bound.
+    empty
+        ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
+        but still counts as a miss.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aci, OnlineConformal, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2]])
+    >>> stream = OnlineConformal(bins, alpha=0.1, method=lambda alpha: Aci(alpha, gamma=0.02))
+    >>> proba, y = np.tile([0.7, 0.3], (500, 1)), np.random.default_rng(0).uniform(0, 2, 500)
+    >>> bool(abs(stream.run(proba, y).contains(y).mean() - 0.9) < (0.9 + 0.02) / (500 * 0.02))
+    True
+    """
+
+    def __init__(
+        self,
+        bins: QuantileBins,
+        alpha: Alpha = 0.1,
+        score: str | Score = "lac",
+        method: str | Callable[[Alpha], Tracker] = "aci",
+        empty: Empty = "allow",
+    ) -> None:
+        self._sets = Calibrator(bins, alpha, score, "none", empty)
+        if isinstance(method, str):
+            method = METHODS.get(method, method)
+        if not callable(method):
+            raise ConformalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
+        self.bins = bins
+        self.trackers = [method(as_alpha(alpha)) for _ in range(bins.n_targets)]
+        for tracker in self.trackers:
+            if not (callable(getattr(tracker, "threshold", None)) and callable(getattr(tracker, "update", None))):
+                raise ConformalError(f"method must make a Tracker, with threshold and update, got {brief(tracker)}")
+
+    @property
+    def thresholds(self) -> FloatArray:
+        """Current thresholds, (d,)."""
+        return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
+
+    def predict(self, proba: Probabilities) -> Regions:
+        """Regions of one or more samples at the current thresholds."""
+        return self._sets.regions_at(proba, self.thresholds)
+
+    def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
+        """Learn the truth of samples, in the order of their rows."""
+        for scores in self._sets.score_samples(proba, y):
+            self._learn(scores)
+        return self
+
+    def run(self, proba: Probabilities, y: npt.ArrayLike) -> Regions:
+        """Predict and update, row by row: the regions each sample had before its truth was known."""
+        limits = []
+        for scores in self._sets.score_samples(proba, y):
+            limits.append(self.thresholds)
+            self._learn(scores)
+        if not limits:
+            return self.predict(proba)
+        return self._sets.regions_at(proba, np.stack(limits))
+
+    def _learn(self, scores: RealArray) -> None:
+        for tracker, score in zip(self.trackers, scores, strict=True):
+            tracker.update(float(score))

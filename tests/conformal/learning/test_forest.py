@@ -1,6 +1,7 @@
 import numpy as np
+from sklearn.ensemble import ExtraTreesRegressor
 
-from conformodal.conformal.learning.forest import SharedForest, group_values, rank_cosines
+from conformodal.conformal.learning.forest import LeafForest, group_values, rank_cosines
 
 
 def grown(weight):
@@ -8,9 +9,9 @@ def grown(weight):
     X = rng.uniform(-1, 1, (300, 2))
     y = X[:, 0] + 0.1 * rng.standard_normal(300)
     groups, at = group_values(y)
-    forest = SharedForest(20, 5, 0, None)
+    forest = LeafForest(ExtraTreesRegressor, 20, 5, 0, None)
     rows = np.arange(0, 300, 3)
-    return forest.fit(X, rank_cosines(y, 4), y, weight, [(groups, at.size)], rows), X, y, groups, rows
+    return forest.fit(X, rank_cosines(y, 4), y, weight, [(groups, at)], rows), X, y, groups, rows
 
 
 def test_weights_are_those_of_the_leaves_one_by_one():

@@ -1,1 +1,0 @@
-"""Online conformal prediction for sequences that drift: thresholds adapt to past misses."""
