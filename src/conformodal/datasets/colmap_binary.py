@@ -26,11 +26,6 @@ _POINT_BYTES = 24  # x, y and the number of a point
 _LONGEST_NAME = 4096
 
 
-def model_number(name: str) -> int:
-    """The number of a camera model in the file."""
-    return [model for model, _ in _MODELS].index(name)
-
-
 class _Bytes:
     """A file that is read from front to back."""
 
