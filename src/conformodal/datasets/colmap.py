@@ -69,11 +69,6 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         True leaves out images that are missing, or have no pose or one that is no rigid motion. False keeps them.
     follow_outside
         Whether the model may name images outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If there is no model, it holds several cameras or another camera model, or a line is damaged. Names the file.
     """
     folder = Path(folder).resolve()
     place = model_folder(folder)

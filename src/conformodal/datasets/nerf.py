@@ -46,12 +46,6 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         True leaves out frames without an image, or whose pose is missing or no rigid motion. False keeps them.
     follow_outside
         Whether the file may name images outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If the file is missing or damaged, a frame has its own camera, no frame has an image and a pose, or the camera
-        is none or of another model.
     """
     folder = Path(folder).resolve()
     path = folder / FILE

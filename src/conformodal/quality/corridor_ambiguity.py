@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.repeated_views import same_views
+from conformodal.datasets.corridor.render import Renderer, same_views
 from conformodal.localization.targets import pose_targets
 from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ class BagStream:
     path: Path
     topic: str | None = None
     camera: PinholeCamera | None = None
+    live = False
 
     def __post_init__(self) -> None:
         if not self.path.exists():
@@ -72,19 +74,8 @@ class BagStream:
         with _reader(self.path) as reader:
             return sum(c.msgcount for c in reader.connections if c.topic == self.topic)
 
-    @property
-    def live(self) -> bool:
-        """Files wait."""
-        return False
-
     def __iter__(self) -> Iterator[Frame]:
-        """Decode message after message; one that cannot be decoded comes without an image.
-
-        Raises
-        ------
-        SourceError
-            If the recording breaks off.
-        """
+        """Decode message after message; one that cannot be decoded comes without an image."""
         done = 0
         with _reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic == self.topic]
@@ -120,8 +111,9 @@ class BagStream:
         return None
 
 
-def _reader(path: Path) -> Any:
-    """An open reader, to be used as a context."""
+@contextmanager
+def _reader(path: Path) -> Iterator[Any]:
+    """An open reader."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -132,17 +124,5 @@ def _reader(path: Path) -> Any:
         reader.open()
     except Exception as exc:  # as above
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}") from exc
-    return _Opened(reader)
-
-
-class _Opened:
-    """A reader that is open already, closed at the end of a ``with``."""
-
-    def __init__(self, reader: Any) -> None:
-        self.reader = reader
-
-    def __enter__(self) -> Any:
-        return self.reader
-
-    def __exit__(self, *_: object) -> None:
-        self.reader.close()
+    with closing(reader):
+        yield reader
