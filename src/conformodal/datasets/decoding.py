@@ -25,6 +25,7 @@ _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
 _FREE_PIXELS, _PIXELS_A_BYTE, _MOST_PIXELS = 16_000_000, 20, 400_000_000
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION = 0x0112
+_WHITES = (1023, 4095, 16383, 65535)
 _DIGITS = re.compile(r"([0-9]+)")
 _SAMPLES = 9
 THUMBNAIL = (32, 24)
@@ -171,9 +172,8 @@ def _orientation(image: Any) -> int:
 
 def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
     if image.mode == "I" or image.mode.startswith("I;16"):
-        wide = np.asarray(image).astype(np.int64)
-        grey = ((np.clip(wide, 0, 65535) * 255 + 32767) // 65535).astype(np.uint8)
-        return np.repeat(grey[..., None], 3, axis=2)
+        wide = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
+        return np.repeat(to_eight_bits(wide, white_level(wide))[..., None], 3, axis=2)
     if not image.has_transparency_data:
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     rgba = np.asarray(image.convert("RGBA"))
@@ -181,6 +181,17 @@ def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
     if alpha.min() == 255:
         return np.ascontiguousarray(rgba[..., :3])
     return np.asarray((rgba[..., :3].astype(np.uint16) * alpha + 127) // 255, dtype=np.uint8)
+
+
+def white_level(wide: npt.NDArray[Any]) -> int:
+    """The largest number of the bits that a 16-bit image uses: sensors have 10, 12, 14 or 16."""
+    most = int(wide.max(initial=0))
+    return next(white for white in _WHITES if most <= white)
+
+
+def to_eight_bits(wide: npt.NDArray[Any], white: int) -> npt.NDArray[np.uint8]:
+    """Numbers of a 16-bit image at 8 bits, where `white` becomes 255."""
+    return np.asarray((np.minimum(wide.astype(np.int64), white) * 255 + white // 2) // white, dtype=np.uint8)
 
 
 @contextmanager
