@@ -51,6 +51,45 @@ def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
     assert 10 < len(frames) < 45
 
 
+def mp4(path, n=30):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, SIZE)
+    for i in range(n):
+        writer.write(np.full((SIZE[1], SIZE[0], 3), 8 * i, np.uint8))
+    writer.release()
+    return bytearray(path.read_bytes())
+
+
+def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"elst") + 12
+    content[at : at + 4] = (500).to_bytes(4)  # milliseconds of three seconds
+    path.write_bytes(content)
+    frames = list(open_stream(path))
+    assert 5 <= len(frames) <= 6
+    assert [round(f.image.mean() / 8) for f in frames] == list(range(len(frames)))
+    # the same without the end of the file
+    whole = bytes(mp4(path))
+    moov = whole.find(b"moov") - 4
+    path.write_bytes(whole[:moov] + whole[moov:-300])
+    with pytest.raises(SourceError):
+        list(open_stream(path))
+
+
+def test_a_video_that_is_turned_says_so(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"tkhd") + 44
+    turn = [0, 1 << 16, 0, (-1) << 16, 0, 0, SIZE[1] << 16, 0, 1 << 30]  # by a quarter to the right
+    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in turn)
+    path.write_bytes(content)
+    stream = open_stream(path)
+    assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
+    assert any("by 90 degrees" in where for _, where in stream.notes)
+    path.write_bytes(mp4(path))
+    assert open_stream(path).notes == ()
+
+
 def test_what_is_no_video_is_named(tmp_path):
     (tmp_path / "v.avi").write_bytes(b"nothing")
     with pytest.raises(SourceError, match=r"v\.avi: cannot be opened"):

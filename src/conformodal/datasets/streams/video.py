@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.datasets.decoding import TURNED
+from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
 from .frames import Frame, SourceError
@@ -26,6 +28,24 @@ def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
+def _is_whole(path: Path) -> bool:
+    """Whether the parts of an MP4, MOV or AVI file have the sizes that they say, so that it was not cut off.
+
+    Of such a file an edit list may show fewer frames than there are.
+    """
+    with path.open("rb") as file:
+        end, at = file.seek(0, 2), 0
+        file.seek(0)
+        head = file.read(12)
+        if head[:4] == b"RIFF":
+            return int.from_bytes(head[4:8], "little") + 8 <= end
+        while head[4:8] == b"ftyp" and at < end:
+            file.seek(at)
+            size, large = int.from_bytes(file.read(4)), int.from_bytes(file.read(12)[4:])
+            at += max({0: end - at, 1: large}.get(size, size), 8)  # to the end of the file, or in 64 bits
+    return at == end
+
+
 @dataclass(frozen=True)
 class VideoStream:
     """A video file; a :class:`SourceError` if it is missing or not a video.
@@ -36,17 +56,23 @@ class VideoStream:
         The file. Times are those of its frames, from its start.
     camera
         Intrinsics; None where they are known elsewhere.
+    notes
+        Whether its images are turned.
     """
 
     path: Path
     camera: PinholeCamera | None = None
+    notes: tuple[Note, ...] = ()
     live = False
 
     def __post_init__(self) -> None:
         if not self.path.is_file():
             raise SourceError(f"{self.path}: no such video")
-        with self._open():
-            pass
+        with self._open() as capture:
+            turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        if turned:
+            where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
+            object.__setattr__(self, "notes", (Note(TURNED, where),))
 
     @property
     def name(self) -> str:
@@ -82,7 +108,7 @@ class VideoStream:
                 last = stated if stated > last or not rate > 0 else done / rate
                 yield Frame(f"{self.path.stem}-{done:06d}", last, _rgb(image))
                 done += 1
-            if done == 0 or done < _WHOLE * claimed - 1:
+            if done == 0 or (done < _WHOLE * claimed - 1 and not _is_whole(self.path)):
                 raise SourceError(f"{self.path}: ends after {done} of {claimed:.0f} frames; the file was cut off")
 
 
