@@ -1,18 +1,21 @@
-"""Fisheye lenses (Kannala and Brandt 2006, as OpenCV has it): their images are undistorted once, when they are read.
+"""Images that are brought to one camera when they are read: of fisheye lenses, of several cameras, of 16 bits.
 
-The lens sends a ray at the angle t from the axis to the radius t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), in units of
-the focal length. Undistorted images are files in the cache: the rest of the program knows pinhole cameras alone.
+What is made is kept as files in the cache: the rest of the program knows one camera and 8 bits alone. A fisheye lens
+(Kannala and Brandt 2006, as OpenCV has it) sends a ray at the angle t from the axis to the radius
+t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), in units of the focal length.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from math import atan, degrees, hypot
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,16 +25,22 @@ from PIL import Image
 from conformodal.core.arrays import FloatArray
 from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import write_whole
+from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera
 
 from .cameras import MOST_BENT, Size, camera_of
 from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
 from .reading import Note
+from .sequence import Sequence
 
 UNDISTORTED = "fisheye images are undistorted"
+OTHER_CAMERA = "images of another camera are brought to one"
 _WIDEST_RAD = np.pi  # no lens sees more than all around
 _STEPS = 4096
+_SHRINK = 1.5  # finer images than so many times are made coarser first
+_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # its name before OpenCV 5
+_PRECISELY = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -54,12 +63,8 @@ class Fisheye:
         even = np.polynomial.polynomial.polyval(angle_rad**2, (1.0, *self.coefficients))
         return np.asarray(angle_rad * even)
 
-    def maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Where in the lens's image the pixels of the undistorted one are, x and y."""
-        size, matrix = (self.pinhole.width, self.pinhole.height), self.pinhole.matrix
-        lens = np.array(self.coefficients)
-        x, y = cv2.fisheye.initUndistortRectifyMap(matrix, lens, np.eye(3), matrix, size, cv2.CV_32FC1)
-        return np.asarray(x), np.asarray(y)
+
+AnyCamera: TypeAlias = PinholeCamera | Fisheye
 
 
 def fisheye_of(
@@ -119,39 +124,114 @@ def _views(lens: Fisheye) -> str:
     )
 
 
-def undistorted(images: list[Path], lens: Fisheye) -> list[Path]:
-    """Undistorted images, files of the same names in the cache, made where they are missing or damaged.
+def _plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
+    """Where rays through pixels (n, 2) as they are on the image meet the plane at depth 1."""
+    if not camera.distortion:
+        return camera.on_plane(pixels)
+    lens = np.array(camera.distortion)
+    found = _undistort_points(pixels[:, None], camera.matrix, lens, R=None, P=None, criteria=_PRECISELY)
+    return np.asarray(found).reshape(-1, 2)
 
-    An image that cannot be read, or has another size than the camera's, stays where it is: it is no frame anyway.
+
+@lru_cache(maxsize=16)
+def _maps(source: AnyCamera, target: PinholeCamera) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Where in an image of a source the pixels of the target are, x and y; -1 where it does not see them."""
+    grid = np.indices((target.height, target.width))[::-1].reshape(2, -1).T.astype(np.float64)
+    plane, pinhole = _plane(target, grid), source.pinhole if isinstance(source, Fisheye) else source
+    if isinstance(source, Fisheye):
+        lens = np.array(source.coefficients)
+        found = cv2.fisheye.distortPoints(plane[:, None], pinhole.matrix, lens).reshape(-1, 2)
+        angles = np.linspace(0, np.pi / 2, _STEPS)
+        folds = np.flatnonzero(np.diff(source.radius(angles)) <= 0)
+        widest = np.tan(angles[folds[0]]) if folds.size else np.inf
+    else:
+        rays = np.column_stack((plane, np.ones(len(plane))))
+        found = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), source.matrix, np.array(source.distortion))[0][:, 0]
+        corners = np.array([[x, y] for x in (0.0, source.width - 1) for y in (0.0, source.height - 1)])
+        widest = np.linalg.norm(_plane(source, corners), axis=1).max()  # beyond, a lens may fold into the image again
+    found[~(np.linalg.norm(plane, axis=1) <= 1.05 * widest) | ~np.isfinite(found).all(axis=1)] = -1
+    x, y = np.clip(found, -1e6, 1e6).T.reshape(2, target.height, target.width).astype(np.float32)
+    return x, y
+
+
+def brought(
+    images: list[Path], cameras: list[AnyCamera], target: PinholeCamera, white: int | None, notes: list[Note]
+) -> list[Path]:
+    """Images as the target camera sees them, at 8 bits: files of the same names in the cache where they differ.
+
+    They are made where they are missing or damaged. An image that cannot be read, or has another size than its
+    camera's, stays where it is: it is no frame anyway.
+
+    Parameters
+    ----------
+    images, cameras
+        A file and its camera for every frame.
+    target
+        The camera wanted.
+    white
+        Level of 16-bit images that becomes 255; None for images of 8 bits.
+    notes
+        Takes up the cameras that are others than the target, with how much of its view their images fill.
     """
+    for camera, count in Counter(cameras).items():
+        if isinstance(camera, PinholeCamera) and camera != target:
+            x, y = _maps(camera, target)
+            inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
+            notes.append(
+                Note(
+                    OTHER_CAMERA,
+                    f"{counted(count, 'image')} of fx = {camera.fx:g}, {camera.width}x{camera.height} as of fx = "
+                    f"{target.fx:g}, {target.width}x{target.height}; they fill {100 * inside.mean():.0f} % of its view",
+                )
+            )
     place = default_cache_dir() / "undistorted"
     try:
         with ThreadPoolExecutor(max_workers=2) as pool:
-            return list(pool.map(partial(_undistorted, place=place, lens=lens, maps=lens.maps()), images))
+            return list(pool.map(partial(_brought, place=place, target=target, white=white), images, cameras))
     except OSError as exc:
         raise DatasetError(
             f"{place}: undistorted images cannot be kept there: {exc.strerror}; CONFORMODAL_CACHE names another folder"
         ) from exc
 
 
-def _undistorted(
-    image: Path, *, place: Path, lens: Fisheye, maps: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-) -> Path:
+def _brought(image: Path, camera: AnyCamera, *, place: Path, target: PinholeCamera, white: int | None) -> Path:
+    if camera == target and white is None:
+        return image
     try:
         content = image.read_bytes()
     except OSError:
         return image
-    digest = hashlib.sha256(f"{lens.pinhole} {lens.coefficients} ".encode() + content).hexdigest()
-    target = place / digest[:2] / digest / f"{image.stem}.png"
-    size = lens.pinhole.width, lens.pinhole.height
-    if target.is_file() and not image_fault(target, size):
-        return target
+    digest = hashlib.sha256(f"{camera} {target} {white} ".encode() + content).hexdigest()
+    made = place / digest[:2] / digest / f"{image.stem}.png"
+    if made.is_file() and not image_fault(made, (target.width, target.height)):
+        return made
+    own = camera.pinhole if isinstance(camera, Fisheye) else camera
     try:
-        pixels = decode(content, str(image), size)
+        pixels: npt.NDArray[Any] = decode(content, str(image), (own.width, own.height), white)
     except ImageError:
         return image
-    flat = cv2.remap(pixels, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    if camera != target:
+        x, y = _maps(camera, target)
+        finer = own.fx / target.fx
+        if finer > _SHRINK:  # what a pixel covers is averaged, not one point of it taken
+            pixels = cv2.resize(pixels, None, fx=1 / finer, fy=1 / finer, interpolation=cv2.INTER_AREA)
+            scale = pixels.shape[1] / own.width, pixels.shape[0] / own.height
+            x, y = (x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5
+        pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     written = io.BytesIO()
-    Image.fromarray(flat).save(written, "PNG", compress_level=1)
-    write_whole(target, written.getvalue())
-    return target
+    Image.fromarray(pixels).save(written, "PNG", compress_level=1)
+    write_whole(made, written.getvalue())
+    return made
+
+
+def as_camera(sequence: Sequence, camera: PinholeCamera) -> Sequence:
+    """The sequence as another camera would have seen it, with a note of it.
+
+    Examples
+    --------
+    ``as_camera(read_sequence(folder), model.camera)`` are images that a model can answer which was trained with
+    another camera. What this camera does not show is black.
+    """
+    notes: list[Note] = []
+    images = brought(list(sequence.image_paths), [sequence.camera] * len(sequence), camera, None, notes)
+    return replace(sequence, image_paths=tuple(images), camera=camera, notes=(*sequence.notes, *notes))
