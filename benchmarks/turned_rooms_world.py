@@ -15,9 +15,18 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets.corridor.building import Building, Panel, Vector, mesh_of
 from conformodal.datasets.corridor.path import Waypoint, fly
-from conformodal.datasets.corridor.world import DOOR_CENTRE, DOOR_HEIGHT, HEIGHT, ROOM_NEAR, room
+from conformodal.datasets.corridor.world import (
+    DOOR_CENTRE,
+    DOOR_HEIGHT,
+    HEIGHT,
+    ROOM_NEAR,
+    Building,
+    Panel,
+    Vector,
+    mesh_of,
+    room,
+)
 from conformodal.poses import Trajectory
 
 LOBBY_X, LOBBY_Y = 0.9, 2.6  # half its length and width

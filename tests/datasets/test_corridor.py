@@ -3,8 +3,7 @@ import pytest
 
 from conformodal.datasets import DatasetError, read_sevenscenes
 from conformodal.datasets.corridor.path import drone_path, rotation_world_cam
-from conformodal.datasets.corridor.render import CAMERA, Renderer
-from conformodal.datasets.corridor.repeated_views import same_views
+from conformodal.datasets.corridor.render import CAMERA, Renderer, same_views
 from conformodal.datasets.corridor.world import MODULE_LENGTH, CorridorWorld
 from conformodal.datasets.corridor.writer import write_corridor
 

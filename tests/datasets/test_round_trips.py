@@ -58,12 +58,12 @@ def within(times, recording):
     return np.concatenate([times[recording == k] - times[recording == k][0] for k in np.unique(recording)])
 
 
-def check_round_trip(source, layout, **how):
+def check_round_trip(source, layout):
     known = source[3]
     with tempfile.TemporaryDirectory() as scratch:
         before, truth = stored(Path(scratch), source)
         done = write_layout(
-            Path(scratch) / "b", layout, SequenceStream(before), before.camera, truth, max_difference_s=0, **how
+            Path(scratch) / "b", layout, SequenceStream(before), before.camera, truth, max_difference_s=0
         )
         after = read_sequence(Path(scratch) / "b", require_poses=False)
         assert (done.n_frames, done.n_posed) == (len(known), known.sum())
@@ -91,12 +91,6 @@ few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthChec
 @few
 def test_what_is_written_is_read_back(layout, source):
     check_round_trip(source, layout)
-
-
-@given(source=sources())
-@few
-def test_what_is_written_as_a_binary_model_is_read_back(source):
-    check_round_trip(source, Layout.COLMAP, binary=True)
 
 
 @given(source=sources(n_recordings=3))

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from conformodal.datasets.corridor.path import rotation_world_cam
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.repeated_views import same_views
+from conformodal.datasets.corridor.render import Renderer, same_views
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from turned_rooms_world import ROOM_X, TurnedRooms, half_turn, visiting_path

@@ -285,7 +285,6 @@ def test_a_euroc_mounting_that_is_no_rigid_motion_is_refused(tmp_path, broken):
         ([1, 0, 0, 0, 1, 0, 0, 0, 1], "plumb_bob", "identity"),
         ([-40, 0, 32, 0, 40, 24, 0, 0, 1], "plumb_bob", "fx = -40"),
         ([40, 0, 32, 0, 40, 24, 0, 0, 1], "equidistant", "undistort"),
-        ([40, 0, 32, 0, 40, 24, 0, 0, 1], "rational_polynomial", "undistort"),
     ],
 )
 def test_bags_with_a_camera_that_is_none_are_refused(tmp_path, monkeypatch, k, model, match):

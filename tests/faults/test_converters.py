@@ -155,7 +155,6 @@ KNOWABLE = {
     "no pose near": (lambda s: s, {"poses": replace(poses_for(), timestamps_s=900 + np.arange(9.0))}, "no frame has"),
     "a layout that is read only": (lambda s: s, {"layout": Layout.KITTI}, "read only"),
     "colmap without poses": (lambda s: s, {"layout": Layout.COLMAP, "poses": None}, "colmap needs poses"),
-    "binary files of another layout": (lambda s: s, {"binary": True}, "no binary files"),
     "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
     "a file": (lambda s: s, {"out": "file"}, "is a file"),
     "below a file": (lambda s: s, {"out": "file/out"}, "cannot be written"),
@@ -168,7 +167,7 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
     change, settings, match = KNOWABLE[what]
     fill(tmp_path, {"full/mine": "mine", "file": "mine"})
     sequence = change(read_sequence(WRITERS[Layout.TUM](tmp_path / "a")))
-    given = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b", "binary": False} | settings
+    given = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b"} | settings
     before, progress = [contents(tmp_path), sorted(tmp_path.rglob("*"))], []
     with pytest.raises(DatasetError, match=match):
         write_layout(
@@ -178,7 +177,6 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
             sequence.camera,
             given["poses"],
             progress.append,
-            binary=given["binary"],
         )
     assert progress == []
     assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before

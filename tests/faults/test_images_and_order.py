@@ -100,9 +100,6 @@ WRONG = {
     "one pixel": (saved(Image.new("RGB", (1, 1)), ".png"), "1x1 pixels"),
     "float tiff": (saved(Image.fromarray(GREY / np.float32(255)), ".tif"), "floating point"),
     "32-bit tiff": (saved(Image.fromarray(RAMP.astype(np.int32)), ".tif"), "32-bit"),
-    "turned jpeg": (turned(6, ".jpg"), "EXIF orientation is 6"),
-    "mirrored png": (turned(2, ".png"), "EXIF orientation is 2"),
-    "turned tiff": (saved(Image.fromarray(COLOURS), ".tif", tiffinfo={0x0112: 8}), "EXIF orientation is 8"),
     "animated png": (animated(".png"), "holds 2 pictures"),
     "tiff of two pages": (animated(".tif"), "holds 2 pictures"),
     "animated webp": (animated(".webp"), "holds 2 pictures"),
@@ -118,6 +115,52 @@ def test_images_that_are_none_are_refused_by_name(tmp_path, what):
     with pytest.raises(ImageError, match=rf"a\.png: .*({match})"):
         read_image(path, SIZE)
     assert "a.png" in image_fault(path, SIZE)
+
+
+# orientation: what makes the stored pixels upright
+UPRIGHT = {
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.transpose(1, 0, 2),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).transpose(1, 0, 2),
+    8: np.rot90,
+}
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+def test_images_are_turned_as_their_exif_says_and_it_is_told(tmp_path, orientation, suffix):
+    content = (
+        saved(Image.fromarray(COLOURS), ".tif", tiffinfo={0x0112: orientation})
+        if suffix == ".tif"
+        else turned(orientation, suffix)
+    )
+    (tmp_path / f"0{suffix}").write_bytes(content)
+    expected = UPRIGHT[orientation](decode(saved(Image.fromarray(COLOURS), suffix), "stored"))
+    height, width = expected.shape[:2]
+    image = read_image(tmp_path / f"0{suffix}", (width, height))
+    np.testing.assert_array_equal(image, expected)
+    assert image_fault(tmp_path / f"0{suffix}", (width, height)) == ""
+    (tmp_path / "camera-intrinsics.txt").write_text(f"40 0 {width / 2}\n0 40 {height / 2}\n0 0 1\n")
+    with pytest.warns(DatasetWarning, match="as its EXIF orientation says"):
+        sequence = read_sequence(tmp_path, require_poses=False)
+    assert sequence.image(0).shape == expected.shape
+
+
+@pytest.mark.parametrize(("bits", "told"), [(10, True), (12, True), (14, True), (16, False)])
+def test_images_of_16_bits_are_scaled_by_the_bits_that_the_data_set_uses(tmp_path, bits, told):
+    """One factor for all of them: the dark image is dark."""
+    for i, most in enumerate((2**bits - 1, 2 ** (bits - 3))):
+        (tmp_path / f"{i}.png").write_bytes(saved(Image.fromarray((RAMP * (most / 65535)).astype(np.uint16)), ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
+    with warnings.catch_warnings(record=True) as came:
+        warnings.simplefilter("always")
+        sequence = read_sequence(tmp_path, require_poses=False)
+    assert any("is shown as white" in str(one.message) for one in came) is told
+    for i, share in enumerate((1, 1 / 8)):
+        np.testing.assert_allclose(sequence.image(i)[..., 0], RAMP * (255 / 65535 * share), atol=1.1)
 
 
 def test_an_exif_that_is_damaged_says_nothing(tmp_path):

@@ -147,13 +147,18 @@ def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_p
     assert len(read_trajectories(tmp_path)["smoothed"]) == 10
 
 
-def test_time_that_goes_back_is_an_error_and_all_before_is_kept(world, tmp_path):
+def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_all_before_kept(world, tmp_path):
     sequence, model = world
     frames = list(SequenceStream(sequence, np.arange(8)))
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
         for frame in frames:
             runner.push(frame)
+            assert runner.push(frame) is None
+        assert (runner.n_answered, runner.n_problems) == (8, 8)
+        assert "does not go on" in next(iter(runner.problems.values()))
+        for _ in range(9):
+            assert runner.push(frames[3]) is None
         with pytest.raises(SourceError, match=r"time goes back: frame-000003.* follows frame-000007"):
             runner.push(frames[3])
         runner.finish()

@@ -122,9 +122,6 @@ def convert(
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
-    binary: Annotated[
-        bool, typer.Option("--binary", help="Write a COLMAP model in binary files, not as text.")
-    ] = False,
     follow_outside: FollowOutside = False,
 ) -> None:
     """Convert a data set, a video or a ROS recording to a data set in another layout, poses included."""
@@ -146,7 +143,6 @@ def convert(
             truth,
             lambda number: report("frames", number, max(total, number)),
             max_difference_s=0.0 if poses is None else MAX_TIME_DIFFERENCE_S,
-            binary=binary,
         )
     how_many = (
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from conformodal.core.caching import default_cache_dir
 from conformodal.core.files import check_writable
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
+from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.opening import open_stream
@@ -44,10 +46,10 @@ def cache_folder(cache: Path | None) -> Path:
     return folder
 
 
-def _report_warnings(sequence: Sequence) -> None:
+def _report_warnings(notes: Iterable[Note]) -> None:
     """Name what the reader left out, or found unlikely."""
     counts: dict[str, int] = {}
-    for what, where in sequence.notes:
+    for what, where in notes:
         counts[what] = counts.get(what, 0) + 1
         if counts[what] <= _MOST_NOTES:
             report_line(f"{what}: {where}")
@@ -67,7 +69,7 @@ def open_sequence(
         warnings.simplefilter("ignore", DatasetWarning)
         sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
     if notes:
-        _report_warnings(sequence)
+        _report_warnings(sequence.notes)
     return sequence
 
 
@@ -97,9 +99,10 @@ def open_source(
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
         report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
-        _report_warnings(stream.sequence)
+        _report_warnings(stream.sequence.notes)
     else:
         count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
         report_line(f"{stream.name}: {kind_of_stream}{count}")
+        _report_warnings(getattr(stream, "notes", ()))
     return stream

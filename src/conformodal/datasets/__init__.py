@@ -1,4 +1,7 @@
-"""Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world."""
+"""Reading data sets into one :class:`Sequence` type, cutting them into parts, and the built-in corridor world.
+
+Readers raise :class:`DatasetError`, which names the file, if something is missing or damaged, or does not fit.
+"""
 
 from conformodal.core.extras import require_extra
 

@@ -10,15 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .cameras import SCALED
+from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
-from .fisheye import UNDISTORTED
+from .lenses import OTHER_CAMERA, UNDISTORTED
 from .sequence import Sequence
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = (SCALED, UNDISTORTED)
+_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED)
 
 
 @dataclass

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import PinholeCamera, matrix_from_quat_wxyz
+from conformodal.poses import matrix_from_quat_wxyz
 from conformodal.poses.text import number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .errors import DatasetError
-from .fisheye import Fisheye, fisheye_of, undistorted
 from .frame_table import Damaged, FrameTable
+from .lenses import AnyCamera, fisheye_of
 from .reading import Note, PathGuard, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
 
@@ -69,11 +69,6 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         True leaves out images that are missing, or have no pose or one that is no rigid motion. False keeps them.
     follow_outside
         Whether the model may name images outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If there is no model, it holds several cameras or another camera model, or a line is damaged. Names the file.
     """
     folder = Path(folder).resolve()
     place = model_folder(folder)
@@ -98,8 +93,6 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     notes: list[Note] = []
     size = common_size([registered[name] for name in sorted(registered, key=natural_key)])
     camera = _camera(of_cameras, *cameras[used[0]], size, notes)
-    if isinstance(camera, Fisheye):
-        images, camera = undistorted(images, camera), camera.pinhole
     poses, why = _poses(of_images, names, rows)
     table = FrameTable(folder.name, images, frame_times(folder, len(names)), poses=poses, why=why, notes=notes)
     return table.sequence(camera, require_poses=require_poses)
@@ -184,7 +177,7 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     return found
 
 
-def _camera(path: Path, at: str, fields: list[str], size: Size, notes: list[Note]) -> PinholeCamera | Fisheye:
+def _camera(path: Path, at: str, fields: list[str], size: Size, notes: list[Note]) -> AnyCamera:
     line = " ".join(fields)
     try:
         model, width, height = fields[1], whole_number(fields[2]), whole_number(fields[3])

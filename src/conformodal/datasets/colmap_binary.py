@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 from .errors import DatasetError
@@ -26,11 +27,6 @@ _POINT_BYTES = 24  # x, y and the number of a point
 _LONGEST_NAME = 4096
 
 
-def model_number(name: str) -> int:
-    """The number of a camera model in the file."""
-    return [model for model, _ in _MODELS].index(name)
-
-
 class _Bytes:
     """A file that is read from front to back."""
 
@@ -41,20 +37,16 @@ class _Bytes:
         except OSError as exc:
             raise DatasetError(f"{path}: cannot be read: {exc.strerror}") from exc
 
-    def take(self, form: str) -> tuple[float, ...]:
-        """The next numbers, of a form of :mod:`struct`."""
+    def take(self, form: str, skipped: int = 0) -> tuple[float, ...]:
+        """The next numbers, of a form of :mod:`struct`, and pass over bytes behind them."""
         try:
             found = struct.unpack_from(f"<{form}", self.content, self.at)
         except struct.error:
-            raise self.damaged(f"ends after {len(self.content)} bytes, within a record") from None
-        self.at += struct.calcsize(f"<{form}")
-        return found
-
-    def skip(self, n_bytes: int) -> None:
-        """Pass over bytes."""
-        if n_bytes > len(self.content) - self.at:
+            found = None
+        self.at += struct.calcsize(f"<{form}") + skipped
+        if found is None or self.at > len(self.content):
             raise self.damaged(f"ends after {len(self.content)} bytes, within a record")
-        self.at += n_bytes
+        return found
 
     def name(self) -> str:
         """The next name, which a zero byte ends."""
@@ -64,33 +56,32 @@ class _Bytes:
         raw, self.at = self.content[self.at : end], end + 1
         return raw.decode("utf-8", errors="surrogateescape")
 
-    def end(self) -> None:
-        """Refuse a file that goes on."""
-        if self.at != len(self.content):
-            raise self.damaged(f"{len(self.content) - self.at} bytes follow the last record")
-
     def damaged(self, what: str) -> DatasetError:
         """The error of a file that is none of COLMAP's."""
         return DatasetError(f"{self.path}: is no binary model of COLMAP, byte {self.at}: {what}")
+
+    def records(self, what: str) -> Iterator[int]:
+        """Count the file's records while they are read, one or more and nothing after them."""
+        n = int(self.take("Q")[0])
+        yield from range(n)
+        if self.at != len(self.content):
+            raise self.damaged(f"{len(self.content) - self.at} bytes follow the last record")
+        if not n:
+            raise DatasetError(f"{self.path}: holds no {what}")
 
 
 def binary_images(path: Path) -> dict[str, tuple[list[float], list[float], int]]:
     """Quaternion, translation and camera by image name."""
     file = _Bytes(path)
     found: dict[str, tuple[list[float], list[float], int]] = {}
-    (n,) = file.take("Q")
-    for _ in range(int(n)):
-        _, *pose = file.take("i7d")
-        (camera,) = file.take("i")
+    for _ in file.records("image"):
+        _, *pose, camera = file.take("i7di")
         name = file.name()
         if name in found:
             raise DatasetError(f"{path}: names {name[:80]!r} a second time, expected one pose for an image")
-        found[name] = (list(pose[:4]), list(pose[4:]), int(camera))
+        found[name] = (pose[:4], pose[4:], int(camera))
         (points,) = file.take("Q")
-        file.skip(int(points) * _POINT_BYTES)
-    file.end()
-    if not found:
-        raise DatasetError(f"{path}: holds no image")
+        file.take("", int(points) * _POINT_BYTES)
     return found
 
 
@@ -98,15 +89,11 @@ def binary_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     """Place in the file and fields, as a text model has them, by camera."""
     file = _Bytes(path)
     found = {}
-    (n,) = file.take("Q")
-    for k in range(int(n)):
+    for k in file.records("camera"):
         camera, model, width, height = (int(v) for v in file.take("iiQQ"))
         if not 0 <= model < len(_MODELS):
             raise file.damaged(f"camera {camera} has the model {model}, expected 0 to {len(_MODELS) - 1}")
         name, n_parameters = _MODELS[model]
-        values = file.take(f"{n_parameters}d")
-        found[camera] = (f"record {k + 1}", [str(camera), name, str(width), str(height), *(repr(v) for v in values)])
-    file.end()
-    if not found:
-        raise DatasetError(f"{path}: holds no camera")
+        values = map(repr, file.take(f"{n_parameters}d"))
+        found[camera] = (f"record {k + 1}", [str(camera), name, str(width), str(height), *values])
     return found

@@ -9,14 +9,14 @@ import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, ImageOps
 
 from .errors import ImageError
 
@@ -25,6 +25,10 @@ _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
 _FREE_PIXELS, _PIXELS_A_BYTE, _MOST_PIXELS = 16_000_000, 20, 400_000_000
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION = 0x0112
+_WHITES = (1023, 4095, 16383, 65535)
+WIDEST = _WHITES[-1]
+TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
+_SIDEWAYS = 5
 _DIGITS = re.compile(r"([0-9]+)")
 _SAMPLES = 9
 THUMBNAIL = (32, 24)
@@ -42,9 +46,29 @@ def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height, without decoding the image."""
+    """Width and height, without decoding the image; of one that is turned, after turning."""
     with _opened(path, str(path)) as image:
-        return int(image.width), int(image.height)
+        return _size(image)
+
+
+def _size(image: Image.Image) -> tuple[int, int]:
+    sideways = image.format != "TIFF" and _orientation(image) >= _SIDEWAYS  # Pillow turns a TIFF itself
+    return (image.height, image.width) if sideways else (image.width, image.height)
+
+
+def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
+    """White level of a few evenly spread images, None for 8 bits; and names of those that are to be turned."""
+    white, turned = None, []
+    for i in sorted({round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}):
+        with suppress(Exception), _opened(paths[i], "") as image:  # images that cannot be read are told elsewhere
+            turned += [str(paths[i])] if _orientation(image) != 1 else []
+            if _is_wide(image):
+                white = max(white or 0, white_level(np.asarray(image)))
+    return white, turned
+
+
+def _is_wide(image: Image.Image) -> bool:
+    return image.mode == "I" or image.mode.startswith("I;16")
 
 
 def common_size(paths: list[Path]) -> tuple[int, int]:
@@ -87,7 +111,8 @@ def image_fault(path: Path, size: tuple[int, int]) -> str:
 def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
     """Decode an image whole, as (height, width, 3) RGB.
 
-    Grey images become RGB; 16 bits are scaled to 8, 65535 to 255; what is transparent lies on black.
+    Grey images become RGB; of 16 bits the 10, 12, 14 or 16 that are used are scaled to 8; what is transparent lies on
+    black; an image is turned as its EXIF orientation says.
 
     Parameters
     ----------
@@ -100,22 +125,26 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[n
     ------
     ImageError
         If the file is missing, truncated or no image, of another size, holds several pictures or numbers that have no
-        range (32 bits, floating point), or says that it is to be turned. (Pillow refuses truncated files; some
-        decoders fill the rest with grey in silence.)
+        range (32 bits, floating point). (Pillow refuses truncated files; some decoders fill the rest with grey in
+        silence.)
     """
     return decode(path, str(path), size)
 
 
-def decode(source: Path | bytes, name: str, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
-    """As :func:`read_image`, of a file or of its content; `name` is for people."""
+def decode(
+    source: Path | bytes, name: str, size: tuple[int, int] | None = None, white: int | None = None
+) -> npt.NDArray[np.uint8]:
+    """As :func:`read_image`, of a file or of its content.
+
+    `name` is for people; `white` the level of a 16-bit image that becomes 255, by default of the bits that it uses.
+    """
     with _opened(source, name) as image:
-        if size is not None and (image.width, image.height) != size:
-            raise ImageError(
-                f"{name}: image is {image.width}x{image.height} pixels, the camera's are {size[0]}x{size[1]}"
-            )
+        found = _size(image)
+        if size is not None and found != size:
+            raise ImageError(f"{name}: image is {found[0]}x{found[1]} pixels, the camera's are {size[0]}x{size[1]}")
         try:
             with ignore_pillow_warnings():
-                return _rgb(image)
+                return _rgb(image if _orientation(image) == 1 else ImageOps.exif_transpose(image), white)
         except Exception as exc:  # decoders raise whatever damaged bytes lead them to
             raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
 
@@ -146,12 +175,6 @@ def _fault(image: Image.Image, n_bytes: int) -> str:
     if image.mode == "F" or (image.mode == "I" and image.format not in ("PNG", "PPM")):
         kind = "floating point" if image.mode == "F" else "32-bit"
         return f"holds {kind} numbers, which have no white; expected 8 or 16 bits: scale and write it anew"
-    turned = _orientation(image)
-    if turned != 1:
-        return (
-            f"its EXIF orientation is {turned}, to be turned when it is shown, and the camera's intrinsics do not say "
-            "before or after; turn the pixels, or remove the tag"
-        )
     return ""
 
 
@@ -169,11 +192,10 @@ def _orientation(image: Any) -> int:
     return found if 1 <= found <= 8 else 1
 
 
-def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
-    if image.mode == "I" or image.mode.startswith("I;16"):
-        wide = np.asarray(image).astype(np.int64)
-        grey = ((np.clip(wide, 0, 65535) * 255 + 32767) // 65535).astype(np.uint8)
-        return np.repeat(grey[..., None], 3, axis=2)
+def _rgb(image: Image.Image, white: int | None) -> npt.NDArray[np.uint8]:
+    if _is_wide(image):
+        wide = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
+        return np.repeat(to_eight_bits(wide, white or white_level(wide))[..., None], 3, axis=2)
     if not image.has_transparency_data:
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     rgba = np.asarray(image.convert("RGBA"))
@@ -181,6 +203,17 @@ def _rgb(image: Image.Image) -> npt.NDArray[np.uint8]:
     if alpha.min() == 255:
         return np.ascontiguousarray(rgba[..., :3])
     return np.asarray((rgba[..., :3].astype(np.uint16) * alpha + 127) // 255, dtype=np.uint8)
+
+
+def white_level(wide: npt.NDArray[Any]) -> int:
+    """The largest number of the bits that a 16-bit image uses: sensors have 10, 12, 14 or 16."""
+    most = int(wide.max(initial=0))
+    return next(white for white in _WHITES if most <= white)
+
+
+def to_eight_bits(wide: npt.NDArray[Any], white: int) -> npt.NDArray[np.uint8]:
+    """Numbers of a 16-bit image at 8 bits, where `white` becomes 255."""
+    return np.asarray((np.minimum(wide.astype(np.int64), white) * 255 + white // 2) // white, dtype=np.uint8)
 
 
 @contextmanager

@@ -42,11 +42,6 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         of them; the sequence has a truth only if every one has a pose.
     follow_outside
         Whether ``data.csv`` may name files outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If something is missing or damaged, or the camera model is another. Names the file.
     """
     folder = Path(folder).resolve()
     root = folder if folder.name == "mav0" else folder / "mav0"

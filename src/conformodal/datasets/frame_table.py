@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import warnings
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +19,9 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
 
-from .decoding import image_fault, natural_key
+from .decoding import SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
+from .lenses import AnyCamera, Fisheye, brought
 from .reading import Note, read_lines, readable, shown
 from .sequence import Sequence
 
@@ -61,13 +63,18 @@ class FrameTable:
     notes: list[Note] = field(default_factory=list)
 
     def sequence(
-        self, camera: PinholeCamera, *, require_poses: bool, given_test: npt.NDArray[np.bool_] | None = None
+        self,
+        camera: AnyCamera | list[AnyCamera],
+        *,
+        require_poses: bool,
+        given_test: npt.NDArray[np.bool_] | None = None,
     ) -> Sequence:
-        """The sequence of the frames that can be used; warns of the others.
+        """The sequence of the frames that can be used, as the camera of most has them; warns of the others.
 
         Frames without a time in order, or with a name that is no text, are left out. With `require_poses`, so are
         those without a pose or an image.
         """
+        camera = self._one_camera(camera if isinstance(camera, list) else [camera] * len(self.images))
         out = self._without_time()
         posed = np.zeros(len(self.images), dtype=np.bool_)
         if self.poses is not None:
@@ -103,6 +110,21 @@ class FrameTable:
             known_poses=truth,
             notes=tuple(notes),
         )
+
+    def _one_camera(self, cameras: list[AnyCamera]) -> PinholeCamera:
+        """The camera of most frames; images of others, of a fisheye lens or of 16 bits become its."""
+        (most, _), *others = Counter(cameras).most_common()
+        camera = most.pinhole if isinstance(most, Fisheye) else most
+        white, turned = looked_at(self.images)
+        if turned:
+            self.notes.append(
+                Note(TURNED, f"{turned[0]}: as its EXIF orientation says; intrinsics must be those after")
+            )
+        if white is not None and white < WIDEST:
+            self.notes.append(Note(SCALED_BITS, f"{self.images[0]}: {white} of {WIDEST} is shown as white"))
+        if others or most != camera or white is not None:
+            self.images = brought(self.images, cameras, camera, white, self.notes)
+        return camera
 
     def _pose_fault(self, i: int) -> str:
         return f"{self.images[i].name}: {self.why.get(i, 'has no pose')}"

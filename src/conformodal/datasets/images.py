@@ -35,11 +35,6 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
-
-    Raises
-    ------
-    DatasetError
-        If something is missing or damaged, or numbers of images, times and poses do not fit. Names the file.
     """
     folder = Path(folder).resolve()
     if not folder.is_dir():

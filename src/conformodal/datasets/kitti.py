@@ -38,11 +38,6 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
         are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
     require_poses
         False also reads a sequence without poses.
-
-    Raises
-    ------
-    DatasetError
-        If something is missing or damaged, or numbers of images, times and poses do not fit. Names the file.
     """
     folder = Path(folder).resolve()
     camera = next((name for name in _CAMERAS if (folder / name).is_dir()), None)

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.poses import PinholeCamera
 from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .errors import DatasetError
-from .fisheye import Fisheye, fisheye_of, undistorted
 from .frame_table import FrameTable
+from .lenses import AnyCamera, fisheye_of
 from .reading import Note, PathGuard, frame_times, read_lines, reader
 from .sequence import Sequence
 
@@ -46,12 +45,6 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         True leaves out frames without an image, or whose pose is missing or no rigid motion. False keeps them.
     follow_outside
         Whether the file may name images outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If the file is missing or damaged, a frame has its own camera, no frame has an image and a pose, or the camera
-        is none or of another model.
     """
     folder = Path(folder).resolve()
     path = folder / FILE
@@ -76,8 +69,6 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
     notes: list[Note] = []
     camera = _camera(path, content, common_size(images), notes)
-    if isinstance(camera, Fisheye):
-        images, camera = undistorted(images, camera), camera.pinhole
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
@@ -110,7 +101,7 @@ def _image(place: PathGuard, name: str) -> Path:
     return place(there.parent, there.name)
 
 
-def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) -> PinholeCamera | Fisheye:
+def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) -> AnyCamera:
     fisheye = _is_fisheye(path, content)
     try:
         stated = None

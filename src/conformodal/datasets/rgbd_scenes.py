@@ -43,11 +43,6 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     require_poses
         True leaves out frames without a pose, and scenes without a pose file. False keeps them; the sequence has a
         truth only if every frame has a pose.
-
-    Raises
-    ------
-    DatasetError
-        If something is missing or damaged, or there are more images than poses. Names the file.
     """
     folder = Path(folder).resolve()
     notes: list[Note] = []

@@ -62,12 +62,6 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     require_poses
         True leaves out frames without a sound pose file or image. False keeps them; the sequence has a truth only if
         every one has a pose.
-
-    Raises
-    ------
-    DatasetError
-        If the folder is missing or empty, no frame has a pose that is one, the intrinsics are none, or the lists do
-        not name every recording once. Names the file.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -78,7 +72,8 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     for recording, its in zip(recordings, frames, strict=True):
         if not its:
             raise DatasetError(f"{recording}: holds no frame-NNNNNN.color.png or .jpg")
-    images, times, recording_of = joined(frames, _frame_rate(folder, recordings))
+    rate = _beside("frame-rate.txt", recordings[0] if recordings else folder, folder)
+    images, times, recording_of = joined(frames, FRAME_RATE_HZ if rate is None else read_frame_rate(rate))
     if not images:
         raise DatasetError(f"{folder}: holds no frame-NNNNNN.color.png or .jpg, nor folders seq-NN with some")
     held_out = None if recordings == [folder] else _listed_for_testing(folder, recordings)
@@ -87,7 +82,8 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     posed = require_poses or any(pose_path(path).exists() for path in images)
     poses = _poses(images, why) if posed else None
     table = FrameTable(name, images, times, recording_of, poses, why, notes)
-    camera = _camera(folder, images, notes)
+    intrinsics = _beside("camera-intrinsics.txt", images[0].parent, folder)
+    camera = camera_beside(folder if intrinsics is None else intrinsics.parent, common_size(images), CAMERA, notes)
     return table.sequence(
         camera, require_poses=require_poses, given_test=None if held_out is None else held_out[recording_of]
     )
@@ -102,24 +98,25 @@ def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.
     if len(there) < len(lists):
         missing = next(path for path in lists if path not in there)
         raise DatasetError(f"{missing}: is missing; {there[0].name} beside it needs it")
-    matches = [_LISTED.fullmatch(path.name) for path in recordings]
-    numbers = {int(match[1]): i for i, match in enumerate(matches) if match}
+    numbers = {int(match[1]): i for i, path in enumerate(recordings) if (match := _LISTED.fullmatch(path.name))}
     where: dict[int, str] = {}  # the line that names a recording
     held_out = np.zeros(len(recordings), dtype=bool)
     for path in lists:
-        for at, line in enumerate(read_lines(path), start=1):
-            text, place = line.strip(), f"{path.name}, line {at}"
+        for at, text in enumerate(map(str.strip, read_lines(path)), start=1):
             if not text:
                 continue
             match = _LISTED.fullmatch(text)
             if match is None:
                 raise DatasetError(f"{path}: line {at} is {text!r}, expected a recording such as sequence1")
-            i = numbers.get(int(match[1]))
-            if i is None:
-                raise DatasetError(f"{path}: line {at} names {text!r}, but {folder} has no such folder seq-NN")
-            if i in where:
-                raise DatasetError(f"{path}: line {at} names {recordings[i].name}, which {where[i]} names too")
-            where[i], held_out[i] = place, path is lists[1]
+            i = numbers.get(int(match[1]), -1)
+            if i < 0 or i in where:
+                named = (
+                    f"{text!r}, but {folder} has no such folder seq-NN"
+                    if i < 0
+                    else f"{recordings[i].name}, which {where[i]} names too"
+                )
+                raise DatasetError(f"{path}: line {at} names {named}")
+            where[i], held_out[i] = f"{path.name}, line {at}", path is lists[1]
     for i, recording in enumerate(recordings):
         if i not in where:
             raise DatasetError(f"{lists[0]}: names {recording.name} in no line, nor does {lists[1].name}")
@@ -161,19 +158,5 @@ def _read_matrix(path: Path) -> npt.NDArray[np.float64]:
 
 def _beside(name: str, recording: Path, folder: Path) -> Path | None:
     """A file that may lie with the recording, with the scene, or with the recording's scene."""
-    for place in (recording, folder, folder.resolve().parent):
-        if (place / name).is_file():
-            return place / name
-    return None
-
-
-def _frame_rate(folder: Path, recordings: list[Path]) -> float:
-    path = _beside("frame-rate.txt", recordings[0] if recordings else folder, folder)
-    if path is None:
-        return FRAME_RATE_HZ
-    return read_frame_rate(path)
-
-
-def _camera(folder: Path, images: list[Path], notes: list[Note]) -> PinholeCamera:
-    path = _beside("camera-intrinsics.txt", images[0].parent, folder)
-    return camera_beside(folder if path is None else path.parent, common_size(images), CAMERA, notes)
+    places = (place / name for place in (recording, folder, folder.resolve().parent))
+    return next((path for path in places if path.is_file()), None)

@@ -37,11 +37,6 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
         if every one has a pose.
     follow_outside
         Whether ``rgb.txt`` may name files outside the folder.
-
-    Raises
-    ------
-    DatasetError
-        If something is missing or damaged, times go back, or no camera is known. Names the file.
     """
     folder = Path(folder).resolve()
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"

@@ -11,19 +11,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.choices import as_member
 from conformodal.core.words import counted
-from conformodal.datasets.streams.frames import Frame, FrameStream
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate
+from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, matrix_from_quat_wxyz
 from conformodal.poses.metrics import nearest_in_time
 
 from .errors import DatasetError
-from .layout_files import FINISH, WrittenFrames, finish_colmap_binary
 from .layouts import Layout
 from .reading import MAX_TIME_DIFFERENCE_S
 from .staging import staged
+from .streams.frames import Frame, FrameStream
+from .streams.stored import SequenceStream
 
 # Where images go, and how they are named: by number, or time in seconds.
 _PLACES: dict[Layout, tuple[str, str]] = {
@@ -37,13 +36,9 @@ WRITABLE = tuple(_PLACES)
 _PAIRED_BY_TIME = (Layout.TUM, Layout.IMAGES)
 _ROUNDED_S = 2e-6
 _MOST_NAMES = 20
-_NO_IMAGE, _NO_TIME, _NO_POSE, _LENT = (
-    "without an image",
-    "whose time goes back",
-    "without a pose",
-    "without a pose, so near to others in time that they would be read back with theirs",
-)
-_NOWHERE = (float("nan"),) * 7
+_UNEVEN = 0.2  # of a frame's time
+_MOST_NUMBERED = 999_999  # six digits
+_USUAL_HZ = 30.0
 
 
 @dataclass
@@ -76,8 +71,6 @@ def write_layout(
     poses: Trajectory | None,
     progress: Callable[[int], None] | None = None,
     max_difference_s: float = MAX_TIME_DIFFERENCE_S,
-    *,
-    binary: bool = False,
 ) -> ConversionReport:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
 
@@ -99,8 +92,6 @@ def write_layout(
         Called with frames done.
     max_difference_s
         Between a frame and its pose; 0 for poses with the frames' own times.
-    binary
-        Whether a COLMAP model is written in binary files instead of text.
 
     Raises
     ------
@@ -111,159 +102,205 @@ def write_layout(
     layout = as_member(layout, Layout, "layout", DatasetError)
     if layout not in _PLACES:
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
-    if binary and layout is not Layout.COLMAP:
-        raise DatasetError(f"{layout} has no binary files; only a COLMAP model has")
     if poses is None and layout is Layout.COLMAP:
         raise DatasetError(f"{layout} needs poses")
-    if isinstance(stream, SequenceStream):
-        _check(stream, layout, poses, max_difference_s)
-    with staged(folder) as part:
-        kept = _Kept(part, layout, stream, camera, poses, max_difference_s)
-        for number, frame in enumerate(stream, start=1):
-            kept.take(frame)
-            if progress is not None:
-                progress(number)
-        return kept.finish(binary=binary)
-
-
-def _check(stream: SequenceStream, layout: Layout, poses: Trajectory | None, max_difference_s: float) -> None:
-    """Refuse what is known before the first frame is read."""
-    times = stream.sequence.timestamps_s
-    if _several(stream) and layout is not Layout.SEVENSCENES:
+    several = isinstance(stream, SequenceStream) and len(np.unique(stream.sequence.recording)) > 1
+    if several and layout is not Layout.SEVENSCENES:
         raise DatasetError(
             f"{stream.name}: holds several recordings, and {layout} has a place for one; write 7scenes, or convert one "
             "at a time"
         )
-    if poses is not None:
-        asked = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0, 0, 0], (len(times), 1)))
-        try:
-            associate(asked, poses, max_difference_s)
-        except PoseError as exc:
-            raise DatasetError(f"{stream.name}: no frame has a pose: {exc}") from exc
+    if isinstance(stream, SequenceStream):  # what is known before the first frame is read
+        _pair(stream.name, stream.sequence.timestamps_s, poses, max_difference_s)
+    with staged(folder) as part:
+        frames = _Frames(part, layout, several)
+        for number, frame in enumerate(stream, start=1):
+            frames.take(frame, stream, camera)
+            if progress is not None:
+                progress(number)
+        return frames.finish(stream.name, camera, poses, max_difference_s)
 
 
-def _several(stream: FrameStream) -> bool:
-    return isinstance(stream, SequenceStream) and len(np.unique(stream.sequence.recording)) > 1
+def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_difference_s: float) -> FloatArray:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of frames, the nearest in time; NaN where there is none."""
+    rows = np.full((len(times), 7), np.nan)
+    if poses is None:
+        return rows
+    asked = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0, 0, 0], (len(times), 1)))
+    try:
+        frames, found = associate(asked, poses, max_difference_s)
+    except PoseError as exc:
+        raise DatasetError(f"{name}: no frame has a pose: {exc}") from exc
+    rows[frames] = np.column_stack((poses.positions_xyz, poses.orientations_quat_wxyz))[found]
+    return rows
 
 
-class _Kept:
+class _Frames:
     """Frames as they are written; see :func:`write_layout` for the parameters."""
 
-    def __init__(
-        self,
-        folder: Path,
-        layout: Layout,
-        stream: FrameStream,
-        camera: PinholeCamera,
-        poses: Trajectory | None,
-        max_difference_s: float,
-    ) -> None:
-        self.folder, self.layout, self.stream, self.camera = folder, layout, stream, camera
-        # in the order of time once, so that the pose of a frame is found without a look at all of them
-        self.truth = None if poses is None else poses[np.argsort(poses.timestamps_s, kind="stable")]
-        self.max_difference_s = max_difference_s
+    def __init__(self, folder: Path, layout: Layout, several: bool) -> None:
+        self.folder, self.layout, self.several = folder, layout, several
         self.place, self.pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
         self.place.mkdir(parents=True, exist_ok=True)
-        self.several = _several(stream)
-        self.sources: list[str] = []  # names of the frames where they come from
-        self.names: list[str] = []
-        self.times: list[float] = []
-        self.recording: list[int] = []
+        self.rows: list[tuple[str, str, float, int]] = []  # names in the source and here, time, recording
         self.counts: Counter[int] = Counter()  # frames by recording
-        self.poses: list[tuple[float, ...]] = []
-        self.left: dict[str, list[str]] = {why: [] for why in (_NO_IMAGE, _NO_TIME, _LENT)}
+        self.unreadable: list[str] = []
+        self.without_time: list[str] = []
 
-    def take(self, frame: Frame) -> None:
+    def take(self, frame: Frame, stream: FrameStream, camera: PinholeCamera) -> None:
         """Write a frame's image, or take up why it is left out."""
-        if not self.several and self.recording and frame.recording != self.recording[-1]:
-            raise DatasetError(f"{self.stream.name}: holds several recordings; convert one at a time")
-        pose = None if self.truth is None else _pose(self.truth, frame.timestamp_s, self.max_difference_s)
-        if frame.image is None or frame.image.shape[:2] != (self.camera.height, self.camera.width):
-            self.left[_NO_IMAGE].append(frame.name)
-        elif not np.isfinite(frame.timestamp_s) or (self.times and frame.timestamp_s <= self.times[-1]):
-            self.left[_NO_TIME].append(frame.name)
+        if not self.several and self.rows and frame.recording != self.rows[-1][3]:
+            raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
+        if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
+            self.unreadable.append(frame.name)
+        elif not np.isfinite(frame.timestamp_s) or (self.rows and frame.timestamp_s <= self.rows[-1][2]):
+            self.without_time.append(frame.name)
         else:
-            self.names.append(self._image(frame))
-            self.sources.append(frame.name)
-            self.times.append(frame.timestamp_s)
-            self.recording.append(frame.recording)
+            name = self._image(frame, stream)
+            self.rows.append((frame.name, name, frame.timestamp_s, frame.recording))
             self.counts[frame.recording] += 1
-            self.poses.append(_NOWHERE if pose is None else pose)
 
-    def _image(self, frame: Frame) -> str:
-        number, place = self.counts[frame.recording], self.place
-        if self.several:
-            place = place / f"seq-{frame.recording + 1:02d}"
-            place.mkdir(exist_ok=True)
-        stem = self.pattern.format(number=number, time_s=frame.timestamp_s)
-        stream = self.stream
-        source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else None
-        suffix = source.suffix if source is not None and source.suffix in (".png", ".jpg") else ".png"
+    def _image(self, frame: Frame, stream: FrameStream) -> str:
+        place = self.place / f"seq-{frame.recording + 1:02d}" if self.several else self.place
+        place.mkdir(exist_ok=True)
+        source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else Path()
+        suffix = source.suffix if source.suffix in (".png", ".jpg") else ".png"
+        stem = self.pattern.format(number=self.counts[frame.recording], time_s=frame.timestamp_s)
         target = place / f"{stem}{suffix}"
         if target.exists():
             raise DatasetError(f"{target}: two frames have this name")
-        if source is not None and source.suffix == suffix:
+        if source.suffix == suffix:
             shutil.copyfile(source, target)
         else:
             Image.fromarray(np.asarray(frame.image)).save(target)
         return str(target.relative_to(self.place))
 
-    def finish(self, *, binary: bool) -> ConversionReport:
+    def finish(
+        self, name: str, camera: PinholeCamera, truth: Trajectory | None, max_difference_s: float
+    ) -> ConversionReport:
         """Write everything but the images."""
-        poses = np.array(self.poses).reshape(-1, 7)
-        posed = np.isfinite(poses).all(axis=1)
-        done = ConversionReport(
-            n_unreadable=len(self.left[_NO_IMAGE]),
-            n_without_time=len(self.left[_NO_TIME]),
+        if not self.rows:
+            raise DatasetError(f"{name}: nothing to write: {len(self.unreadable)} unreadable, no time for the rest")
+        sources, names = [row[0] for row in self.rows], [row[1] for row in self.rows]
+        times, recording = np.array([row[2] for row in self.rows]), np.array([row[3] for row in self.rows])
+        poses = _pair(name, times, truth, max_difference_s)
+        posed = np.asarray(np.isfinite(poses).all(axis=1))
+        lent = self._lent(times, posed)
+        for i in np.flatnonzero(lent).tolist():
+            (self.place / names[i]).unlink()
+        kept = np.flatnonzero(~lent)
+        notes = _write(
+            self.layout, self.folder, [names[i] for i in kept], times[kept], recording[kept], poses[kept], camera
         )
-        if not self.names or (self.truth is not None and not posed.any()):
-            raise DatasetError(
-                f"{self.stream.name}: nothing to write: {done.n_unreadable} unreadable, no pose for the rest"
-            )
-        kept = np.flatnonzero(~self._lent(posed)) if self.truth is not None else np.arange(len(posed))
-        for i in np.setdiff1d(np.arange(len(posed)), kept).tolist():
-            (self.place / self.names[i]).unlink()
-            self.left[_LENT].append(self.sources[i])
-        frames = WrittenFrames(
-            [self.names[i] for i in kept],
-            np.array(self.times)[kept],
-            np.array(self.recording)[kept],
-            None if self.truth is None else poses[kept],
-        )
-        write = finish_colmap_binary if binary else FINISH[self.layout]
-        lost = write(self.folder, frames, self.camera)
-        done.n_frames, done.n_posed = len(kept), int(posed[kept].sum())
-        done.n_without_pose = len(self.left[_LENT])
-        done.notes = [f"left out {_listed(names, why)}" for why, names in self.left.items() if names]
-        without = [self.sources[i] for i in kept if not posed[i]]
-        if self.truth is not None and without:
-            done.notes.append(f"kept {_listed(without, _NO_POSE)}")
-        done.notes += lost
-        return done
+        left = {
+            "left out {} without an image": self.unreadable,
+            "left out {} whose time goes back": self.without_time,
+            "left out {} without a pose, so near to others in time that they would be read back with theirs": [
+                sources[i] for i in np.flatnonzero(lent)
+            ],
+            "kept {} without a pose": [sources[i] for i in kept if truth is not None and not posed[i]],
+        }
+        told = [_listed(why, frames) for why, frames in left.items() if frames]
+        counts = int(posed.sum()), len(self.unreadable), int(lent.sum()), len(self.without_time)
+        return ConversionReport(len(kept), *counts, told + notes)
 
-    def _lent(self, posed: np.ndarray) -> np.ndarray:
+    def _lent(self, times: FloatArray, posed: BoolArray) -> BoolArray:
         """Which frames without a pose would be read back with another frame's."""
-        lent = np.zeros(len(posed), dtype=np.bool_)
-        if self.layout in _PAIRED_BY_TIME:
-            times: FloatArray = np.array(self.times)
-            near = times[posed]
-            after = np.clip(np.searchsorted(near, times), 0, len(near) - 1)
-            before = np.maximum(after - 1, 0)
-            away = np.minimum(np.abs(near[after] - times), np.abs(near[before] - times))
-            lent = ~posed & (away <= MAX_TIME_DIFFERENCE_S + _ROUNDED_S)
-        return lent
+        if self.layout not in _PAIRED_BY_TIME or not posed.any():
+            return np.zeros(len(posed), dtype=np.bool_)
+        away = np.abs(times - times[posed][nearest_in_time(times[posed], times)])
+        return np.asarray(~posed & (away <= MAX_TIME_DIFFERENCE_S + _ROUNDED_S))
 
 
-def _listed(frames: list[str], why: str) -> str:
+def _listed(why: str, frames: list[str]) -> str:
     more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
-    return f"{counted(len(frames), 'frame')} {why}: {', '.join(frames[:_MOST_NAMES])}{more}"
+    return f"{why.format(counted(len(frames), 'frame'))}: {', '.join(frames[:_MOST_NAMES])}{more}"
 
 
-def _pose(poses: Trajectory, time_s: float, max_difference_s: float) -> tuple[float, ...] | None:
-    """The pose nearest in time, ``x y z qw qx qy qz``, or None; `poses` increase in time."""
-    if not len(poses) or not np.isfinite(time_s):
-        return None
-    at = int(nearest_in_time(poses.timestamps_s, np.array([time_s]))[0])
-    if abs(poses.timestamps_s[at] - time_s) > max_difference_s:
-        return None
-    return (*poses.positions_xyz[at].tolist(), *poses.orientations_quat_wxyz[at].tolist())
+def _write(
+    layout: Layout,
+    folder: Path,
+    names: list[str],
+    times: FloatArray,
+    recording: IntArray,
+    poses: FloatArray,
+    camera: PinholeCamera,
+) -> list[str]:
+    """Write what a layout has beside its images: times, camera, poses (n, 7); says what was lost."""
+    at = np.flatnonzero(np.isfinite(poses).all(axis=1))
+    truth = Trajectory(times[at], poses[at, :3], poses[at, 3:])
+    lost: list[str] = []
+    if layout is Layout.SEVENSCENES:
+        rate, numbers, even = _numbered_by_time(times, recording)
+        for i in reversed(range(len(names))):  # numbers only grow, so the place of the new name is free
+            old = folder / names[i]
+            names[i] = str(Path(names[i]).with_name(f"frame-{numbers[i]:06d}.color{old.suffix}"))
+            old.rename(folder / names[i])
+        for i, pose in zip(at.tolist(), truth.poses_se3, strict=True):
+            np.savetxt(folder / Path(names[i]).with_name(f"frame-{numbers[i]:06d}.pose.txt"), pose, fmt="%.17g")
+        np.savetxt(folder / "frame-rate.txt", [rate])
+        lost = [] if even else [f"7scenes has no timestamps: they are read back as even, {rate:.3f} Hz"]
+    elif layout is Layout.TUM:
+        lines = [f"{time:.9f} rgb/{name}" for time, name in zip(times.tolist(), names, strict=True)]
+        _write_lines(folder / "rgb.txt", ["# timestamp filename", *lines])
+    else:
+        np.savetxt(folder / "times.txt", times, fmt="%.9f")
+    if layout is Layout.COLMAP:
+        _write_colmap(folder / "sparse" / "0", [names[i] for i in at], truth, camera)
+        return lost
+    np.savetxt(folder / "camera-intrinsics.txt", camera.matrix)
+    if camera.distortion:
+        np.savetxt(folder / "camera-distortion.txt", camera.distortion)
+    if len(truth) and layout in _PAIRED_BY_TIME:
+        rows = np.column_stack((truth.positions_xyz, np.roll(truth.orientations_quat_wxyz, -1, axis=1))).tolist()
+        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times[at].tolist(), rows, strict=True)]
+        name = "groundtruth.txt" if layout is Layout.TUM else "poses.tum"
+        _write_lines(folder / name, ["# timestamp tx ty tz qx qy qz qw", *lines])
+    return lost
+
+
+def _numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, IntArray, bool]:
+    """Frame rate, number of every frame in its recording, and whether both say its time.
+
+    Frames that are missing leave a gap in the numbers. Times that no rate fits are numbered one after the other.
+    """
+    first = np.flatnonzero(np.diff(recording, prepend=-1) != 0)
+    start = np.repeat(first, np.diff(np.append(first, len(times))))
+    counted_on = np.arange(len(times)) - start
+    inner = np.flatnonzero(np.diff(recording) == 0)
+    steps = np.diff(times)[inner]
+    if not steps.size:
+        return _USUAL_HZ, counted_on, True
+    passed = times - times[start]
+    for step in (np.median(steps), steps.min()):  # where most frames are missing, few steps are of one frame
+        rise = np.zeros(len(times))
+        rise[inner + 1] = np.maximum(np.rint(steps / step), 1)
+        total = np.cumsum(rise)
+        numbers = total - total[start]
+        rate = float(numbers @ numbers / (numbers @ passed))
+        if np.abs(passed * rate - numbers).max() <= _UNEVEN and numbers.max() <= _MOST_NUMBERED:
+            return rate, numbers.astype(np.int64), True
+    return 1 / float(np.median(steps)), counted_on, False
+
+
+def _write_colmap(place: Path, names: list[str], truth: Trajectory, camera: PinholeCamera) -> None:
+    """Write a model of one camera with its images' poses into a new folder, as text."""
+    values = [float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)]
+    model = {0: "PINHOLE", 4: "OPENCV", 5: "FULL_OPENCV"}[len(camera.distortion)]
+    values += [0.0] * 3 if model == "FULL_OPENCV" else []
+    back = truth.orientations_quat_wxyz * (1, -1, -1, -1)
+    shifts = -np.einsum("nij,nj->ni", matrix_from_quat_wxyz(back), truth.positions_xyz)
+    lines = ["# id qw qx qy qz tx ty tz camera name, world to camera; after it a line of points, here empty"]
+    for number, (name, row) in enumerate(zip(names, np.column_stack((back, shifts)).tolist(), strict=True), start=1):
+        lines += [f"{number} {' '.join(map(repr, row))} 1 {name}", ""]
+    place.mkdir(parents=True)
+    size = f"{camera.width} {camera.height}"
+    _write_lines(
+        place / "cameras.txt", ["# id model width height parameters", f"1 {model} {size} {' '.join(map(repr, values))}"]
+    )
+    _write_lines(place / "images.txt", lines)
+    _write_lines(place / "points3D.txt", ["# holds no point"])
+
+
+def _write_lines(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -90,18 +90,20 @@ class PoseNode:
             name: node.create_publisher(message_class(kind), topic(name), _DEPTH) for name, kind in TOPICS.items()
         }
         sensor = import_module("rclpy.qos").qos_profile_sensor_data
-        node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
+        images = node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
+        self._topic = str(getattr(images, "topic_name", "image"))  # remapped: whether it is rectified
         node.create_subscription(message_class(INFO), "camera_info", self.on_camera_info, sensor)
         node.create_timer(silent_s, self.on_time)
 
     def on_camera_info(self, message: Any) -> None:
         """Compare the camera with the model's; images of another one are answered as lost."""
-        camera = (message.width, message.height, tuple(message.k), tuple(message.d), message.distortion_model)
+        lens = tuple(message.k), tuple(message.d), tuple(message.p), message.distortion_model
+        camera = message.width, message.height, lens
         if camera == self._camera:
             return
         self._camera, before = camera, self._refused
         try:
-            self.odometry.model.check_camera(camera_of_info(message, "camera_info"))
+            self.odometry.model.check_camera(camera_of_info(message, "camera_info", self._topic))
             self._refused = ""
             if before:
                 self._log.info("the camera is the model's again")

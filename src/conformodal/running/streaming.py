@@ -34,6 +34,7 @@ from .paths import HINDSIGHT, ONLINE, whole_paths
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
 WINDOW, OVERLAP = 2000, 300
 _PROBLEMS_KEPT = 100
+_MOST_BACK = 10  # frames in a row whose time does not go on; more are a clock that was set back
 
 
 @dataclass(eq=False)
@@ -115,6 +116,7 @@ class StreamRunner:
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
         self._last: Frame | None = None
+        self._n_back = 0  # frames in a row
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
         self._job: Future[None] | None = None
         odometry.reset()
@@ -156,16 +158,19 @@ class StreamRunner:
         Raises
         ------
         SourceError
-            If its timestamp is not later than the one before.
+            If its timestamp, and that of ten frames in a row, is not later than the one before.
         """
         if not math.isfinite(frame.timestamp_s):
             self._note(frame, f"timestamp is {frame.timestamp_s} s, expected a finite number")
             return None
         if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
-            raise SourceError(
-                f"time goes back: {frame.name} at {frame.timestamp_s} s follows {self._last.name} at "
-                f"{self._last.timestamp_s} s"
-            )
+            what = f"{frame.name} at {frame.timestamp_s} s follows {self._last.name} at {self._last.timestamp_s} s"
+            self._n_back += 1
+            if self._n_back > _MOST_BACK:
+                raise SourceError(f"time goes back: {what}")
+            self._note(frame, f"time does not go on: {what}")
+            return None
+        self._n_back = 0
         if frame.recording != self._recording:
             self._flush(everything=True)
             self.odometry.reset()

@@ -1,6 +1,7 @@
 import threading
 import time
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,8 +12,10 @@ from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.prefetch import Pace, prefetch
+from conformodal.datasets.streams.ros_messages import RAW, camera_of_info, image_of
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import CameraStream, VideoStream
+from conformodal.poses import PinholeCamera
 
 SIZE = (64, 48)
 
@@ -46,6 +49,45 @@ def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
         frames += stream
     # the list is extended frame by frame before the error
     assert 10 < len(frames) < 45
+
+
+def mp4(path, n=30):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, SIZE)
+    for i in range(n):
+        writer.write(np.full((SIZE[1], SIZE[0], 3), 8 * i, np.uint8))
+    writer.release()
+    return bytearray(path.read_bytes())
+
+
+def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"elst") + 12
+    content[at : at + 4] = (500).to_bytes(4)  # milliseconds of three seconds
+    path.write_bytes(content)
+    frames = list(open_stream(path))
+    assert 5 <= len(frames) <= 6
+    assert [round(f.image.mean() / 8) for f in frames] == list(range(len(frames)))
+    # the same without the end of the file
+    whole = bytes(mp4(path))
+    moov = whole.find(b"moov") - 4
+    path.write_bytes(whole[:moov] + whole[moov:-300])
+    with pytest.raises(SourceError):
+        list(open_stream(path))
+
+
+def test_a_video_that_is_turned_says_so(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"tkhd") + 44
+    turn = [0, 1 << 16, 0, (-1) << 16, 0, 0, SIZE[1] << 16, 0, 1 << 30]  # by a quarter to the right
+    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in turn)
+    path.write_bytes(content)
+    stream = open_stream(path)
+    assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
+    assert any("by 90 degrees" in where for _, where in stream.notes)
+    path.write_bytes(mp4(path))
+    assert open_stream(path).notes == ()
 
 
 def test_what_is_no_video_is_named(tmp_path):
@@ -191,9 +233,133 @@ def test_encodings(tmp_path, options, channel):
     assert [int(f.image[5, 5, channel]) for f in frames] == [40 * i for i in range(6)]
 
 
-def test_an_encoding_that_is_not_known_costs_the_frames_and_says_so(tmp_path):
-    frames = list(BagStream(write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "yuv422"})))
-    assert all(f.image is None and "yuv422" in f.problem for f in frames)
+def message(image, encoding, *, big=0, pad=6):
+    """A raw image message of an array (rows, width, n), with padded rows."""
+    rows = image.reshape(len(image), -1).view(np.uint8)
+    data = np.pad(rows, ((0, 0), (0, pad)))
+    height = len(image) * 2 // 3 if encoding.startswith("nv") else len(image)
+    size = {"height": height, "width": image.shape[1], "step": data.shape[1], "is_bigendian": big}
+    return SimpleNamespace(encoding=encoding, data=data.ravel(), **size)
+
+
+RED = np.full((8, 12, 3), (200, 60, 30), np.uint8)
+
+
+def in_encoding(rgb, encoding):
+    """A picture of one colour as a camera sends it, by the formats' definitions."""
+    (r, g, b), (h, w) = rgb[0, 0].tolist(), rgb.shape[:2]
+    if encoding.startswith("bayer"):
+        tile = np.array([{"r": r, "g": g, "b": b}[c] for c in encoding.split("_")[1][:4]], np.uint16).reshape(2, 2)
+        tiled = np.tile(tile, (h // 2, w // 2))[..., None]
+        return (tiled * 257) if encoding.endswith("16") else tiled.astype(np.uint8)
+    if encoding.endswith("16"):
+        return rgb.astype(np.uint16)[:, :, :: -1 if encoding.startswith("b") else 1] * 257
+    y, u, v = 16 + (66 * r + 129 * g + 25 * b) / 256, 128 + (-38 * r - 74 * g + 112 * b) / 256, 0
+    v = 128 + (112 * r - 94 * g - 18 * b) / 256
+    y, u, v = round(y), round(u), round(v)
+    if encoding.startswith("nv"):
+        chroma = (u, v) if encoding == "nv12" else (v, u)
+        return np.concatenate((np.full((h, w), y), np.tile(chroma, (h // 2, w // 2)))).astype(np.uint8)[..., None]
+    pair = (u, y, v, y) if encoding in ("yuv422", "uyvy") else (y, u, y, v)
+    return np.tile(pair, (h, w // 2)).reshape(h, w, 2).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    ["rgb16", "bgr16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
+    + [f"bayer_{order}{bits}" for order in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)],
+)
+def test_a_colour_is_the_same_in_every_encoding(encoding):
+    found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
+    assert found.shape == RED.shape
+    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+
+
+@pytest.mark.parametrize("big", [0, 1])
+@pytest.mark.parametrize(("white", "bits"), [(1023, 10), (4095, 12), (16383, 14), (65535, 16)])
+def test_grey_of_16_bits_is_scaled_by_the_bits_it_uses(big, white, bits):
+    ramp = np.linspace(0, white, 48).astype(">u2" if big else "<u2").reshape(6, 8, 1)
+    found = image_of(message(ramp, "mono16", big=big), RAW)
+    np.testing.assert_allclose(found[..., 0].ravel(), np.linspace(0, 255, 48), atol=1)
+
+
+def test_an_encoding_that_is_not_known_is_refused_at_opening_with_those_that_are(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "jpeg2000"})
+    with pytest.raises(
+        SourceError, match=r"/cam/image_raw: encoding jpeg2000 is none of rgb8.*mono16.*bayer_rggb8.*nv12"
+    ):
+        BagStream(path)
+
+
+K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
+P_INFO = np.array([70.0, 0, 60, 5, 0, 71, 44, 0, 0, 0, 1, 0])
+
+
+def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0)):
+    x, y, width, height = roi
+    window = SimpleNamespace(x_offset=x, y_offset=y, width=width, height=height, do_rectify=False)
+    head = {"width": 128, "height": 96, "binning_x": binning[0], "binning_y": binning[1], "roi": window}
+    return SimpleNamespace(k=K_INFO, p=P_INFO, d=np.array(d), distortion_model=model, **head)
+
+
+@pytest.mark.parametrize(
+    ("topic", "given", "expected"),
+    [
+        ("/cam/image_raw", {}, (80, 82, 64, 48, 128, 96)),
+        ("/cam/image_rect", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_rect_color/compressed", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_raw", {"binning": (2, 2)}, (40, 41, 32, 24, 64, 48)),
+        ("/cam/image_raw", {"roi": (32, 24, 64, 48)}, (80, 82, 32, 24, 64, 48)),
+        ("/cam/image_raw", {"roi": (32, 16, 64, 64), "binning": (2, 4)}, (40, 20.5, 16, 8, 32, 16)),
+        ("/cam/image_rect", {"roi": (20, 4, 80, 80), "binning": (2, 2)}, (35, 35.5, 20, 20, 40, 40)),
+    ],
+)
+def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, expected):
+    notes = []
+    camera = camera_of_info(info(**given), "info", topic, notes=notes)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == expected
+    rectified = "rect" in topic
+    assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
+    assert any(("P, for rectified" if rectified else "K and D") in where for _, where in notes)
+
+
+def test_a_rational_lens_without_its_denominator_is_a_plumb_bob():
+    lens = (-0.1, 0.02, 0.001, 0.002, 0.003)
+    assert camera_of_info(info(model="rational_polynomial", d=(*lens, 0, 0, 0)), "info").distortion == lens
+    with pytest.raises(SourceError, match="undistort"):
+        camera_of_info(info(model="rational_polynomial", d=(*lens, 0.1, 0, 0)), "info")
+
+
+def test_images_smaller_than_their_camera_info_scale_it(tmp_path, monkeypatch):
+    made = camera_info
+
+    def larger(store, head):
+        message = made(store, head)
+        object.__setattr__(message, "width", 128)
+        object.__setattr__(message, "height", 96)
+        return message
+
+    monkeypatch.setitem(globals(), "camera_info", larger)
+    stream = open_stream(write_bag(tmp_path / "a", "sqlite"), camera=PinholeCamera(50, 50, 32, 24, 64, 48))
+    # the recording's own camera, not the one for recordings without
+    assert (stream.camera.fx, stream.camera.cx, stream.camera.width) == (20, 16, 64)
+    assert any("scaled" in what for what, _ in stream.notes)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite"])
+def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
+    options = {"header_times": np.zeros(6)}
+    stream = open_stream(write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, image_options=options))
+    np.testing.assert_allclose([f.timestamp_s for f in stream], 100 + np.arange(6), atol=1e-6)
+    assert any("no header stamps" in what for what, _ in stream.notes)
+
+
+def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
+    (path,) = write_bag(tmp_path / "a", "mcap").glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(SourceError, match="never closed: repair it with 'mcap recover"):
+        open_stream(cut)
 
 
 def test_a_recording_without_images_is_named_with_its_topics(tmp_path):

@@ -6,8 +6,7 @@ with require_extra("train", "the corridor world"):
     import trimesh  # noqa: F401
 
 from .path import drone_path
-from .render import CAMERA, Renderer
-from .repeated_views import same_views
+from .render import CAMERA, Renderer, same_views
 from .world import CorridorWorld
 from .writer import write_corridor, write_flight
 

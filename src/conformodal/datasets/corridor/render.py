@@ -8,13 +8,16 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from conformodal.poses import PinholeCamera
 
-from .building import Building
 from .textures import N_LEVELS, TEXELS_PER_M, make_textures
+from .world import Building
 
 CAMERA = PinholeCamera(fx=100.0, fy=100.0, cx=79.5, cy=59.5, width=160, height=120)
 # The drone carries the only lamp: beyond some 8 m nothing is seen, so far ends do not give a place away.
 LAMP_RANGE_M = 3.4
 CAMERA_NOISE_LEVELS = 2.0  # standard deviation, in grey levels of 255
+# Two views are the same if all but this share of the pixels agree within three spreads of the camera's noise.
+MAX_SHARE_DIFFERENT = 0.001
+MAX_LEVEL_DIFFERENCE = 3 * CAMERA_NOISE_LEVELS
 
 
 class Renderer:
@@ -92,3 +95,18 @@ class Renderer:
         bottom = texels[low + left] * (1 - fx) + texels[low + right] * fx
         top = texels[high + left] * (1 - fx) + texels[high + right] * fx
         return np.asarray(bottom * (1 - fy) + top * fy, dtype=np.float32)
+
+
+def same_views(renderer: Renderer, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Other poses from which the view is the same, (m, 4, 4); the pose itself is not among them.
+
+    Without what is unique in it the building repeats itself, so the only candidates are its repetitions; each is
+    rendered without noise and compared pixel by pixel.
+    """
+    own = renderer.render(T_world_cam).astype(np.int16)
+    found = []
+    for pose in renderer.world.repetitions(T_world_cam):
+        different = (np.abs(renderer.render(pose).astype(np.int16) - own) > MAX_LEVEL_DIFFERENCE).any(axis=2)
+        if different.mean() <= MAX_SHARE_DIFFERENT:
+            found.append(pose)
+    return np.array(found).reshape(-1, 4, 4)

@@ -7,6 +7,8 @@ y across it towards the rooms, z up; metres; the floor is z = 0.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,8 +17,7 @@ import trimesh
 
 from conformodal.datasets.errors import DatasetError
 
-from .building import Building, Panel, box, mesh_of
-
+Vector = tuple[float, float, float]
 MODULE_LENGTH = 4.0
 HALL_WIDTH = 2.2
 HEIGHT = 2.6
@@ -24,6 +25,69 @@ ROOM_NEAR, ROOM_FAR = 2.35, 5.6  # y
 ROOM_LEFT, ROOM_RIGHT = 0.25, 3.75  # x within the module
 DOOR_LEFT, DOOR_RIGHT, DOOR_HEIGHT = 1.4, 2.6, 2.1
 DOOR_CENTRE = (DOOR_LEFT + DOOR_RIGHT) / 2
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A textured rectangle: a corner, two edges (right-angled), a material, and where on it the corner lies."""
+
+    corner: Vector
+    u: Vector
+    v: Vector
+    material: str
+    uv: tuple[float, float] = (0.0, 0.0)
+
+
+class Building(ABC):
+    """A world that can be rendered.
+
+    Attributes
+    ----------
+    seed
+        Of its textures.
+    panels, mesh
+        What it is made of; panel i is faces 2 i and 2 i + 1 of the mesh.
+    """
+
+    seed: int
+    panels: list[Panel]
+    mesh: trimesh.Trimesh
+
+    @abstractmethod
+    def repetitions(self, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Other poses (m, 4, 4) from which the view would be the same if nothing in the building were unique."""
+
+    def plan(self) -> list[npt.NDArray[np.float64]]:
+        """Walls as seen from above: (2, 2) segments of x, y."""
+        segments = []
+        for panel in self.panels:
+            corner, u, v = np.array(panel.corner), np.array(panel.u), np.array(panel.v)
+            upright = abs(v[2]) > 0 and panel.corner[2] < 1.0
+            if upright and u[2] == 0:
+                segments.append(np.array([corner[:2], (corner + u)[:2]]))
+        return segments
+
+
+def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
+    """Sides and top of a box that stands on the floor."""
+    (x, y, z), (a, b, c) = corner, size
+    return [
+        Panel((x, y, z), (a, 0, 0), (0, 0, c), material),
+        Panel((x, y + b, z), (a, 0, 0), (0, 0, c), material),
+        Panel((x, y, z), (0, b, 0), (0, 0, c), material),
+        Panel((x + a, y, z), (0, b, 0), (0, 0, c), material),
+        Panel((x, y, z + c), (a, 0, 0), (0, b, 0), material),
+    ]
+
+
+def mesh_of(panels: Sequence[Panel]) -> trimesh.Trimesh:
+    """Two triangles a panel."""
+    corner = np.array([p.corner for p in panels])
+    u, v = np.array([p.u for p in panels]), np.array([p.v for p in panels])
+    vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
+    quad = np.array([[0, 1, 2], [0, 2, 3]])
+    faces = (quad[None] + 4 * np.arange(len(panels))[:, None, None]).reshape(-1, 3)
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 @dataclass

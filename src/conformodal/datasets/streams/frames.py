@@ -47,34 +47,27 @@ class Frame:
 
 
 class FrameStream(Protocol):
-    """Frames in order of time."""
+    """Frames in order of time.
+
+    Iterating decodes one after the other, closes at its end what it holds open, and raises :class:`SourceError` where
+    the source breaks off.
+    """
 
     @property
     def name(self) -> str:
         """For people."""
-        ...
 
     @property
     def camera(self) -> PinholeCamera | None:
         """Intrinsics, where the source knows them."""
-        ...
 
     @property
     def n_frames(self) -> int | None:
         """Frames to come, or None where nobody knows."""
-        ...
 
     @property
     def live(self) -> bool:
         """Whether frames that are not taken in time are lost."""
-        ...
 
     def __iter__(self) -> Iterator[Frame]:
-        """Decode frame after frame; what it holds open is closed when the iteration ends.
-
-        Raises
-        ------
-        SourceError
-            If the source breaks off.
-        """
-        ...
+        """Decode frame after frame."""

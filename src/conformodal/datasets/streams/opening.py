@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from conformodal.core.choices import as_member
@@ -58,7 +59,8 @@ def open_stream(
         )
     path = Path(source)
     if layout is Layout.AUTO and is_bag(path):
-        return BagStream(path, topic, camera)
+        bag = BagStream(path, topic)
+        return bag if bag.camera is not None or camera is None else replace(bag, camera=camera)
     if layout is Layout.AUTO and path.is_file():
         return VideoStream(path, camera)
     return SequenceStream(read_sequence(path, layout, require_poses=False, follow_outside=follow_outside))

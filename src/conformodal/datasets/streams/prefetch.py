@@ -23,7 +23,7 @@ class Pace(StrEnum):
 
 
 def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Generator[Frame]:
-    """Frames of a stream, decoded ahead.
+    """Frames of a stream, decoded ahead; its :class:`SourceError` comes after all frames before it.
 
     Parameters
     ----------
@@ -34,11 +34,6 @@ def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FA
         Frames ready at most.
     pace
         ``camera`` plays a stored source by its timestamps.
-
-    Raises
-    ------
-    SourceError
-        Where the stream raises it, after all frames before; or if there is no such pace.
     """
     pace = as_member(pace, Pace, "pace", SourceError)
     ready: deque[Frame] = deque()

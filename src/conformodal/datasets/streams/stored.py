@@ -30,6 +30,7 @@ class SequenceStream:
 
     sequence: Sequence
     frames: npt.NDArray[np.int64] | None = None
+    live = False
 
     @property
     def name(self) -> str:
@@ -46,11 +47,6 @@ class SequenceStream:
         """Frames to come, those between included."""
         return len(self._span())
 
-    @property
-    def live(self) -> bool:
-        """Files wait."""
-        return False
-
     def _span(self) -> range:
         if self.frames is None:
             return range(len(self.sequence))
@@ -60,9 +56,11 @@ class SequenceStream:
         """Decode frame after frame; one that cannot be decoded comes without an image."""
         wanted = None if self.frames is None else set(self.frames.tolist())
         for i in self._span():
-            name, time = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
-            recording, answer = int(self.sequence.recording[i]), wanted is None or i in wanted
+            image, problem = None, ""
             try:
-                yield Frame(name, time, self.sequence.image(i), "", recording, answer, i)
+                image = self.sequence.image(i)
             except ImageError as exc:
-                yield Frame(name, time, None, str(exc), recording, answer, i)
+                problem = str(exc)
+            name, time_s = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
+            recording = int(self.sequence.recording[i])
+            yield Frame(name, time_s, image, problem, recording, wanted is None or i in wanted, i)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.datasets.decoding import TURNED
+from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
 from .frames import Frame, SourceError
@@ -24,9 +28,27 @@ def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
+def _is_whole(path: Path) -> bool:
+    """Whether the parts of an MP4, MOV or AVI file have the sizes that they say, so that it was not cut off.
+
+    Of such a file an edit list may show fewer frames than there are.
+    """
+    with path.open("rb") as file:
+        end, at = file.seek(0, 2), 0
+        file.seek(0)
+        head = file.read(12)
+        if head[:4] == b"RIFF":
+            return int.from_bytes(head[4:8], "little") + 8 <= end
+        while head[4:8] == b"ftyp" and at < end:
+            file.seek(at)
+            size, large = int.from_bytes(file.read(4)), int.from_bytes(file.read(12)[4:])
+            at += max({0: end - at, 1: large}.get(size, size), 8)  # to the end of the file, or in 64 bits
+    return at == end
+
+
 @dataclass(frozen=True)
 class VideoStream:
-    """A video file.
+    """A video file; a :class:`SourceError` if it is missing or not a video.
 
     Attributes
     ----------
@@ -34,20 +56,23 @@ class VideoStream:
         The file. Times are those of its frames, from its start.
     camera
         Intrinsics; None where they are known elsewhere.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or no video.
+    notes
+        Whether its images are turned.
     """
 
     path: Path
     camera: PinholeCamera | None = None
+    notes: tuple[Note, ...] = ()
+    live = False
 
     def __post_init__(self) -> None:
         if not self.path.is_file():
             raise SourceError(f"{self.path}: no such video")
-        self._open().release()
+        with self._open() as capture:
+            turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        if turned:
+            where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
+            object.__setattr__(self, "notes", (Note(TURNED, where),))
 
     @property
     def name(self) -> str:
@@ -57,53 +82,39 @@ class VideoStream:
     @property
     def n_frames(self) -> int | None:
         """As the container says."""
-        capture = self._open()
-        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        capture.release()
-        return count if count > 0 else None
+        with self._open() as capture:
+            return int(max(capture.get(cv2.CAP_PROP_FRAME_COUNT), 0)) or None
 
-    @property
-    def live(self) -> bool:
-        """Files wait."""
-        return False
-
-    def _open(self) -> cv2.VideoCapture:
+    @contextmanager
+    def _open(self) -> Iterator[cv2.VideoCapture]:
         capture = cv2.VideoCapture(str(self.path))
-        if not capture.isOpened():
-            raise SourceError(f"{self.path}: cannot be opened as a video")
-        return capture
+        try:
+            if not capture.isOpened():
+                raise SourceError(f"{self.path}: cannot be opened as a video")
+            yield capture
+        finally:
+            capture.release()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Decode frame after frame.
-
-        Raises
-        ------
-        SourceError
-            If the file ends before the number of frames that it claims.
-        """
-        capture = self._open()
-        try:
-            rate = capture.get(cv2.CAP_PROP_FPS)
-            claimed, done = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
-            last = -np.inf
+        """Decode frame after frame; a :class:`SourceError` if there are fewer than the file claims."""
+        with self._open() as capture:
+            rate, claimed = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+            done, last = 0, -np.inf
             while True:
                 there, image = capture.read()
                 if not there:
                     break
                 stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000  # of the frame just read, where the file says it
-                time_s = stated if stated > last or not rate > 0 else done / rate
-                last = time_s
-                yield Frame(f"{self.path.stem}-{done:06d}", time_s, _rgb(image))
+                last = stated if stated > last or not rate > 0 else done / rate
+                yield Frame(f"{self.path.stem}-{done:06d}", last, _rgb(image))
                 done += 1
-            if done == 0 or done < _WHOLE * claimed - 1:
+            if done == 0 or (done < _WHOLE * claimed - 1 and not _is_whole(self.path)):
                 raise SourceError(f"{self.path}: ends after {done} of {claimed:.0f} frames; the file was cut off")
-        finally:
-            capture.release()
 
 
 @dataclass(frozen=True)
 class CameraStream:
-    """A camera of this machine.
+    """A camera of this machine, until it is gone: a :class:`SourceError`.
 
     Attributes
     ----------
@@ -115,30 +126,16 @@ class CameraStream:
 
     index: int
     camera: PinholeCamera | None = None
+    live = True
+    n_frames = None
 
     @property
     def name(self) -> str:
         """For people."""
         return f"camera {self.index}"
 
-    @property
-    def n_frames(self) -> None:
-        """Nobody knows."""
-        return
-
-    @property
-    def live(self) -> bool:
-        """Frames that are not taken are lost."""
-        return True
-
     def __iter__(self) -> Iterator[Frame]:
-        """Take frame after frame until the camera is gone.
-
-        Raises
-        ------
-        SourceError
-            If there is no such camera, or it gives no more frames.
-        """
+        """Take frame after frame."""
         capture = cv2.VideoCapture(self.index)
         try:
             if not capture.isOpened():
@@ -146,12 +143,10 @@ class CameraStream:
             if self.camera is not None:
                 capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.camera.width)
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.camera.height)
-            done = 0
-            while True:
+            for done in count():
                 there, image = capture.read()
                 if not there:
                     raise SourceError(f"{self.name}: gives no more frames after {done}; was it unplugged?")
                 yield Frame(f"camera{self.index}-{done:06d}", time.time(), _rgb(image))
-                done += 1
         finally:
             capture.release()
