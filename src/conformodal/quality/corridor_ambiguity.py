@@ -9,8 +9,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.progress import Progress
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.repeated_views import same_views
+from conformodal.datasets.corridor.render import Renderer, same_views
 from conformodal.localization.targets import pose_targets
 from conformodal.model.model import PoseModel
 from conformodal.poses import Trajectory
