@@ -130,7 +130,7 @@ class _MappingSettings:
 class _CameraFitSettings:
     """Camera calibration from known poses."""
 
-    most: int = 40000  # matches that are fitted
+    most: int = 10000  # matches: half are fitted, half check the fit
     least: int = 400
     scale_px: float = 1.5  # of the Cauchy loss
     sigma_log_focal: float = 0.2  # prior standard deviation of the logarithm of the focal length
