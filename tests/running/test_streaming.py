@@ -7,7 +7,8 @@ from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.localization.targets import pose_targets
 from conformodal.model.store import load_model
 from conformodal.reasoning.filter import filter_posteriors
-from conformodal.reasoning.places import choose_places
+from conformodal.reasoning.places import choose_places, same_place
+from conformodal.reasoning.settings import FILTER
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.records import read_region_records, records_hold
 from conformodal.running.results.runs import read_trajectories
@@ -83,6 +84,10 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
         expected = rule.scores_[:, 0] <= rule.thresholds_[0]
         assert np.mean(held == expected) > 0.97, path
         assert expected.sum() >= min(rule.rank, len(frames)), path
+    wrong = ~same_place(run.trajectories["online"], sequence.truth[frames], model.prior)
+    wrong &= ~run.path_regions["online"].contains(targets, joint=True)
+    n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
+    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
     other = model.path_rules["online"].at(0.5)
     assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
 
