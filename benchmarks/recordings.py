@@ -69,8 +69,8 @@ def main() -> None:
             numbers = [f"{row[key]:.3f}" if key in row else "" for key in columns]
             rows.append([f"{target} from {source}, {frames['near']} of {frames['all']} frames", name, *numbers])
     note = (
-        f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {asked.seed}, alpha = "
-        f"{ALPHA}: stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. Coverage is that "
+        f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {asked.seed}, alpha {ALPHA}: "
+        "stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. Coverage is that "
         "of bounded regions, of the whole pose; length the median over frames of the mean along x, y and z."
     )
     line = f"python benchmarks/recordings.py --seed {asked.seed}"
