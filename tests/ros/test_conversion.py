@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.candidates import Candidates, mixture_covariance
 from conformodal.ros.conventions import TOPICS, Conventions, Covariance, RosError
-from conformodal.ros.conversion import Conversion, mixture_covariance
+from conformodal.ros.conversion import Conversion
 from conformodal.ros.messages import make_pose, rosbags_factory
 from tests.helpers import pose_regions_of
 

@@ -18,6 +18,7 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.core.arrays import FloatArray
@@ -25,6 +26,7 @@ from conformodal.poses import normalise_quat
 
 from .settings import CANDIDATES
 
+LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
 Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
 
 
@@ -60,6 +62,28 @@ class Candidates:
     def normalised(self, log_share: float = 0.0) -> Self:
         """The same candidates with probabilities that sum to ``exp(log_share)``."""
         return replace(self, log_mass=self.log_mass - np.logaddexp.reduce(self.log_mass) + log_share)
+
+
+def mixture_covariance(candidates: Candidates, position_xyz: FloatArray, quat_wxyz: FloatArray) -> FloatArray:
+    """Second moments (6, 6) of a mixture of normal densities around a pose, in m^2, m rad and rad^2.
+
+    The first three are x, y and z of the world. The others are small rotations about x, y and z of the world, which do
+    not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
+    """
+    weights = weights_of(candidates)
+    chosen = Rotation.from_quat(quat_wxyz, scalar_first=True)
+    turned = (Rotation.from_quat(candidates.orientations_quat_wxyz, scalar_first=True) * chosen.inv()).as_rotvec()
+    off = np.concatenate((candidates.positions_xyz - position_xyz, turned), axis=1)
+    turning = np.repeat(candidates.orientation_spreads_rad[:, None], 3, axis=1)
+    spreads = np.concatenate((candidates.position_spreads, turning), axis=1)
+    found = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + LEAST_VARIANCE)
+    return np.asarray((found + found.T) / 2)
+
+
+def weights_of(candidates: Candidates) -> FloatArray:
+    """Probabilities (m,) that sum to one."""
+    share = np.exp(candidates.log_mass - candidates.log_mass.max())
+    return np.asarray(share / share.sum())
 
 
 def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:

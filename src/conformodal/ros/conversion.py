@@ -11,60 +11,28 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.choices import as_member
 from conformodal.localization.regions import PoseRegions
 from conformodal.poses import Trajectory
-from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.candidates import LEAST_VARIANCE, Candidates, weights_of
 from conformodal.running.estimates import Estimate
 
 from .conventions import Conventions, Covariance, RosError, is_lost
 from .messages import MakeMessage, make_header, make_pose, nanoseconds, rosbags_factory
 
-_LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
-
 
 def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
-    """Covariance (6, 6) of an estimate's pose, in m^2, m rad and rad^2.
-
-    The first three are x, y and z of the world. The others are small rotations about x, y and z of the world, which do
-    not turn with the camera: the true orientation is ``exp(r) R_world_cam``.
-    """
+    """Covariance (6, 6) of an estimate's pose: :attr:`Estimate.covariance`, or that of the chosen place alone."""
     kind = as_member(kind, Covariance, "covariance", RosError)
-    pose = estimate.pose
-    candidates = estimate.candidates
-    assert pose is not None
-    assert candidates is not None
-    if estimate.posterior is not None:  # where none of its hypotheses is right, those of the image alone stand
-        elsewhere = estimate.posterior.elsewhere
-        parts = estimate.posterior.hypotheses.normalised(np.log1p(-elsewhere)), candidates.normalised(np.log(elsewhere))
-        candidates = Candidates.concatenate(parts)
     if kind is Covariance.MIXTURE:
-        return mixture_covariance(candidates, pose.positions_xyz[0], pose.orientations_quat_wxyz[0])
+        assert estimate.covariance is not None
+        return estimate.covariance
     assert estimate.position_spread_m is not None
     assert estimate.orientation_spread_rad is not None
     own = estimate.position_spread_m**2 / 3, estimate.orientation_spread_rad**2
-    return np.diag(np.maximum(np.repeat(own, 3), _LEAST_VARIANCE))
-
-
-def mixture_covariance(candidates: Candidates, position_xyz: FloatArray, quat_wxyz: FloatArray) -> FloatArray:
-    """Second moments (6, 6) of a mixture of normal densities around a pose."""
-    weights = weights_of(candidates)
-    chosen = Rotation.from_quat(quat_wxyz, scalar_first=True)
-    turned = (Rotation.from_quat(candidates.orientations_quat_wxyz, scalar_first=True) * chosen.inv()).as_rotvec()
-    off = np.concatenate((candidates.positions_xyz - position_xyz, turned), axis=1)
-    turning = np.repeat(candidates.orientation_spreads_rad[:, None], 3, axis=1)
-    spreads = np.concatenate((candidates.position_spreads, turning), axis=1)
-    found = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + _LEAST_VARIANCE)
-    return np.asarray((found + found.T) / 2)
-
-
-def weights_of(candidates: Candidates) -> FloatArray:
-    """Probabilities (m,) that sum to one."""
-    share = np.exp(candidates.log_mass - candidates.log_mass.max())
-    return np.asarray(share / share.sum())
+    return np.diag(np.maximum(np.repeat(own, 3), LEAST_VARIANCE))
 
 
 _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 255, 178 / 255)}

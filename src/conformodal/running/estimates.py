@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.choices import as_member
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.regions import PoseRegions
@@ -17,7 +17,7 @@ from conformodal.model.model import Localization
 from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Submap, Trajectory
-from conformodal.reasoning.candidates import Candidates
+from conformodal.reasoning.candidates import Candidates, mixture_covariance
 from conformodal.reasoning.filter import Posterior
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import Place
@@ -105,6 +105,22 @@ class Estimate:
     def __post_init__(self) -> None:
         if self.evidence is not None:
             object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceType, "evidence", OdometryError))
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
+
+        For the axes see :func:`~conformodal.reasoning.candidates.mixture_covariance`; that of the chosen place alone is
+        ``places[0].covariance``. Where no hypothesis of the posterior is right, those of the image alone stand.
+        """
+        if self.pose is None or self.candidates is None:
+            return None
+        its = self.candidates
+        if self.posterior is not None:
+            elsewhere = self.posterior.elsewhere
+            known = self.posterior.hypotheses.normalised(np.log1p(-elsewhere))
+            its = Candidates.concatenate((known, its.normalised(np.log(elsewhere))))
+        return mixture_covariance(its, self.pose.positions_xyz[0], self.pose.orientations_quat_wxyz[0])
 
     @property
     def revised(self) -> Trajectory | None:
