@@ -72,21 +72,24 @@ def calibrate_regions(
         return made
 
     asked = as_joint(config.joint)
-    overall: list[RealArray] = []
-    matched: list[RealArray] = []
+    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" else [asked]
+    overall: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
+    matched: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
-        targets, own = data.targets[frames], rule(localizer.cells, asked)
+        targets, own_rules = data.targets[frames], {joint: rule(localizer.cells, joint) for joint in joints}
         images = FrameEvidence(data.features[frames])
         beliefs = localizer.beliefs(images)
-        overall.append(score_beliefs(own, localizer, beliefs, targets))
+        for joint, own in own_rules.items():
+            overall[joint].append(score_beliefs(own, localizer, beliefs, targets))
         if localizer.local:
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
-            matched.append(score_beliefs(own, localizer, beliefs, targets))
+            for joint, own in own_rules.items():
+                matched[joint].append(score_beliefs(own, localizer, beliefs, targets))
         found.append(beliefs)
     # with a fold without landmarks, beliefs with them cannot be calibrated
-    local = len(matched) == len(localizers)
+    local = len(matched[asked]) == len(localizers)
     cells = belief_cells(data.bins_of(folds.region_frames))
     recognised = np.concatenate([its.recognised for its in found]) if local else np.zeros(len(held_out), dtype=bool)
     known_p = matched_p = np.ones(len(held_out))
@@ -101,8 +104,8 @@ def calibrate_regions(
 
     def calibrated(joint: Joint) -> RegionRules:
         return RegionRules(
-            overall=rule(cells, joint).calibrate_scores(np.concatenate(overall), units),
-            matched=rule(cells, joint).calibrate_scores(np.concatenate(matched), units) if local else None,
+            overall=rule(cells, joint).calibrate_scores(np.concatenate(overall[joint]), units),
+            matched=rule(cells, joint).calibrate_scores(np.concatenate(matched[joint]), units) if local else None,
             recognised=recognised,
             known_p=known_p,
             matched_p=matched_p,
