@@ -226,7 +226,7 @@ def region_numbers(
     def each_at_alpha(beliefs: Any, *, local: bool) -> Regions:
         rule = model.calibration_of(local=local)
         single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
-        return model.regions(beliefs, np.tile(single.thresholds_, (len(beliefs), 1)))
+        return Regions.concatenate([single.predict(proba) for _, proba in model.localizer.marginals_by_part(beliefs)])
 
     plain = model.localize(FrameEvidence(features))
     alone = numbers(plain.regions, each_at_alpha(plain.beliefs, local=False))

@@ -215,7 +215,7 @@ def pose_scores(
     """Nonconformity scores (n, 7) of targets (n, 7), with which :func:`pose_regions` agrees.
 
     Where all targets are calibrated together, a cuboid around the pose grows with the level until it contains a
-    hypothesis that counts: the columns are as large as it takes.
+    hypothesis that counts: the largest score of a pose is the level that it takes.
     """
     own = rule.score_samples(list(proba), targets)
     if rule.joint != "max":
@@ -232,7 +232,10 @@ def pose_scores(
         for column, at, cells in zip(scaled, codes[i], support.cells.T, strict=True):
             levels = np.maximum(levels, _highest_between(column[i], int(at), cells))
         least[i] = levels.min()
-    return np.asarray(least[:, None] * scale + loc)
+    rows, largest = np.arange(len(own)), np.argmax((own - loc) / scale, axis=1)
+    found = own.astype(np.float64)
+    found[rows, largest] = least * scale[largest] + loc[largest]
+    return found
 
 
 def _highest_between(row: FloatArray, at: int, cells: IntArray) -> FloatArray:

@@ -80,7 +80,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         arrays["calibration.groups"] = rules.overall.groups_
     if rules.matched is not None:
         arrays["calibration.matched"] = rules.matched.scores_
-    arrays |= {f"calibration.{path}": rule.scores_[:, 0] for path, rule in model.path_rules.items()}
+    arrays |= {f"calibration.{path}": rule.scores_.max(axis=1) for path, rule in model.path_rules.items()}
     if model.novelty is not None:
         test = model.novelty.test
         arrays |= {"novelty.references": test.references, "novelty.groups": test.groups}

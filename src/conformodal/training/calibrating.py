@@ -168,7 +168,7 @@ def calibrate_paths(
         path: path_rule(cells, rules.overall.alpha).calibrate_scores(np.concatenate(its), labels)
         for path, its in scores.items()
     }
-    held = paths[PATHS[0]].scores_[:, 0] <= paths[PATHS[0]].thresholds_[0]
+    held = (paths[PATHS[0]].scores_ <= paths[PATHS[0]].thresholds_).all(axis=1)
     wrong = np.where(right | held, -np.inf, probability)
     unit = np.unique(np.arange(n) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]
