@@ -35,7 +35,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
-from conformodal.conformal.learning.location import folds_of, stacked_location
+from conformodal.conformal.learning.location import Location, folds_of, stacked_members
 from conformodal.core.arrays import FloatArray
 
 JOBS = 2
@@ -173,8 +173,8 @@ class _Stack:
         X, y = split.X["train"], split.y["train"]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            self.location = stacked_location(len(y), split.seed, JOBS)
-            self.location.fit(X, y, np.ones(len(y)), folds_of(len(y), split.seed, 5))
+            members, folds = stacked_members(len(y), split.seed, JOBS), folds_of(len(y), split.seed, 5)
+            self.location = Location().fit(members, X, y, np.ones(len(y)), folds)
         summary = self.location.summary(self.location.out_of_fold_)
         residual = np.abs(y - summary[:, 0])
         self.least = 0.1 * float(np.median(residual)) or 1e-6

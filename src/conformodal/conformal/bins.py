@@ -40,6 +40,7 @@ class QuantileBins:
     Attributes
     ----------
     edges_ : list of d arrays (K_d + 1,), strictly increasing, in the target's own unit
+    names : the targets' names in tables and reports, or None
 
     Examples
     --------
@@ -52,6 +53,7 @@ class QuantileBins:
     """
 
     edges_: list[FloatArray]
+    names: list[str] | None = None
 
     def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
         self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
@@ -118,7 +120,11 @@ class QuantileBins:
         """Bins cut into `cells` equal parts each."""
         cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
-        return QuantileBins.from_edges(fine) if cells > 1 else self
+        if cells == 1:
+            return self
+        found = QuantileBins.from_edges(fine)
+        found.names = self.names
+        return found
 
     def encode(self, y: npt.ArrayLike) -> IntArray:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""

@@ -54,17 +54,21 @@ def as_label(label: Any) -> Hashable:
         label = label.item()
     if isinstance(label, tuple):
         label = tuple(as_label(part) for part in label)
-    try:
-        missing = label is None or label is np.ma.masked or bool(label != label)  # noqa: PLR0124 - NaN
-    except Exception:  # pandas.NA has no truth value
-        missing = True
-    if missing:
+    if is_missing(label):
         raise ConformalError(f"not hold NaN or another missing label, found {brief(label)}")
     try:
         hash(label)
     except TypeError:
         raise ConformalError(f"hold labels that are hashable, found a {type(label).__name__}") from None
     return label  # type: ignore[no-any-return]
+
+
+def is_missing(value: Any) -> bool:
+    """Whether a value stands for none: None, NaN, NaT, ``pandas.NA``, masked."""
+    try:
+        return value is None or value is np.ma.masked or bool(value != value)  # noqa: PLR0124 - NaN
+    except Exception:  # pandas.NA has no truth value
+        return True
 
 
 def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:

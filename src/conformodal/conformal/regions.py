@@ -170,9 +170,9 @@ class Regions:
     def to_arrow(self) -> pa.Table:
         """As an Arrow table with one row per sample; needs the extra ``arrow``.
 
-        Columns ``target_J``, ``list<fixed_size_list<double>[2]>``, hold the sorted, disjoint intervals: ``[-inf, inf]``
-        if unbounded, an empty list for an empty set. The schema's metadata holds the edges as JSON, key
-        ``conformodal.edges``.
+        Columns, named as the targets or ``target_J``, are of ``list<fixed_size_list<double>[2]>`` and hold the sorted,
+        disjoint intervals: ``[-inf, inf]`` if unbounded, an empty list for an empty set. The schema's metadata holds
+        the edges as JSON, key ``conformodal.edges``.
         """
         try:
             import pyarrow as pa  # noqa: PLC0415
@@ -184,7 +184,7 @@ class Regions:
             pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
             columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
         edges = json.dumps([e.tolist() for e in self.bins.edges_]).encode()
-        names = [f"target_{j}" for j in range(len(columns))]
+        names = self.bins.names or [f"target_{j}" for j in range(len(columns))]
         return pa.table(columns, names=names).replace_schema_metadata({b"conformodal.edges": edges})
 
 

@@ -73,6 +73,9 @@ def _coverages(axis: Axes, column: ColumnDiagnosis) -> None:
 
 
 def _p_values(axis: Axes, column: ColumnDiagnosis) -> None:
+    if column.uniformity is None:
+        axis.set_axis_off()
+        return
     p = column.uniformity.p_values
     axis.step(p, (np.arange(p.size) + 1) / p.size, where="post", color=_INSIDE)
     axis.plot([0, 1], [0, 1], color="black", lw=0.8, ls="--")

@@ -105,9 +105,9 @@ def test_errors():
         QuickDensity().predict_proba(X)
     for weight, what in (
         (np.ones(3), "shape"),
-        (-np.ones(20), "at least 0"),
-        (np.full(20, np.nan), "finite"),
-        (np.zeros(20), "above zero"),
+        (-np.ones(20), "Negative"),
+        (np.full(20, np.nan), "NaN"),
+        (np.zeros(20), "zero"),
         (np.eye(20)[0], "at least 2 rows"),
     ):
         with pytest.raises(ConformalError, match=what):

@@ -140,15 +140,15 @@ def test_coverage_is_exact_whatever_the_weights():
 @pytest.mark.parametrize(
     ("weight", "what"),
     [
-        (np.ones(5), r"sample_weight must have shape \(60,\), one weight per row of X, got \(5,\)"),
-        (np.full(60, -1.0), "sample_weight must be finite and at least 0, found -1 at position 0"),
-        (np.full(60, np.inf), "sample_weight must be finite and at least 0, found inf at position 0"),
-        (np.zeros(60), "sample_weight must be above zero for a sample at least, all 60 are zero"),
-        (["a"] * 60, "sample_weight must be numeric"),
+        (np.ones(5), "shape"),
+        (np.full(60, -1.0), "Negative"),
+        (np.full(60, np.inf), "infinity"),
+        (np.zeros(60), "zero"),
+        (["a"] * 60, "numeric"),
     ],
 )
 def test_weights_that_cannot_be_used(weight, what):
-    with pytest.raises(ConformalError, match=what):
+    with pytest.raises(ConformalError, match=f"sample_weight.*{what}"):
         ConformalRegressor(forest()).fit(*bimodal(60), weight)
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Literal, Self
+from copy import copy
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.checks import Alpha, Probabilities, as_choice, as_count, as_table
-from conformodal.conformal.errors import NotCalibratedError
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_choice, as_count, as_table
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
@@ -41,6 +41,7 @@ class MondrianConformal(Calibrator):
 
     Attributes
     ----------
+    scores_, groups_ : (n, d) calibration scores and (n,) labels
     thresholds_ : dict of group to (d,) thresholds
     sizes_ : dict of group to its number of calibration samples
     pooled_ : (d,) thresholds of all samples together
@@ -58,6 +59,8 @@ class MondrianConformal(Calibrator):
     (array([ 2., inf]), ['few'])
     """
 
+    scores_: RealArray
+    groups_: npt.NDArray[Any]
     thresholds_: dict[Hashable, RealArray]
     sizes_: dict[Hashable, int]
     pooled_: RealArray
@@ -79,18 +82,29 @@ class MondrianConformal(Calibrator):
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
         """Set one threshold per group; `groups` are (n,) labels."""
-        scores = self.rule.calibration_columns(self.score_samples(proba, y))
-        labels = as_groups(groups, scores.shape[0])
-        alpha = self.alpha_per_target
+        scores = self.score_samples(proba, y)
+        self.groups_ = as_groups(groups, scores.shape[0])
+        self.scores_ = scores
+        return self._set_thresholds()
+
+    def at(self, alpha: Alpha) -> Self:
+        """The same calibration at another miscoverage rate."""
+        self._calibrated()
+        as_alpha(alpha)
+        other = copy(self)
+        other.alpha = alpha
+        return other._set_thresholds()
+
+    def _set_thresholds(self) -> Self:
+        scores, alpha = self.rule.calibration_columns(self.scores_), self.alpha_per_target
         self.pooled_ = self.rule.per_target(conformal_quantile(scores, alpha))
         self.thresholds_, self.sizes_ = {}, {}
-        found, codes = factorise(labels)
+        found, codes = factorise(self.groups_)
         for code, label in enumerate(found):
             own = scores[codes == code]
             self.sizes_[label] = own.shape[0]
             self.thresholds_[label] = self.rule.per_target(conformal_quantile(own, alpha))
-        for label, thresholds in self.thresholds_.items():
-            self.warn_of_whole_range(thresholds, f" in group {label}")
+            self.warn_of_whole_range(self.thresholds_[label], f" in group {label}")
         return self
 
     @property
@@ -114,7 +128,3 @@ class MondrianConformal(Calibrator):
             own = label in self.thresholds_ and label not in small
             limits[codes == code] = self.thresholds_[label] if own else spare
         return self.regions_at(parts if whole is None else whole, limits)
-
-    def _calibrated(self) -> None:
-        if not hasattr(self, "pooled_"):
-            raise NotCalibratedError("MondrianConformal is not calibrated yet: call calibrate(proba, y, groups) first")

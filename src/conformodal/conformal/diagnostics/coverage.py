@@ -4,7 +4,7 @@ distribution.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,9 +138,15 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
 
 
 def coverage_by_group(
-    inside: npt.ArrayLike, groups: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99
+    inside: npt.ArrayLike,
+    groups: npt.ArrayLike,
+    n_calibration: int | Mapping[Hashable, int],
+    alpha: Alpha,
+    level: float = 0.99,
 ) -> dict[str, CoverageCheck]:
     """Coverage of every group of test samples, for (n_test,) labels `groups`; the rest as in :func:`check_coverage`.
+
+    `n_calibration` are all calibration samples, or by label those of each group if each has its own threshold.
 
     Split conformal prediction guarantees nothing for a group alone. The band is that of a group chosen in advance whose
     scores are distributed like all others: coverage outside it shows that the group differs. Of G groups about
@@ -151,7 +157,11 @@ def coverage_by_group(
     names = [str(label) for label in labels]
     if len(set(names)) < len(names):  # 1 and "1"
         names = [repr(label) for label in labels]
-    return {name: check_coverage(held[codes == k], n_calibration, alpha, level) for k, name in enumerate(names)}
+    own = n_calibration if isinstance(n_calibration, Mapping) else dict.fromkeys(labels, n_calibration)
+    return {
+        name: check_coverage(held[codes == k], own.get(label, 0), alpha, level)
+        for k, (name, label) in enumerate(zip(names, labels, strict=True))
+    }
 
 
 def coverage_by_size(

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.calibration.joint import Joint
+from conformodal.conformal.calibration.mondrian import MondrianConformal
 from conformodal.conformal.calibration.split import SplitConformal
 from conformodal.conformal.checks import Alpha, Probabilities, as_targets
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.words import counted
 
-from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage_by_size
+from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage_by_size, grouped_coverage_band
 from .slab import SlabCheck, worst_slab
 from .uniformity import UniformityCheck, check_uniformity
 
@@ -28,6 +29,11 @@ _ASSUMPTION = (
     "is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
     "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
     "sequence, such as frames of a video, coverage is an observation, not a guarantee."
+)
+_WITHIN_GROUPS = (
+    "The bands hold if the calibration and test samples of each group are exchangeable, neither was learnt from, and "
+    "scores have no ties. Even then coverage lies outside its {level} band with probability up to {chance}{of_any}. "
+    "Outside, at least one of these assumptions is likely violated."
 )
 
 
@@ -69,7 +75,7 @@ class ColumnDiagnosis:
     by_size: dict[str, CoverageCheck]
     by_group: dict[str, CoverageCheck]  # empty without groups
     slab: SlabCheck | None  # None without inputs
-    uniformity: UniformityCheck
+    uniformity: UniformityCheck | None  # None if every group has its own threshold
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
         """All coverages, each with its label."""
@@ -95,6 +101,8 @@ class Diagnosis:
         Share of test samples whose targets are all in their sets.
     alpha, joint, score, n_calibration, n_test
         Of the calibration and the test.
+    within_groups
+        Whether coverage is guaranteed within each group.
 
     Examples
     --------
@@ -117,6 +125,7 @@ class Diagnosis:
     score: str
     n_calibration: int
     n_test: int
+    within_groups: bool = False
 
     def __str__(self) -> str:
         lines = [
@@ -138,7 +147,8 @@ class Diagnosis:
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
         level, n_bands = self.columns[0].coverage.level, len(self.columns)
         of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else ""
-        assumption = _ASSUMPTION.format(level=f"{100 * level:g} %", chance=f"{1 - level:.2g}", of_any=of_any)
+        words = {"level": f"{100 * level:g} %", "chance": f"{1 - level:.2g}", "of_any": of_any}
+        assumption = (_WITHIN_GROUPS if self.within_groups else _ASSUMPTION).format(**words)
         return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
 
 
@@ -151,13 +161,15 @@ def _table(column: ColumnDiagnosis) -> list[str]:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
     u = column.uniformity
+    if u is None:
+        return lines
     some = f" ({u.n_calibration} and {u.n_test} samples)" if u.n_test < u.p_values.size else ""
     lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}{some}")
     return lines
 
 
 def diagnose(
-    calibrator: SplitConformal,
+    calibrator: SplitConformal | MondrianConformal,
     proba: Probabilities,
     y: npt.ArrayLike,
     X: npt.ArrayLike | None = None,
@@ -179,7 +191,8 @@ def diagnose(
     X
         (n, p) inputs, to search for the worst slab.
     groups
-        (n,) labels, to check group by group.
+        (n,) labels, to check group by group. A :class:`~conformodal.conformal.MondrianConformal` needs them: bands are
+        then those of its groups, and neither sizes, slabs nor p-values are checked.
     names
         Names of the targets.
     level
@@ -198,15 +211,20 @@ def diagnose(
     >>> diagnose(calibrator, proba, y[1500:]).columns[0].coverage.inside
     True
     """
-    if not isinstance(calibrator, SplitConformal):
-        raise ConformalError(f"calibrator must be a SplitConformal, got {type(calibrator).__name__}")
-    regions = calibrator.predict(proba)
+    if isinstance(calibrator, MondrianConformal):
+        if groups is None:
+            raise ConformalError("groups are needed to check a MondrianConformal")
+        regions = calibrator.predict(proba, groups)
+    elif isinstance(calibrator, SplitConformal):
+        regions = calibrator.predict(proba)
+    else:
+        raise ConformalError(f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}")
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if values.shape[0] == 0:
         raise ConformalError("y must hold at least one test sample")
     inside, given = regions.contains(values), names
     if given is None:
-        given = [f"target {j}" for j in range(inside.shape[1])]
+        given = calibrator.bins.names or [f"target {j}" for j in range(inside.shape[1])]
     targets = tuple(map(str, given if isinstance(given, Iterable) else []))
     if len(targets) != inside.shape[1]:
         raise ConformalError(f"names must hold one name per target ({inside.shape[1]}), got {len(targets)}")
@@ -216,17 +234,21 @@ def diagnose(
     scores = calibrator.scores_, calibrator.score_samples(proba, values)
     calibration, test = map(calibrator.rule.columns, scores)
     law: Any = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
-    columns = tuple(
-        ColumnDiagnosis(
-            name,
-            check_coverage(held, **law),
-            coverage_by_size(held, size, **law),
-            {} if groups is None else coverage_by_group(held, groups, **law),
-            None if X is None or len(held) < 2 else worst_slab(held, X, **law, random_state=random_state),
-            check_uniformity(calibration[:, j], test[:, j], random_state=random_state),
-        )
-        for j, (name, held, size) in enumerate(guarantees)
-    )
+    columns = []
+    for j, (name, held, size) in enumerate(guarantees):
+        whole = check_coverage(held, **law)
+        if isinstance(calibrator, MondrianConformal) and groups is not None:
+            by_group = coverage_by_group(held, groups, calibrator.sizes_, law["alpha"], level)
+            pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
+            low, high = grouped_coverage_band(pairs, law["alpha"], level)
+            columns.append(ColumnDiagnosis(name, replace(whole, low=low, high=high), {}, by_group, None, None))
+            continue
+        by_size = coverage_by_size(held, size, **law)
+        by_group = {} if groups is None else coverage_by_group(held, groups, **law)
+        slab = None if X is None or len(held) < 2 else worst_slab(held, X, **law, random_state=random_state)
+        uniformity = check_uniformity(calibration[:, j], test[:, j], random_state=random_state)
+        columns.append(ColumnDiagnosis(name, whole, by_size, by_group, slab, uniformity))
     sizes, together = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
     about = calibrator.alpha, calibrator.joint, calibrator.score.name
-    return Diagnosis(columns, targets, sizes, together, *about, len(scores[0]), len(values))
+    within = isinstance(calibrator, MondrianConformal)
+    return Diagnosis(tuple(columns), targets, sizes, together, *about, len(scores[0]), len(values), within)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 from sklearn.base import clone
 
 from conformodal.conformal.checks import brief, shortened
@@ -22,6 +21,7 @@ from conformodal.core.words import counted
 from .quick import QuickDensity
 from .smoothing import BinSmoothing, SmoothedClassifier, bin_codes, fit_classifier, proba_of_bins
 from .stacked import StackedDensity
+from .tables import rows_of
 
 LearnerName = Literal["quick", "stack"]
 
@@ -47,10 +47,19 @@ def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
     return estimator, dense
 
 
-def split_off(n: int, share: float, random: np.random.RandomState) -> tuple[IntArray, IntArray]:
-    """Calibration samples and the others, of which at least 2 must be left."""
+def split_off(
+    n: int, share: float, random: np.random.RandomState, codes: IntArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """Calibration samples, of each group with one of the `codes` (n,), and the others, of which 2 must be left."""
     order = random.permutation(n)
     n_held = int(np.ceil(share * n))
+    if codes is not None:
+        rank = np.empty(n, dtype=np.int64)
+        for code in np.unique(codes):
+            own = order[codes[order] == code]
+            rank[own] = np.arange(own.size) >= np.ceil(share * own.size)
+        order = order[np.argsort(rank[order], kind="stable")]
+        n_held = n - int(rank.sum())
     if n - n_held < 2:
         raise ConformalError(
             f"X has n_samples={n}, {n_held} of which are held out to calibrate: at least 2 must be left"
@@ -61,7 +70,7 @@ def split_off(n: int, share: float, random: np.random.RandomState) -> tuple[IntA
 def fit_target(
     base: Any,
     dense: bool,
-    X: npt.NDArray[Any],
+    X: Any,
     y: FloatArray,
     edges: FloatArray,
     weight: FloatArray | None,
@@ -76,7 +85,9 @@ def fit_target(
     """
 
     def fitted(rows: Any, progress: Progress | None = None) -> Any:
-        return _fitted(base, dense, X[rows], y[rows], edges, None if weight is None else weight[rows], progress)
+        return _fitted(
+            base, dense, rows_of(X, rows), y[rows], edges, None if weight is None else weight[rows], progress
+        )
 
     n, n_bins, fold = len(y), edges.size - 1, np.arange(len(y)) % _FOLDS
     enough = n >= _FEWEST_TO_LEAVE_OUT
@@ -84,7 +95,7 @@ def fit_target(
         model, n_first = fitted(slice(None), progress), n // _FOLDS
         if not (enough and out_of_fold):
             return model, None
-        return model, proba_of_bins(fitted(slice(n_first, None)), X[:n_first], n_bins)
+        return model, proba_of_bins(fitted(slice(n_first, None)), rows_of(X, slice(n_first)), n_bins)
     codes = bin_codes(y, edges)
     smoothing = BinSmoothing(codes, y, weight, n_bins)
     if not enough:
@@ -92,7 +103,7 @@ def fit_target(
     models, left_out = [], np.empty((n, n_bins))
     for k in range(_FOLDS):
         models.append(fitted(fold != k))
-        left_out[fold == k] = proba_of_bins(models[-1], X[fold == k], n_bins)
+        left_out[fold == k] = proba_of_bins(models[-1], rows_of(X, fold == k), n_bins)
     smoothing.tune(left_out, codes, np.diff(edges), weight)
     return SmoothedClassifier(models, smoothing), smoothing(left_out)
 
@@ -100,7 +111,7 @@ def fit_target(
 def _fitted(
     base: Any,
     dense: bool,
-    X: npt.NDArray[Any],
+    X: Any,
     y: FloatArray,
     edges: FloatArray,
     weight: FloatArray | None,

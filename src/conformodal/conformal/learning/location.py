@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -48,11 +49,9 @@ class Location:
     out_of_fold_: FloatArray
     weights_: FloatArray
 
-    def __init__(self, makers: list[Maker], process: SparseProcess | None = None) -> None:
-        self.makers, self.process = makers, process
-
     def fit(
         self,
+        members: list[Maker | SparseProcess],
         X: FloatArray,
         y: FloatArray,
         weight: FloatArray,
@@ -62,7 +61,8 @@ class Location:
     ) -> Self:
         """Fit on features (n, p), values (n,) of about unit spread and weights.
 
-        `forest` (n,) are out-of-bag means of a forest, one more member; `progress` is called after every fit.
+        `members` make untrained regressors, or are a process; a process whose matrix is singular is left out. `forest`
+        (n,) are out-of-bag means of a forest, one more member; `progress` is called after every fit of a regressor.
         """
         out_of_fold, self._models = [], []
         self._with_forest, done = forest is not None, 0
@@ -71,18 +71,17 @@ class Location:
             nonlocal done
             done += 1
             if progress is not None:
-                progress(done, (len(folds) + 1) * len(self.makers))
+                progress(done, (len(folds) + 1) * len(members))
 
-        for make in self.makers:
-            guess, model = fit_out_of_fold(make, X, y, weight, folds, tick)
+        for member in members:
+            if isinstance(member, SparseProcess):
+                with suppress(np.linalg.LinAlgError):
+                    out_of_fold.append(member.fit(X, y, weight, folds).out_of_fold_)
+                    self._models.append(member)
+                continue
+            guess, model = fit_out_of_fold(member, X, y, weight, folds, tick)
             out_of_fold.append(guess)
             self._models.append(model)
-        if self.process is not None:
-            try:
-                out_of_fold.append(self.process.fit(X, y, weight, folds).out_of_fold_)
-                self._models.append(self.process)
-            except np.linalg.LinAlgError:  # the others remain
-                pass
         self.out_of_fold_ = np.column_stack([*out_of_fold, *([] if forest is None else [forest])])
         root = np.sqrt(weight)
         found, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
@@ -99,15 +98,15 @@ class Location:
         return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
 
 
-def quick_location(n: int, seed: int) -> Location:
+def quick_members(n: int, seed: int) -> list[Maker | SparseProcess]:
     """Boosted trees and, on tables that are not large, a sparse Gaussian process."""
-    makers = [boosting(0.15, 150, 15, 5, seed)]
+    members: list[Maker | SparseProcess] = [boosting(0.15, 150, 15, 5, seed)]
     if n <= _SECOND_ROWS:
-        makers.append(boosting(0.1, 300, 8, 5, seed))
-    return Location(makers, SparseProcess(seed) if n <= _SPARSE_PROCESS_ROWS else None)
+        members.append(boosting(0.1, 300, 8, 5, seed))
+    return [*members, SparseProcess(seed)] if n <= _SPARSE_PROCESS_ROWS else members
 
 
-def stacked_location(n: int, seed: int, n_jobs: int | None) -> Location:
+def stacked_members(n: int, seed: int, n_jobs: int | None) -> list[Maker | SparseProcess]:
     """Boosted trees, random trees, networks and, on small tables, an exact Gaussian process."""
 
     def networks(decay: float, rate: float) -> Maker:
@@ -126,10 +125,10 @@ def stacked_location(n: int, seed: int, n_jobs: int | None) -> Location:
         return ExtraTreesRegressor(200, n_jobs=n_jobs, random_state=seed)
 
     boosters = [boosting(0.05, 500, 31, 10, seed), boosting(0.05, 1000, 8, 5, seed)]
-    makers = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
+    members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
     if n <= PROCESS_ROWS:
-        makers.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
-    return Location(makers)
+        members.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
+    return [*members]
 
 
 class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]

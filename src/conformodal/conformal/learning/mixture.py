@@ -19,6 +19,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 
 from .forest import Groups, LeafForest
 from .location import Location
+from .tables import TableEncoder
 
 # for each of the five components, in order: whether it is a distribution of scaled residuals
 _RESIDUAL = (False, True, True, False, False)
@@ -87,8 +88,8 @@ def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
         given = _check_sample_weight(given if given.ndim else float(given), np.empty((n, 1)), ensure_non_negative=True)
     except ValueError as exc:
         raise ConformalError(f"sample_weight: {exc}") from None
-    if not given.any():
-        raise ConformalError(f"sample_weight must be above zero for a sample at least, all {n} are zero")
+    if not given.any():  # which scikit-learn refuses from 1.9 on
+        raise ConformalError("sample_weight must be above zero for a sample at least, all are zero")
     relative = given / given.max()
     return np.asarray(relative / relative[relative > 0].mean())
 
@@ -103,6 +104,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
 
     edges_: FloatArray
     weights_: FloatArray
+    encoder_: TableEncoder
     location_: Location
     spread_: Any
     forests_: tuple[LeafForest, ...]
@@ -111,7 +113,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         """Probabilities of the bins, (n, K)."""
         if not hasattr(self, "weights_"):
             raise NotFittedError(f"{type(self).__name__} is not fitted yet: call fit_bins(X, y, edges) first")
-        features = as_features(X)
+        features = as_features(self.encoder_.transform(X))
         parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
         return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
 

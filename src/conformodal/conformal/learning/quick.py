@@ -12,8 +12,9 @@ from threadpoolctl import threadpool_limits
 from conformodal.conformal.checks import as_count, as_random
 
 from .forest import LeafForest, group_values, rank_cosines
-from .location import boosting, fit_out_of_fold, folds_of, quick_location
+from .location import Location, boosting, fit_out_of_fold, folds_of, quick_members
 from .mixture import MixtureDensity, log_spread, standardised
+from .tables import TableEncoder
 
 # seconds of a fit, as measured
 _LEAST_SECONDS, _SECONDS_A_NUMBER = 2.0, 4e-6
@@ -73,12 +74,13 @@ class QuickDensity(MixtureDensity):
     def fit_bins(
         self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
     ) -> Self:
-        """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
+        """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,).
 
         Rows of weight 0 are left out; bandwidths are chosen as if all others weighed the same.
         """
         most, random = as_count(self.max_rows, "max_rows", 2), as_random(self.random_state)
-        table = standardised(X, y, edges, sample_weight)
+        self.encoder_ = TableEncoder().fit(X)
+        table = standardised(self.encoder_.transform(X), y, edges, sample_weight)
         seed = int(random.randint(2**31 - 1))
         if table.z.size > most:
             kept = random.permutation(table.z.size)[:most]
@@ -90,8 +92,8 @@ class QuickDensity(MixtureDensity):
             values = group_values(z)
             direct = LeafForest(ExtraTreesRegressor, n_trees, 3, seed, self.n_jobs)
             direct.fit(features, rank_cosines(z, 4), z, weight, [values], validation)
-            self.location_ = quick_location(n, seed)
-            self.location_.fit(features, z, weight, folds_of(n, seed), direct.out_of_bag_mean_)
+            means, members = direct.out_of_bag_mean_, quick_members(n, seed)
+            self.location_ = Location().fit(members, features, z, weight, folds_of(n, seed), means)
             summary = self.location_.summary(self.location_.out_of_fold_)
             loc, extended = summary[:, 0], np.column_stack((features, summary))
             rough, folds = boosting(0.1, 40, 8, 20, seed), folds_of(n, seed, most_folds=3)

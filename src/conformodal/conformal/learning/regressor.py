@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Hashable, Sequence
 from types import MethodType
 from typing import Any, Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from conformodal.conformal.bins import QuantileBins
 from conformodal.conformal.calibration.joint import Joint
+from conformodal.conformal.calibration.mondrian import MondrianConformal
 from conformodal.conformal.calibration.split import SplitConformal
 from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_number, as_random, as_reals, brief, shortened
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
+from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import FloatArray
+from conformodal.core.words import counted
 
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .mixture import as_sample_weight
 from .smoothing import proba_of_bins
+from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
@@ -75,12 +82,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     verbose
         Whether a fit of more than ten seconds prints its progress on standard error; it warns with
         :class:`SlowFitWarning` in any case.
+    groups
+        Name of the column of `X` whose labels are the groups that coverage is guaranteed in; it is a feature too.
 
     Attributes
     ----------
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
-    calibrator_ : SplitConformal
+    calibrator_ : SplitConformal, or MondrianConformal with groups
 
     Examples
     --------
@@ -108,6 +117,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         calibration_size: float = 0.2,
         random_state: Any = None,
         verbose: bool = False,
+        groups: Hashable = None,
     ) -> None:
         self.estimator = estimator
         self.n_bins = n_bins
@@ -117,6 +127,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.calibration_size = calibration_size
         self.random_state = random_state
         self.verbose = verbose
+        self.groups = groups
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Parameters of the estimator, and of its estimator if `deep`; as in scikit-learn."""
@@ -124,42 +135,55 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         params = {name: value for name, value in params.items() if not name.startswith("score__")}
         return params | {"score": self.__dict__["score"]}
 
-    def fit(self, X: npt.ArrayLike, y: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> Self:
+    def fit(
+        self,
+        X: Any,
+        y: Any,
+        sample_weight: npt.ArrayLike | None = None,
+        groups: npt.ArrayLike | None = None,
+    ) -> Self:
         """Learn and calibrate.
 
         Parameters
         ----------
         X
-            (n, p) features.
+            (n, p) features: an array, or a frame of pandas, polars or Arrow, of which a classifier gets the rows as
+            they are. Numbers may be missing (NaN) if the estimator can work with that, as the named ones do.
         y
-            (n,) or (n, d) values.
+            (n,) or (n, d) values; the names of a frame's or series' columns are kept.
         sample_weight
             (n,) weights of at least 0, up to a factor, for the learner only (``"stack"`` takes none). Samples of weight
             0 are left out. All others calibrate alike: coverage is guaranteed for a new sample that is exchangeable
             with the samples of positive weight, not for a population in which samples are as frequent as they weigh;
             for that, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
+        groups
+            (n,) labels: coverage is then guaranteed within each group, see :class:`MondrianConformal`; each is split
+            by itself. They are no feature unless a column of `X` holds them, which `groups` of the regressor names.
         """
-        features, values = self._table(X, y)
+        features, values, names = self._table(X, y)
         self._one_target = values.ndim == 1
         values = values.reshape(len(values), -1)
+        labels = self._labels(features, groups, len(values), fitted=False)
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
         if weight is not None:
-            features, values, weight = features[weight > 0], values[weight > 0], weight[weight > 0]
+            features, values = rows_of(features, weight > 0), values[weight > 0]
+            labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
         size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
         random = as_random(self.random_state)
-        held, seen = split_off(len(features), size, random)
+        held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
-        self.calibrator_ = SplitConformal(self.bins_, self.alpha, self.__dict__["score"], self.joint)
-        unseen = self.joint == "max"
+        self.bins_.names = names
+        calibrator = SplitConformal if labels is None else MondrianConformal
+        self.calibrator_: Any = calibrator(self.bins_, self.alpha, self.__dict__["score"], self.joint)
+        unseen, learnt = self.joint == "max", rows_of(features, seen)
         slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
             progress = on_stderr(j, values.shape[1]) if slow and self.verbose else None
             share = None if weight is None else weight[seen]
-            table = features[seen], values[seen, j], edges, share
-            model, proba = fit_target(base, dense, *table, unseen, progress)
+            model, proba = fit_target(base, dense, learnt, values[seen, j], edges, share, unseen, progress)
             self.estimators_.append(model)
             out_of_fold.append(proba)
         if unseen:
@@ -167,53 +191,62 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             if known:
                 self.calibrator_.fit_scale(known, values[seen[: len(known[0])]])
             else:  # too few rows to leave any out
-                self.calibrator_.fit_scale(self._proba(features[seen]), values[seen])
+                self.calibrator_.fit_scale(self._proba(learnt), values[seen])
         if held.size:
-            self.calibrator_.calibrate(self._proba(features[held]), values[held])
+            self._calibrate(rows_of(features, held), values[held], None if labels is None else labels[held])
         return self
 
-    def conformalize(self, X_cal: npt.ArrayLike, y_cal: npt.ArrayLike) -> Self:
+    def conformalize(self, X_cal: Any, y_cal: Any, groups: npt.ArrayLike | None = None) -> Self:
         """Calibrate on given data, none of which was learnt from; replaces the earlier calibration."""
         check_is_fitted(self, "bins_")
-        features, values = self._table(X_cal, y_cal, reset=False)
-        self.calibrator_.calibrate(self._proba(features), values)
+        features, values, _ = self._table(X_cal, y_cal, reset=False)
+        self._calibrate(features, values, self._labels(features, groups, len(values)))
         return self
 
-    def predict_bins(self, X: npt.ArrayLike) -> list[FloatArray]:
+    def predict_bins(self, X: Any) -> list[FloatArray]:
         """Probabilities of the bins: d arrays (n, K_d)."""
         check_is_fitted(self, "bins_")
         return self._proba(self._table(X, reset=False)[0])
 
     @overload
-    def predict(self, X: npt.ArrayLike, region: Literal[False] = False, alpha: Alpha | None = None) -> FloatArray: ...
+    def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
 
     @overload
-    def predict(self, X: npt.ArrayLike, region: Literal[True], alpha: Alpha | None = None) -> Regions: ...
+    def predict(self, X: Any, region: Literal[True], alpha: Any = None, groups: Any = None) -> Regions: ...
 
-    def predict(self, X: npt.ArrayLike, region: bool = False, alpha: Alpha | None = None) -> FloatArray | Regions:
+    def predict(
+        self, X: Any, region: bool = False, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None
+    ) -> FloatArray | Regions:
         """Means of the distributions, (n,) or (n, d), which minimise the squared error, even between two modes.
 
         With ``region=True`` it is :meth:`predict_region`, for scikit-learn, which knows ``predict`` only: the regions
         of a pipeline are ``pipeline.predict(X, region=True)``.
         """
         if region:
-            return self.predict_region(X, alpha)
-        if alpha is not None:
-            raise ConformalError(f"alpha must be None unless region=True, got {brief(alpha)}")
+            return self.predict_region(X, alpha, groups)
+        for name, value in (("alpha", alpha), ("groups", groups)):
+            if value is not None:
+                raise ConformalError(f"{name} must be None unless region=True, got {brief(value)}")
         centers = zip(self.predict_bins(X), self.bins_.centers, strict=True)
         means = np.column_stack([proba @ c for proba, c in centers])
         return means[:, 0] if self._one_target else means
 
-    def predict_region(self, X: npt.ArrayLike, alpha: Alpha | None = None) -> Regions:
-        """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate."""
-        proba = self.predict_bins(X)
-        calibrator = self._calibrated()
-        return (calibrator if alpha is None else calibrator.at(alpha)).predict(proba)
+    def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions:
+        """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate.
+
+        `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
+        had too few calibration samples, are unbounded.
+        """
+        proba, calibrator = self.predict_bins(X), self._calibrated()
+        labels = self._labels(X, groups, len(proba[0]))
+        calibrator = calibrator if alpha is None else calibrator.at(alpha)
+        found: Regions = calibrator.predict(proba) if labels is None else calibrator.predict(proba, labels)
+        return found
 
     def diagnose(
         self,
-        X: npt.ArrayLike,
-        y: npt.ArrayLike,
+        X: Any,
+        y: Any,
         groups: npt.ArrayLike | None = None,
         level: float = 0.99,
         names: Sequence[str] | None = None,
@@ -224,16 +257,35 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         :func:`~conformodal.conformal.diagnose`.
         """
         proba = self.predict_bins(X)
-        features, values = self._table(X, y, reset=False)
-        return diagnose(self._calibrated(), proba, values, features, groups, names, level)
+        features, values, _ = self._table(X, y, reset=False)
+        if self.groups is not None:
+            groups = self._labels(features, groups, len(values))
+        return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, names, level)
 
-    def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[npt.NDArray[Any], FloatArray]:
-        """Features and values, checked by scikit-learn and by this package."""
-        needs = {} if y is _NO_TARGETS else {"y": y, "multi_output": True, "y_numeric": True}
+    def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
+        """Features, values, and the targets' names, checked by scikit-learn and by this package."""
+        names, frame = None, is_frame(X)
+        if is_frame(y):
+            names = [str(name) for name in names_of(y)]
+            y = np.column_stack([as_doubles(as_column(column_of(y, j), n), f"y, {n},") for j, n in enumerate(names)])
+        elif hasattr(y, "name") and hasattr(y, "__array__"):  # a series
+            names, y = [str(y.name)] if y.name else None, as_doubles(as_column(y, y.name), f"y, {y.name},")
+        if isinstance(y, np.ndarray) and y.dtype.kind == "f" and y.ndim and np.isnan(y).any():
+            gaps = np.flatnonzero(np.isnan(y.reshape(len(y), -1)).any(axis=1))
+            first = ", ".join(map(str, gaps[:10].tolist())) + (", ..." if gaps.size > 10 else "")
+            raise ConformalError(f"y has no value in {counted(gaps.size, 'row')} ({first}): leave them out")
+        needs = {} if y is _NO_TARGETS else {"y": y}
         if isinstance(X, np.ndarray) and not X.dtype.isnative:  # in which scikit-learn 1.6 finds no NaN
             X = X.astype(X.dtype.newbyteorder("="))
         try:
-            found = validate_data(self, X, reset=reset, **needs)
+            if frame:
+                validate_data(self, X, reset=reset, skip_check_array=True)
+                found: Any = (X, check_array(y, ensure_2d=False, input_name="y")) if needs else X
+                check_consistent_length(*(found if needs else [X]))
+            else:
+                options: dict[str, Any] = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan"}
+                options |= {"multi_output": True, "y_numeric": True} if needs else {}
+                found = validate_data(self, X, reset=reset, **needs, **options)
         except TypeError as exc:
             raise ConformalTypeError(shortened(str(exc))) from None
         except MemoryError:
@@ -241,22 +293,50 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         except Exception as exc:  # whatever a foreign class raises
             raise ConformalError(shortened(str(exc))) from None
         # scikit-learn drops masks, and reads text and dates among objects as numbers
-        for name, given in (("X", X), ("y", y)) if needs else (("X", X),):
-            raw = as_array(given, name)
-            if raw.dtype.kind == "O":
-                as_reals(raw, name)
+        for name, given in (("X", X), *needs.items()):
+            if not (issparse(given) or is_frame(given)):
+                raw = as_array(given, name)
+                if raw.dtype.kind == "O":
+                    as_reals(raw, name)
         features, values = found if needs else (found, np.empty(0))
-        return as_reals(features, "X"), as_doubles(values, "y")
+        return features if frame or issparse(features) else as_reals(features, "X"), as_doubles(values, "y"), names
 
-    def _calibrated(self) -> SplitConformal:
+    def _labels(self, X: Any, groups: Any, n: int, fitted: bool = True) -> npt.NDArray[Any] | None:
+        """Labels (n,) of the samples' groups, given or from a column; None without groups."""
+        if self.groups is not None:
+            known = names_of(X) if is_frame(X) else []
+            if groups is not None or self.groups not in known:
+                found = "given too" if groups is not None else f"not among the columns of X, {brief(known)}"
+                raise ConformalError(f"groups are in column {brief(self.groups)}, which is {found}")
+            groups = column_of(X, known.index(self.groups))
+        needed = fitted and isinstance(self.calibrator_, MondrianConformal)
+        if fitted and needed != (groups is not None):
+            raise ConformalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
+        return None if groups is None else as_groups(groups, n)
+
+    def _calibrate(self, features: Any, values: FloatArray, labels: npt.NDArray[Any] | None) -> None:
+        if labels is None:
+            self.calibrator_.calibrate(self._proba(features), values)
+            return
+        self.calibrator_.calibrate(self._proba(features), values, labels)
+        small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
+        if small:
+            warnings.warn(f"regions of groups with too few calibration samples are unbounded: {small}", stacklevel=3)
+
+    def _calibrated(self) -> Any:
         if not hasattr(self.calibrator_, "scores_"):
             raise NotCalibratedError("calibration_size is 0: call conformalize(X_cal, y_cal) first")
         return self.calibrator_
 
-    def _proba(self, features: npt.NDArray[Any]) -> list[FloatArray]:
+    def _proba(self, features: Any) -> list[FloatArray]:
         return [proba_of_bins(m, features, k) for m, k in zip(self.estimators_, self.bins_.sizes, strict=True)]
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.multi_output = True
+        named = self.estimator is None or isinstance(self.estimator, str)
+        tags.input_tags.allow_nan, tags.input_tags.sparse = named, False
+        if hasattr(self.estimator, "__sklearn_tags__"):
+            inner = get_tags(self.estimator).input_tags
+            tags.input_tags.allow_nan, tags.input_tags.sparse = inner.allow_nan, inner.sparse
         return tags

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
@@ -102,7 +101,7 @@ class SmoothedClassifier:
         self.classifiers = classifiers
         self.smoothing = smoothing
 
-    def predict_proba(self, X: npt.NDArray[Any]) -> FloatArray:
+    def predict_proba(self, X: Any) -> FloatArray:
         """Probabilities (n, K) of the bins."""
         found = [proba_of_bins(one, X, self.smoothing.marginal.size) for one in self.classifiers]
         return self.smoothing(np.asarray(np.mean(found, axis=0)))
@@ -113,9 +112,7 @@ def bin_codes(y: FloatArray, edges: FloatArray) -> IntArray:
     return np.searchsorted(edges[1:-1], y, side="right")
 
 
-def fit_classifier(
-    model: Any, X: npt.NDArray[Any], y: FloatArray, edges: FloatArray, weight: FloatArray | None = None
-) -> Any:
+def fit_classifier(model: Any, X: Any, y: FloatArray, edges: FloatArray, weight: FloatArray | None = None) -> Any:
     """Fit a classifier on bin numbers; if all values are in one bin, its number stands for the classifier."""
     codes = bin_codes(y, edges)
     if (codes == codes[0]).all():
@@ -124,7 +121,7 @@ def fit_classifier(
         return model.fit(X, codes, **({} if weight is None else {"sample_weight": weight}))
 
 
-def proba_of_bins(model: Any, X: npt.NDArray[Any], n_bins: int) -> FloatArray:
+def proba_of_bins(model: Any, X: Any, n_bins: int) -> FloatArray:
     """Probabilities (n, K) of all bins; 0 for bins without training values."""
     if isinstance(model, int):
         return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)

@@ -15,8 +15,9 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.progress import Progress
 
 from .forest import LeafForest, group_values, rank_cosines
-from .location import PROCESS_ROWS, folds_of, stacked_location
+from .location import PROCESS_ROWS, Location, folds_of, stacked_members
 from .mixture import MixtureDensity, log_spread, standardised
+from .tables import TableEncoder
 
 # seconds of a fit, as measured; the last one counts where a Gaussian process is fitted
 _LEAST_SECONDS, _SECONDS_A_ROW, _SECONDS_A_CUBE = 15.0, 4e-3, 1.1e-8
@@ -53,20 +54,21 @@ class StackedDensity(MixtureDensity):
     def fit_bins(
         self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, progress: Progress | None = None
     ) -> Self:
-        """Learn the density of `y` (n,) given `X` (n, p) over bins with `edges` (K + 1,).
+        """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,).
 
         `progress` is called with the parts that are done and all parts, nearly all of which are of the location.
         """
         as_count(self.n_trees, "n_trees", 1)
-        table = standardised(X, y, edges)
+        self.encoder_ = TableEncoder().fit(X)
+        table = standardised(self.encoder_.transform(X), y, edges)
         features, z, n = table.X, table.z, table.z.size
         seed = int(as_random(self.random_state).randint(2**31 - 1))
         with warnings.catch_warnings():  # networks stop at their last epoch, rows are in the bags of all trees
             warnings.simplefilter("ignore", ConvergenceWarning)
             warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")
             warnings.filterwarnings("ignore", category=RuntimeWarning, message="invalid value encountered")
-            self.location_ = stacked_location(n, seed, self.n_jobs)
-            self.location_.fit(features, z, table.weight, folds_of(n, seed, 5), progress=progress)
+            members, folds = stacked_members(n, seed, self.n_jobs), folds_of(n, seed, 5)
+            self.location_ = Location().fit(members, features, z, table.weight, folds, progress=progress)
             summary = self.location_.summary(self.location_.out_of_fold_)
             extended, residual = np.column_stack((features, summary)), z - summary[:, 0]
             self.spread_ = RandomForestRegressor(

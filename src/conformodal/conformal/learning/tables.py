@@ -1,0 +1,125 @@
+"""Tables of any kind (arrays; frames of pandas, polars and Arrow) by rows, and as columns of finite numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from datetime import date, datetime
+from decimal import Decimal
+from numbers import Real
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import issparse
+
+from conformodal.conformal.checks import as_doubles, brief
+from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.grouping import is_missing
+from conformodal.core.arrays import FloatArray
+
+# labels of a column of text that get a column of their own, the most frequent ones, each in at least two rows
+_MOST_LABELS, _LEAST_ROWS = 20, 2
+_DAY = np.timedelta64(1, "D")
+
+
+def is_frame(X: Any) -> bool:
+    """Whether `X` is a table with named columns: of pandas, polars or Arrow."""
+    return hasattr(X, "columns") and hasattr(X, "shape")
+
+
+def names_of(X: Any) -> list[Hashable]:
+    """The names of a frame's columns."""
+    return list(X.column_names if hasattr(X, "column_names") else X.columns)
+
+
+def column_of(X: Any, j: int) -> Any:
+    """Column `j` of a frame, as its library has it."""
+    if hasattr(X, "iloc"):
+        return X.iloc[:, j]
+    return X.column(j) if hasattr(X, "column_names") else X[:, j]
+
+
+def rows_of(X: Any, rows: Any) -> Any:
+    """Some rows of a table, by a slice, a mask or positions: the same kind of table."""
+    if not is_frame(X):
+        return X[rows]
+    positions = np.arange(X.shape[0])[rows]
+    if hasattr(X, "iloc"):
+        return X.iloc[positions]
+    return X.take(positions) if hasattr(X, "column_names") else X[positions]
+
+
+def as_column(column: Any, name: object) -> npt.NDArray[Any]:
+    """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``."""
+    arr = np.asarray(column)
+    labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
+    if arr.dtype.kind == "O" and not labels:
+        known = [value for value in arr if not is_missing(value)]
+        if all(isinstance(value, (Real, Decimal, np.bool_)) for value in known):
+            arr = np.array([np.nan if is_missing(value) else float(value) for value in arr])
+        elif all(isinstance(value, date) for value in known):
+            times = [None if is_missing(v) else v.replace(tzinfo=None) if isinstance(v, datetime) else v for v in arr]
+            arr = np.array(times, dtype="M8[us]")
+    if arr.dtype.kind in "mM":
+        arr = np.where(np.isnat(arr), np.nan, (arr - arr.dtype.type(0, "D") if arr.dtype.kind == "M" else arr) / _DAY)
+    if arr.dtype.kind in "biuf" and not labels:
+        numbers = arr.astype(np.float64)
+        if np.isinf(numbers).any():
+            row = int(np.isinf(numbers).argmax())
+            raise ConformalError(f"column {name} must be finite or missing, found {numbers[row]} in row {row}")
+        return numbers
+    return np.array(["" if is_missing(value) else str(value) for value in arr], dtype=np.str_)
+
+
+def columns_of(X: Any) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+    """Names and values of the columns of a table, see :func:`as_column`; an array has numbers only."""
+    if is_frame(X):
+        return [(name, as_column(column_of(X, j), name)) for j, name in enumerate(names_of(X))]
+    arr = as_doubles(X, "X")
+    if arr.ndim != 2 or np.isinf(arr).any():
+        raise ConformalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")
+    return list(enumerate(arr.T))
+
+
+class TableEncoder:
+    """Columns of any table as finite numbers, for learners that need them.
+
+    Numbers stay, dates count days. A missing number becomes the median of its column, and an own column marks it if
+    any was missing in training. Text and categories become one column per label, for up to 20 labels that occur in two
+    rows or more; other labels are zero in all of them.
+    """
+
+    def fit(self, X: Any) -> Self:
+        """Learn the medians and labels of the columns."""
+        self.columns_: list[tuple[float, bool] | list[str]] = []
+        for _, values in columns_of(X):
+            if values.dtype.kind == "f":
+                gaps = np.isnan(values)
+                self.columns_.append((0.0 if gaps.all() else float(np.median(values[~gaps])), bool(gaps.any())))
+            else:
+                labels, counts = np.unique(values, return_counts=True)
+                order = np.argsort(-counts, kind="stable")[:_MOST_LABELS]
+                self.columns_.append(labels[order[counts[order] >= _LEAST_ROWS]].tolist())
+        return self
+
+    def transform(self, X: Any) -> FloatArray:
+        """The columns (n, q) of a table with as many columns as the one that was learnt."""
+        found = columns_of(X)
+        if len(found) != len(self.columns_):
+            raise ConformalError(f"X has {len(found)} columns, expected {len(self.columns_)}")
+        parts: list[FloatArray] = []
+        for (name, values), known in zip(found, self.columns_, strict=True):
+            if isinstance(known, tuple) and values.dtype.kind == "f":
+                gaps = np.isnan(values)
+                parts += [np.where(gaps, known[0], values), *([gaps * 1.0] if known[1] else [])]
+            elif isinstance(known, list) and (values.dtype.kind != "f" or np.isnan(values).all()):
+                parts += [(values == label) * 1.0 for label in known]
+            else:
+                what = ("numbers", "text")[:: 1 if isinstance(known, tuple) else -1]
+                raise ConformalError(f"column {name} held {what[0]} in training, got {what[1]}, {brief(values[:1])}")
+        return np.column_stack(parts) if parts else np.empty((X.shape[0], 0))
+
+
+def dense_inputs(X: Any) -> FloatArray | None:
+    """Inputs (n, q) as numbers, or None if they are sparse."""
+    return None if issparse(X) else TableEncoder().fit(X).transform(X)

@@ -1,0 +1,220 @@
+"""Tables of strangers: names, text, gaps, dates and groups, in pandas, polars and Arrow."""
+
+from datetime import date
+from decimal import Decimal
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import sparse
+from sklearn.compose import make_column_transformer
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import OneHotEncoder
+from sklearn.tree import DecisionTreeClassifier
+from sklearn.utils import get_tags
+
+from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal
+from conformodal.conformal.learning.tables import TableEncoder, as_column
+
+N = 240
+
+
+def frame(n=N, seed=0):
+    rng = np.random.default_rng(seed)
+    found = pd.DataFrame(
+        {
+            "age": rng.uniform(20, 80, n),
+            "sex": rng.choice(["f", "m"], n),
+            "hospital": rng.choice(["A", "B", "C"], n, p=[0.6, 0.35, 0.05]),
+            "visit": pd.to_datetime("2024-01-01") + pd.to_timedelta(rng.integers(0, 300, n), "D"),
+        }
+    )
+    dose = found.age / 10 + np.where(found.sex == "f", 5, -5) + rng.normal(0, np.where(found.hospital == "A", 0.2, 2))
+    found.loc[rng.random(n) < 0.1, "age"] = np.nan
+    found.loc[rng.random(n) < 0.1, "sex"] = None
+    return found, pd.Series(dose, name="dose")
+
+
+def tree(**options):
+    return ConformalRegressor(DecisionTreeClassifier(max_depth=4, random_state=0), n_bins=8, random_state=0, **options)
+
+
+def kinds(X):
+    """The same table in other libraries, where they are installed."""
+    found = [X]
+    try:
+        import pyarrow as pa
+
+        found.append(pa.Table.from_pandas(X))
+    except ImportError:
+        pass
+    try:
+        import polars as pl
+
+        found.append(pl.DataFrame(X.to_dict("list")))
+    except ImportError:
+        pass
+    return found
+
+
+def test_the_encoder_fills_marks_counts_and_names():
+    X = pd.DataFrame({"a": [1.0, np.nan, 5.0], "b": ["x", "y", "x"], "c": [date(2024, 1, 1), None, date(2024, 1, 3)]})
+    day = 19723.0
+    expected = [[1, 0, 1, day, 0], [3, 1, 0, day + 1, 1], [5, 0, 1, day + 2, 0]]
+    encoder = TableEncoder().fit(X)
+    np.testing.assert_array_equal(encoder.transform(X), expected)
+    later = pd.DataFrame({"a": [np.nan], "b": ["never seen"], "c": [date(2024, 1, 2)]})
+    np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0]])
+    with pytest.raises(ConformalError, match="column a held numbers in training, got text"):
+        encoder.transform(later.assign(a=["1,5"]))
+    with pytest.raises(ConformalError, match="2 columns, expected 3"):
+        encoder.transform(later[["a", "b"]])
+
+
+def test_every_library_gives_the_same_columns():
+    X, _ = frame(60)
+    expected = TableEncoder().fit(X).transform(X)
+    for other in kinds(X):
+        np.testing.assert_allclose(TableEncoder().fit(other).transform(other), expected)
+
+
+@pytest.mark.parametrize(
+    ("column", "expected"),
+    [
+        (pd.Series([1, None, 3], dtype="Int64"), [1, np.nan, 3]),
+        (pd.Series([True, None], dtype="boolean"), [1, np.nan]),
+        (pd.Series([Decimal("0.5"), None]), [0.5, np.nan]),
+        (pd.Series([1, 2], dtype="category"), ["1", "2"]),
+        (pd.Series(["a", None], dtype="string"), ["a", ""]),
+        (pd.Series(pd.to_datetime(["1970-01-02", None])), [1, np.nan]),
+        (pd.Series(pd.to_datetime(["1970-01-02"]).tz_localize("CET")), [1]),
+        (pd.Series(["a", 1]), ["a", "1"]),
+    ],
+)
+def test_columns_are_numbers_or_text(column, expected):
+    np.testing.assert_array_equal(as_column(column, "c"), expected)
+
+
+def test_an_infinite_number_is_told_by_column_and_row():
+    with pytest.raises(ConformalError, match="column age must be finite or missing, found inf in row 1"):
+        as_column(pd.Series([0.0, np.inf]), "age")
+
+
+def test_a_frame_with_text_and_gaps_needs_no_preparation_and_keeps_its_names():
+    X, y = frame(120)
+    reg = ConformalRegressor(random_state=0).fit(X[:90], y[:90])
+    regions = reg.predict_region(X[90:])
+    assert regions.contains(y[90:]).mean() > 0.7
+    assert reg.feature_names_in_.tolist() == ["age", "sex", "hospital", "visit"]
+    assert regions.to_arrow().column_names == ["dose"]
+    assert "coverage of dose" in str(reg.diagnose(X[90:], y[90:]))
+
+
+def test_a_classifier_gets_the_rows_of_the_frame_as_they_are():
+    X, y = frame()
+    by_name = make_column_transformer((OneHotEncoder(handle_unknown="ignore"), ["sex"]), ("passthrough", ["age"]))
+    chain = make_pipeline(by_name, DecisionTreeClassifier(max_depth=4, random_state=0))
+    both = pd.DataFrame({"dose": y, "days": 2 * y})
+    reg = ConformalRegressor(chain, n_bins=8, random_state=0).fit(X[:200], both[:200])
+    assert reg.predict_region(X[200:]).to_arrow().column_names == ["dose", "days"]
+    assert reg.predict_region(X[200:]).contains(both[200:].to_numpy()).mean() > 0.75
+    for other in kinds(X)[1:]:
+        with pytest.raises(ConformalError, match="feature names"):
+            reg.predict_region(other.select(["sex", "age", "visit", "hospital"]))
+
+
+def test_gaps_in_arrays_reach_an_estimator_that_knows_them_and_no_other():
+    X, y = frame()
+    numbers = X[["age"]].to_numpy()
+    boosted = ConformalRegressor(HistGradientBoostingClassifier(max_iter=3), n_bins=4, random_state=0)
+    assert get_tags(boosted).input_tags.allow_nan
+    assert len(boosted.fit(numbers, y).predict_region(numbers)) == N
+    with pytest.raises(ConformalError, match="cannot be fitted: Input X contains NaN"):
+        ConformalRegressor(LogisticRegression()).fit(numbers, y)
+    with pytest.raises(ConformalError, match="infinity"):
+        tree().fit(numbers * np.inf, y)
+
+
+def test_sparse_columns_stay_sparse():
+    X, y = frame()
+    wide = OneHotEncoder().fit_transform(X[["sex", "hospital"]].astype(str))
+    reg = tree().fit(wide, y)
+    assert sparse.issparse(wide)
+    np.testing.assert_array_equal(reg.predict(wide), tree().fit(wide.toarray(), y).predict(wide.toarray()))
+    assert reg.diagnose(wide, y).columns[0].slab is None
+    with pytest.raises(ConformalError, match="sparse"):
+        ConformalRegressor().fit(wide, y)
+
+
+@pytest.mark.parametrize("form", [lambda y: y, lambda y: y.to_frame(), lambda y: y.to_numpy()])
+def test_rows_without_a_label_are_told(form):
+    X, y = frame()
+    y = y.where(~y.index.isin([3, 17]))
+    with pytest.raises(ConformalError, match=r"y has no value in 2 rows \(3, 17\)"):
+        tree().fit(X[["age"]], form(y))
+
+
+def test_groups_by_column_name_and_by_labels_are_covered_each():
+    X, y = frame(1200)
+    X["sex"] = (X.sex == "f") * 1.0
+    numbers = X[["age", "sex"]]
+    few = {"C": int((X.hospital[:600] == "C").sum())}
+    assert 20 < few["C"] < 45  # too few to calibrate, a fifth of them
+    with pytest.warns(UserWarning, match="'C'"):
+        reg = tree().fit(numbers[:600], y[:600], groups=X.hospital[:600])
+    assert isinstance(reg.calibrator_, MondrianConformal)
+    assert set(reg.calibrator_.sizes_) == {"A", "B", "C"}
+    regions = reg.predict_region(numbers[600:], groups=X.hospital[600:])
+    new = X.hospital[600:].to_numpy()
+    assert regions.unbounded[new == "C"].all()
+    assert not regions.unbounded[new != "C"].any()
+    told = reg.diagnose(numbers[600:], y[600:], groups=new)
+    assert told.columns[0].coverage.inside
+    assert all(check.inside for check in told.columns[0].by_group.values())
+    assert "of each group" in str(told)
+    np.testing.assert_array_equal(reg.predict(numbers[600:], region=True, groups=new).masks[0], regions.masks[0])
+
+    named = X.assign(hospital=X.hospital.map({"A": 0.0, "B": 1.0, "C": 2.0}))[["age", "sex", "hospital"]]
+    with pytest.warns(UserWarning, match="unbounded"):
+        reg = tree(groups="hospital").fit(named[:600], y[:600])
+    tight = reg.predict_region(named[600:], alpha=0.3)
+    loose = reg.predict_region(named[600:])
+    assert (tight.masks[0] <= loose.masks[0]).all()
+    assert set(reg.diagnose(named[600:], y[600:]).columns[0].by_group) == {"0.0", "1.0", "2.0"}
+
+
+def test_two_targets_in_groups_are_covered_together():
+    X, y = frame(900)
+    numbers, labels = X[["age"]].to_numpy(), np.where(X.hospital == "A", "A", "other")
+    both = np.column_stack([y, -(y**2)])
+    reg = tree(joint="max").fit(numbers[:600], both[:600], groups=labels[:600])
+    told = reg.diagnose(numbers[600:], both[600:], groups=labels[600:])
+    assert [column.name for column in told.columns] == ["all targets"]
+    assert told.columns[0].coverage.inside
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda X, y: tree(groups="ward").fit(X, y), "'ward'.*not among the columns"),
+        (lambda X, y: tree(groups="age").fit(X, y, groups=y), "given too"),
+        (lambda X, y: tree(groups="age").fit(X.to_numpy(), y), "not among"),
+        (lambda X, y: tree().fit(X, y).predict_region(X, groups=np.zeros(N)), "must be None"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
+        (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
+    ],
+)
+def test_groups_that_do_not_fit_are_refused(call, says):
+    X, y = frame()
+    with pytest.raises(ConformalError, match=says):
+        call(X[["age"]].fillna(50), y)
+
+
+def test_every_group_is_split_by_itself():
+    X, y = frame()
+    reg = tree().fit(X[["age"]], y, groups=np.repeat([0, 1], [190, 50]))
+    assert reg.calibrator_.sizes_ == {0: 38, 1: 10}
