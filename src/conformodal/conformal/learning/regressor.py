@@ -34,6 +34,8 @@ from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
+# With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
+_TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
 
@@ -173,7 +175,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
-        self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
+        tail = _TAIL if held.size < _FEW_TO_CALIBRATE else 0.0
+        self.bins_ = QuantileBins(n_bins, margin=_MARGIN, tail=tail).fit(values[seen])
         self.bins_.names = names
         calibrator = SplitConformal if labels is None else MondrianConformal
         self.calibrator_: Any = calibrator(self.bins_, self.alpha, self.__dict__["score"], self.joint)
@@ -317,6 +320,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _calibrate(self, features: Any, values: FloatArray, labels: npt.NDArray[Any] | None) -> None:
         if labels is None:
             self.calibrator_.calibrate(self._proba(features), values)
+            if np.isinf(self.calibrator_.thresholds_).any():
+                few = counted(len(values), "calibration sample")
+                warnings.warn(f"regions are unbounded: {few} are too few for alpha = {self.alpha}", stacklevel=3)
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
