@@ -22,6 +22,7 @@ from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_number,
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import FloatArray
@@ -211,6 +212,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self, "bins_")
         return self._proba(self._table(X, reset=False)[0])
 
+    def predict_density(self, X: Any) -> PredictiveDensity:
+        """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
+        return PredictiveDensity(self.bins_, self.predict_bins(X))
+
     @overload
     def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
 
@@ -230,8 +235,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         for name, value in (("alpha", alpha), ("groups", groups)):
             if value is not None:
                 raise ConformalError(f"{name} must be None unless region=True, got {brief(value)}")
-        centers = zip(self.predict_bins(X), self.bins_.centers, strict=True)
-        means = np.column_stack([proba @ c for proba, c in centers])
+        means = self.predict_density(X).mean
         return means[:, 0] if self._one_target else means
 
     def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions:
