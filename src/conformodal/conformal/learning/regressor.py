@@ -176,7 +176,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
-        tail = _TAIL if held.size < _FEW_TO_CALIBRATE else 0.0
+        tail = _TAIL if 0 < held.size < _FEW_TO_CALIBRATE else 0.0
         self.bins_ = QuantileBins(n_bins, margin=_MARGIN, tail=tail).fit(values[seen])
         self.bins_.names = names
         calibrator = SplitConformal if labels is None else MondrianConformal
