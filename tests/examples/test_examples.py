@@ -4,7 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -16,7 +15,6 @@ SAID = {
     "custom_score.py": ("covered: ", "intervals: "),
     "images.py": (": its region has ", "covered: ", "path: "),
     "stream.py": ("frame-000011.color.png: x ", "region in x: "),
-    "table.py": ("elbow: ", " or ", "height: ", "coverage of all targets"),
 }
 
 
@@ -32,36 +30,6 @@ def test_an_example_runs_and_fits_on_a_page(name, tmp_path):
     for words in SAID[name]:
         assert words in done.stdout
     assert not list(tmp_path.iterdir())  # what it makes for itself goes with it
-
-
-def test_a_table_of_ones_own_is_read_without_text_and_gaps(tmp_path):
-    rng = np.random.default_rng(0)
-    lines = [f"place{i % 3},{a:.4f},{2 * a:.4f},{-a:.4f}" for i, a in enumerate(rng.random(300))]
-    lines[7] = "place1,,1,1"
-    (tmp_path / "own.csv").write_text("\n".join(["where,given,up,down side", *lines]) + "\n", encoding="utf-8")
-    done = run("table.py", tmp_path, "own.csv", "up", "down side")
-    assert done.returncode == 0, done.stderr
-    assert "down side: " in done.stdout
-    assert "59 test samples" in done.stdout  # a fifth of 299
-    said, numbers = next(line for line in done.stdout.splitlines() if ", down side: " in line).split(", down side: ")
-    row = lines[int(said.removeprefix("row ").removesuffix(" of the table")) - 1].split(",")
-    assert "inputs: given; 1 of 300 rows left out" in done.stdout
-    assert float(numbers.split("(true: ")[1].rstrip(")")) == pytest.approx(float(row[3]), rel=1e-3)
-
-
-@pytest.mark.parametrize("targets", [[], ["upp"], ["where"], ["given", "up"]])
-def test_a_table_without_its_targets_is_refused(tmp_path, targets):
-    (tmp_path / "own.csv").write_text("given,up,where\n1,2,here\n2,3,there\n", encoding="utf-8-sig")
-    done = run("table.py", tmp_path, "own.csv", *targets)
-    assert done.returncode == 1
-    assert "name targets among its columns of numbers, given, up; got" in done.stderr
-
-
-def test_a_table_of_few_rows_is_refused(tmp_path):
-    (tmp_path / "own.csv").write_text("given,up\n1,2\n\n2,3\n", encoding="utf-8")
-    done = run("table.py", tmp_path, "own.csv", "up")
-    assert done.returncode == 1
-    assert "2 whole rows are too few; at least 50 are needed" in done.stderr
 
 
 @pytest.mark.slow

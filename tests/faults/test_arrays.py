@@ -301,6 +301,8 @@ def test_what_is_no_array_of_real_numbers_is_refused(entry, damage):
     good, call = ENTRIES[entry]
     if damage == "an axis too many" and entry.startswith(("novelty p", "conformal_q", INNER)):
         return  # these work along an axis, or element by element
+    if damage in ("NaN", "sparse") and entry in ("regressor X", "regressor conformalize", "regressor predict"):
+        return  # which a tree can learn from
     if (damage, entry) == ("empty list of lists", "conformal_quantile"):
         return  # two scores for none
     if damage in ("NaN", "empty list of lists", "0-d", "number") and entry.startswith((INNER, "novelty p")):
@@ -441,7 +443,8 @@ REFUSED = {
     "new weights of another length": (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
     "bins that are none": (lambda: SplitConformal([0, 1]), "QuantileBins"),
     "score that is a class": (lambda: SplitConformal(BINS, 0.1, Lac), "score"),
-    "diagnosis of another calibrator": (lambda: diagnose(MONDRIAN, P, Y), "SplitConformal"),
+    "diagnosis of another calibrator": (lambda: diagnose(WEIGHTED, P, Y), "Split- or Mondrian"),
+    "diagnosis by groups without them": (lambda: diagnose(MONDRIAN, P, Y), "groups are needed"),
     "joint that is a list": (lambda: SplitConformal(BINS, 0.1, joint=["none"]), "joint"),
     "empty that is an array": (lambda: SplitConformal(BINS, 0.1, empty=np.array(["mode", "allow"])), "empty"),
     "method that is a number": (lambda: OnlineConformal(BINS, method=5), "method"),

@@ -29,8 +29,9 @@ COMMANDS = {
     "view": "Open the page of results.",
     "info": "Print a saved model's training data, guarantee, size and network speed.",
     "data": "Check or convert a data set.",
+    "table": "Learn columns of a CSV file from the others; print regions of unseen rows and their coverage.",
 }
-_TRAINS = ("demo", "train", "export")  # they need the extra 'train'
+_EXTRAS = {"demo": "train", "train": "train", "export": "train", "table": "table"}  # the others need 'run'
 _HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."
 
 
@@ -44,7 +45,7 @@ class _LazyCommand(TyperCommand):
         """The command itself."""
         assert self.name is not None
         try:
-            with require_extra("train" if self.name in _TRAINS else "run", f"conformodal {self.name}"):
+            with require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
                 module = import_module(f"{__package__}.{self.name}")
         except MissingPackageError as exc:
             text, code = explained(exc)

@@ -22,6 +22,7 @@ from .diagnostics.diagnosis import Diagnosis, diagnose
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, OnlineConformal
+from .predictive import PredictiveDensity
 from .rank import conformal_quantile, conformal_rank
 from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
@@ -43,8 +44,8 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MondrianConformal", "NotCalibratedError",
-    "NoveltyTest", "OnlineConformal", "QuantileBins", "QuickDensity", "Regions", "Score", "SlowFitWarning",
-    "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
+    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity", "Regions", "Score",
+    "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
     "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
     "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
 ]  # fmt: skip

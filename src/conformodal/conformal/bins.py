@@ -36,6 +36,9 @@ class QuantileBins:
         Share of the training range by which the outer bins reach beyond it at either end. With 0, as in the paper,
         values beyond the training range score ``+inf``; a few such calibration values make regions unbounded at a
         small alpha.
+    tail
+        Width, as a share of the training range, of one more bin beyond the outer bin at either end; 0 for none. A
+        smooth density gives these bins little probability, so that values far out get finite scores.
 
     Attributes
     ----------
@@ -55,9 +58,10 @@ class QuantileBins:
     edges_: list[FloatArray]
     names: list[str] | None = None
 
-    def __init__(self, n_bins: int = 50, margin: float = 0.0) -> None:
+    def __init__(self, n_bins: int = 50, margin: float = 0.0, tail: float = 0.0) -> None:
         self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
+        self.tail = as_number(tail, "tail", "a share of the range, at least 0", lambda t: 0 <= t < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
         """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
@@ -70,6 +74,9 @@ class QuantileBins:
             for column in arr.T:
                 edges = _place(np.quantile(column, levels), column)
                 edges[[0, -1]] += self.margin * (edges[-1] - edges[0]) * np.array([-1.0, 1.0])
+                if self.tail:
+                    reach = self.tail * (edges[-1] - edges[0])
+                    edges = np.concatenate(([edges[0] - reach], edges, [edges[-1] + reach]))
                 placed.append(edges)
         for j, edges in enumerate(placed):
             _check_edges(edges, f"bins of target {j}, values from {arr[:, j].min():g} to {arr[:, j].max():g}, edges")

@@ -15,7 +15,7 @@ from sklearn.preprocessing import OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal
+from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal, QuantileBins
 from conformodal.conformal.learning.tables import TableEncoder, as_column
 
 N = 240
@@ -218,3 +218,22 @@ def test_every_group_is_split_by_itself():
     X, y = frame()
     reg = tree().fit(X[["age"]], y, groups=np.repeat([0, 1], [190, 50]))
     assert reg.calibrator_.sizes_ == {0: 38, 1: 10}
+
+
+@pytest.mark.filterwarnings("ignore:regions are unbounded")
+def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
+    unbounded = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        X = rng.normal(size=(50, 1))
+        y = X[:, 0] + rng.standard_normal(50)
+        unbounded += tree().fit(X, y).predict_region(X[:1]).unbounded.any()
+    assert unbounded <= 2  # 12 of 40 where the outer bins end with the range
+    with pytest.warns(UserWarning, match="regions are unbounded: 4 calibration samples are too few for alpha"):
+        tree().fit(X[:20], y[:20])
+
+
+def test_tail_bins_lie_beyond_the_others():
+    plain, tailed = QuantileBins(4, margin=0.1).fit([0.0, 1, 2, 10]), QuantileBins(4, 0.1, tail=1).fit([0.0, 1, 2, 10])
+    np.testing.assert_array_equal(tailed.edges_[0][1:-1], plain.edges_[0])
+    assert tailed.edges_[0][[0, -1]].tolist() == [-13.0, 23.0]

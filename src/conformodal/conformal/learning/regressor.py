@@ -22,6 +22,7 @@ from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_number,
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
 from conformodal.core.arrays import FloatArray
@@ -34,6 +35,8 @@ from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
+# With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
+_TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
 
@@ -173,7 +176,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
-        self.bins_ = QuantileBins(n_bins, margin=_MARGIN).fit(values[seen])
+        tail = _TAIL if 0 < held.size < _FEW_TO_CALIBRATE else 0.0
+        self.bins_ = QuantileBins(n_bins, margin=_MARGIN, tail=tail).fit(values[seen])
         self.bins_.names = names
         calibrator = SplitConformal if labels is None else MondrianConformal
         self.calibrator_: Any = calibrator(self.bins_, self.alpha, self.__dict__["score"], self.joint)
@@ -208,6 +212,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self, "bins_")
         return self._proba(self._table(X, reset=False)[0])
 
+    def predict_density(self, X: Any) -> PredictiveDensity:
+        """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
+        return PredictiveDensity(self.bins_, self.predict_bins(X))
+
     @overload
     def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
 
@@ -227,8 +235,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         for name, value in (("alpha", alpha), ("groups", groups)):
             if value is not None:
                 raise ConformalError(f"{name} must be None unless region=True, got {brief(value)}")
-        centers = zip(self.predict_bins(X), self.bins_.centers, strict=True)
-        means = np.column_stack([proba @ c for proba, c in centers])
+        means = self.predict_density(X).mean
         return means[:, 0] if self._one_target else means
 
     def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions:
@@ -317,6 +324,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _calibrate(self, features: Any, values: FloatArray, labels: npt.NDArray[Any] | None) -> None:
         if labels is None:
             self.calibrator_.calibrate(self._proba(features), values)
+            if np.isinf(self.calibrator_.thresholds_).any():
+                few = counted(len(values), "calibration sample")
+                warnings.warn(f"regions are unbounded: {few} are too few for alpha = {self.alpha}", stacklevel=3)
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}

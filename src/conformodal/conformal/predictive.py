@@ -1,0 +1,111 @@
+"""Predictive distributions over bins: densities, quantiles, modes, samples and probabilities of intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray
+
+from .bins import QuantileBins
+from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets
+from .errors import ConformalError
+from .regions import Regions
+
+
+class PredictiveDensity:
+    """The distribution of each of d targets of n samples, constant within every bin.
+
+    It is what the learner believes, not calibrated: coverage is guaranteed for regions only.
+
+    Parameters
+    ----------
+    bins
+        The bins of the targets.
+    proba
+        Their probabilities, (n, d, K) or a list of d arrays (n, K_j).
+
+    Examples
+    --------
+    >>> from conformodal.conformal import PredictiveDensity, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 4]])
+    >>> density = PredictiveDensity(bins, [[[0.5, 0.1, 0.4]]])
+    >>> density.pdf([0.5]), density.cdf([3.0]), density.quantile(0.25), density.mode
+    (array([[0.5]]), array([[0.8]]), array([[0.5]]), array([[0.5]]))
+    """
+
+    def __init__(self, bins: QuantileBins, proba: Probabilities) -> None:
+        self.bins = bins
+        self.proba: Sequence[FloatArray] = [part.astype(np.float64) for part in as_table(proba, bins.sizes)[0]]
+        self._below = [np.pad(np.cumsum(part, axis=1), ((0, 0), (1, 0))) for part in self.proba]
+
+    def __len__(self) -> int:
+        return len(self.proba[0])
+
+    def pdf(self, y: npt.ArrayLike) -> FloatArray:
+        """Density at one value per sample and target, `y` (n, d) or (n,); 0 outside the bins. (n, d)."""
+        codes = self.bins.encode(self._values(y))
+        rows = np.arange(len(self))
+        found = [p[rows, c] / w[c] * (c >= 0) for p, c, w in zip(self.proba, codes.T, self.bins.widths, strict=True)]
+        return np.stack(found, axis=1)
+
+    def cdf(self, y: npt.ArrayLike) -> FloatArray:
+        """Probability of values up to `y`, (n, d) or (n,), as (n, d)."""
+        found = [self._reached(j, column) for j, column in enumerate(self._values(y).T)]
+        return np.stack(found, axis=1)
+
+    def quantile(self, q: float) -> FloatArray:
+        """The value that is not exceeded with probability `q`, (n, d)."""
+        level = as_number(q, "q", "a probability in [0, 1]", lambda p: 0 <= p <= 1)
+        return self._at(np.full((len(self), self.bins.n_targets), level))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean, (n, d)."""
+        return np.stack([p @ c for p, c in zip(self.proba, self.bins.centers, strict=True)], axis=1)
+
+    @property
+    def mode(self) -> FloatArray:
+        """Middle of the bin of highest density, (n, d)."""
+        parts = zip(self.proba, self.bins.widths, self.bins.centers, strict=True)
+        return np.stack([centers[(p / widths).argmax(axis=1)] for p, widths, centers in parts], axis=1)
+
+    def sample(self, size: int = 1, random_state: Any = None) -> FloatArray:
+        """Independent draws for every sample and target, (size, n, d)."""
+        random, shape = as_random(random_state), (len(self), self.bins.n_targets)
+        return np.stack([self._at(random.random_sample(shape)) for _ in range(as_count(size, "size", 1))])
+
+    def probabilities(self, regions: Regions, i: int) -> list[FloatArray]:
+        """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
+        if len(regions) != len(self) or regions.bins.n_targets != self.bins.n_targets:
+            raise ConformalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
+        found = []
+        for j, ends in enumerate(regions.intervals(i)):
+            reached = [self._reached(j, np.full(len(self), end))[i] for end in ends.ravel()]
+            found.append(np.diff(np.reshape(reached, (-1, 2)), axis=1)[:, 0])
+        return found
+
+    def _values(self, y: npt.ArrayLike) -> FloatArray:
+        values = as_targets(y, self.bins.n_targets)
+        if len(values) != len(self):
+            raise ConformalError(f"y has {len(values)} rows, the densities have {len(self)}")
+        return values
+
+    def _reached(self, j: int, values: FloatArray) -> FloatArray:
+        edges, rows = self.bins.edges_[j], np.arange(len(values))
+        code = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+        share = np.clip((values - edges[code]) / np.diff(edges)[code], 0, 1)
+        return np.asarray(self._below[j][rows, code] + share * self.proba[j][rows, code])
+
+    def _at(self, levels: FloatArray) -> FloatArray:
+        """Quantiles at a level for every sample and target, (n, d)."""
+        found, rows = np.empty_like(levels), np.arange(len(levels))
+        for j, (level, edges) in enumerate(zip(levels.T, self.bins.edges_, strict=True)):
+            code = np.minimum((self._below[j][:, 1:] < level[:, None]).sum(axis=1), edges.size - 2)
+            own = self.proba[j][rows, code]
+            share = np.divide(level - self._below[j][rows, code], own, out=np.zeros(len(rows)), where=own > 0)
+            found[:, j] = edges[code] + np.clip(share, 0, 1) * np.diff(edges)[code]
+        return found

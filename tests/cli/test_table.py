@@ -1,0 +1,122 @@
+"""A CSV file as spreadsheets write it, at the command line."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from conformodal.cli.table import TableError, choose_columns, read_table
+from conformodal.conformal.learning import location, process, quick
+from conformodal.conformal.learning.location import boosting
+from tests.helpers import invoke
+
+
+def written(folder, text, encoding="utf-8"):
+    path = folder / "own.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
+    lines = 'Größe (cm);"Dosis; mg";Datum;Notiz', '1.170,5;0,5;01.02.2024;"a, b # c"', " 99;1;31.12.2024;"
+    text = "\n".join([*lines, "80,25;;15.03.2024;x", ""])
+    for encoding in ("utf-8-sig", "cp1252", "utf-16"):
+        frame, notes = read_table(written(tmp_path, text, encoding))
+        assert list(frame) == ["Größe (cm)", "Dosis; mg", "Datum", "Notiz"]
+        assert frame["Größe (cm)"].tolist() == [1170.5, 99, 80.25]
+        np.testing.assert_array_equal(frame["Dosis; mg"], [0.5, 1, np.nan])
+        assert frame["Datum"].tolist() == [*pd.to_datetime(["2024-02-01", "2024-12-31", "2024-03-15"])]
+        assert frame["Notiz"].tolist()[0] == "a, b # c"
+        assert notes == [f"{tmp_path / 'own.csv'}: 3 rows, 4 columns separated by ';'"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('a,b\n"1,234",x\n"12,345",y\n', [1234, 12345]),
+        ('a,b\n"1,234.5",x\n"2.5",y\n', [1234.5, 2.5]),
+        ('a,b\n"1,5",x\n"2,25",y\n', [1.5, 2.25]),
+        ("a\tb\n1,234\tx\n2\ty\n", [1.234, 2]),
+        ("a|b\n-1e3|x\n2|y\n", [-1000, 2]),
+        ("a;b\n1 000,5;x\n2;y\n", [1000.5, 2]),
+        ("a;b\n1.2.3;x\n1,2;y\n", ["1.2.3", "1,2"]),
+    ],
+)
+def test_decimal_and_thousands_marks(tmp_path, text, expected):
+    assert read_table(written(tmp_path, text))[0]["a"].tolist() == expected
+
+
+def test_a_few_values_that_are_no_numbers_are_missing_and_told(tmp_path):
+    text = "a,b\n" + "".join(f"{i},x\n" for i in range(30)) + "n.d.,x\n"
+    frame, notes = read_table(written(tmp_path, text))
+    assert np.isnan(frame["a"].iloc[-1])
+    assert "a: 1 value taken as missing, such as 'n.d.'" in notes
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(b"PK\x03\x04\x00\x00", "save the spreadsheet as CSV"), (b"", "cannot be read as CSV"), (b"\xff\xfea", "UTF-16")],
+)
+def test_what_is_no_table_is_refused(tmp_path, content, says):
+    (tmp_path / "own.csv").write_bytes(content)
+    with pytest.raises(TableError, match=says):
+        read_table(tmp_path / "own.csv")
+
+
+def frame(n=100):
+    rng = np.random.default_rng(0)
+    dose = rng.normal(size=n)
+    dose[[3, 7]] = np.nan
+    return pd.DataFrame(
+        {
+            "id": np.arange(n) + 1.0,
+            "name": [f"patient {i}" for i in range(n)],
+            "ward": rng.choice(["a", "b"], n),
+            "empty": np.where(np.arange(n) < 90, np.nan, 1.0),
+            "same": "yes",
+            "age": rng.uniform(size=n),
+            "dose": dose,
+        }
+    )
+
+
+def test_columns_and_rows_that_say_nothing_are_left_out_and_told():
+    X, y, lines = choose_columns(frame(), ["dose"], "ward", "f")
+    assert list(X) == ["ward", "age"]
+    assert list(y) == ["dose"]
+    assert len(X) == 98
+    told = " ".join(lines)
+    for words in ("id (numbers the rows)", "name (another text", "empty (90% missing)", "same (one value", "rows 4, 8"):
+        assert words in told
+    assert "used: ward (text, 2 labels), age" in told
+
+
+@pytest.mark.parametrize(
+    ("targets", "group", "says"),
+    [
+        (["doze"], None, "has no column 'doze'; its columns are 'id'"),
+        (["ward"], None, "target 'ward' must hold numbers, found '[ab]'"),
+        (["dose", "dose"], None, "one part"),
+        (["dose"], "dose", "one part"),
+        (["dose"], "wards", "no column 'wards'"),
+        (["empty"], None, "10 rows with all targets"),
+    ],
+)
+def test_columns_that_cannot_be_used_are_refused(targets, group, says):
+    with pytest.raises(TableError, match=says):
+        choose_columns(frame(), targets, group, "f")
+
+
+def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
+    for module in (quick, location):  # short fits
+        monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
+    monkeypatch.setattr(process, "_STAGES", ((30, 3),))
+    X = frame(150)
+    X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
+    X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
+    result = invoke("table", tmp_path / "own.csv", "--target", "dose", "--group", "ward")
+    assert result.exit_code == 0, result.output
+    for words in ("used: ward (text, 2 labels), age", "dose: ", "(true: ", "coverage of dose", "group a", "group b"):
+        assert words in result.output
+    result = invoke("table", tmp_path / "own.csv", "--target", "doze")
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 1
