@@ -67,7 +67,7 @@ def write_tum(root):
         picture(folder / "rgb" / f"{i}.png", i)
         lines.append(f"{100 + 0.1 * i:.4f} rgb/{i}.png")
     (folder / "rgb.txt").write_text("\n".join(lines))
-    stamps = 100 + 0.1 * np.arange(N) + 0.004
+    stamps = 100 + 0.1 * np.arange(N)
     rows = np.column_stack((stamps, PLACES, QUATS[:, 1:], QUATS[:, :1]))
     np.savetxt(folder / "groundtruth.txt", rows, header="timestamp tx ty tz qx qy qz qw")
     (folder / "camera-intrinsics.txt").write_text(K)
@@ -92,7 +92,7 @@ def write_euroc(root):
     rows = ["#timestamp, p_RS_R_x [m], ..."]
     for i in range(N):
         numbers = ",".join(f"{v:.12f}" for v in (*body[i, :3, 3], *quats[i], 0.0, 0.0, 0.0))
-        rows.append(f"{1403636579763555584 + 50_000_000 * i + 1_000_000},{numbers}")
+        rows.append(f"{1403636579763555584 + 50_000_000 * i},{numbers}")
     truth.write_text("\n".join(rows))
     (cam / "sensor.yaml").write_text(
         "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: "
@@ -134,7 +134,7 @@ def write_nerf(root):
 def write_images(root):
     for i in range(N):
         picture(root / f"{100 + 0.1 * i:.6f}.png", i)
-    rows = np.column_stack((100.004 + 0.1 * np.arange(N), PLACES, QUATS[:, 1:], QUATS[:, :1]))
+    rows = np.column_stack((100 + 0.1 * np.arange(N), PLACES, QUATS[:, 1:], QUATS[:, :1]))
     np.savetxt(root / "poses.tum", rows)
     (root / "camera-intrinsics.txt").write_text(K)
     return root
@@ -201,7 +201,7 @@ def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
     assert len(whole) == N
     assert whole.truth is None
     path.write_text("900.0 0 0 0 0 0 0 1\n")
-    with pytest.raises(DatasetError, match=r"groundtruth\.txt: no estimated pose"):
+    with pytest.raises(DatasetError, match=r"groundtruth\.txt: no image has a pose"):
         read_sequence(folder)
 
 

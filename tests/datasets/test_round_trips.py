@@ -62,9 +62,7 @@ def check_round_trip(source, layout):
     known = source[3]
     with tempfile.TemporaryDirectory() as scratch:
         before, truth = stored(Path(scratch), source)
-        done = write_layout(
-            Path(scratch) / "b", layout, SequenceStream(before), before.camera, truth, max_difference_s=0
-        )
+        done = write_layout(Path(scratch) / "b", layout, SequenceStream(before), before.camera, truth, max_gap_s=0)
         after = read_sequence(Path(scratch) / "b", require_poses=False)
         assert (done.n_frames, done.n_posed) == (len(known), known.sum())
         reds = [after.image(i)[0, 0, 0] for i in range(len(after))]

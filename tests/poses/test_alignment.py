@@ -16,7 +16,7 @@ from conformodal.poses import (
     read_tum,
     relative_errors,
 )
-from conformodal.poses.alignment import umeyama
+from conformodal.poses.alignment import straightness, umeyama
 
 PAIRS = {
     "kitti00_orb": ("KITTI_00_ORB.txt", "KITTI_00_gt.txt"),
@@ -121,3 +121,32 @@ def test_unknown_alignments_and_other_lengths_are_refused():
         align(cloud(), cloud(), "affine")
     with pytest.raises(PoseError, match="20 poses, truth 19"):
         align(cloud(), cloud(19), "se3")
+
+
+def straight(across, n=200):
+    """A path along x that leaves it by some metres, with orientations, and an estimate rolled by 20 degrees about x."""
+    t = np.linspace(0, 10, n)
+    positions = np.column_stack((t, across * np.sin(3 * t), 0.5 * across * np.cos(2 * t)))
+    truth = Trajectory(t, positions, np.tile([1.0, 0, 0, 0], (n, 1)))
+    rolled = Rotation.from_euler("zx", [30, 0 if across else 20], degrees=True)
+    q = rolled.as_quat(scalar_first=True)
+    return truth, Trajectory(t, rolled.apply(positions) + np.arange(3.0), np.tile(q, (n, 1)))
+
+
+def test_a_straight_path_leaves_the_roll_open_and_yaw_does_not_touch_it():
+    truth, estimate = straight(0.001)
+    assert "nearly straight" in straightness(truth)
+    assert straightness(straight(2.0)[0]) == ""
+    assert "nearly straight" in straightness(straight(2.0)[0], residual_m=1.0)
+    yawed = align(estimate, truth, "yaw")
+    np.testing.assert_allclose(yawed.positions_xyz, truth.positions_xyz, atol=1e-9)
+    np.testing.assert_allclose(yawed.poses_se3, truth.poses_se3, atol=1e-9)
+
+
+def test_yaw_keeps_an_error_of_tilt():
+    truth, estimate = straight(2.0)
+    tilted = Rotation.from_euler("y", 5, degrees=True)
+    q = (tilted * Rotation.from_quat(estimate.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
+    wrong = Trajectory(estimate.timestamps_s, tilted.apply(estimate.positions_xyz), q)
+    assert orientation_errors_deg(align(wrong, truth, "se3"), truth).max() < 1e-6
+    assert orientation_errors_deg(align(wrong, truth, "yaw"), truth).max() == pytest.approx(5, abs=0.5)

@@ -15,13 +15,14 @@ from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
 from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.reading import MAX_TIME_DIFFERENCE_S, Note
+from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
-from conformodal.poses import PinholeCamera, read_tum
+from conformodal.poses import PinholeCamera
+from conformodal.poses.metrics import MAX_GAP_S
 from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.running.results.folders import lock_output
@@ -31,7 +32,7 @@ from conformodal.vision.features import FeatureCache
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
-from .sources import FollowOutside, cache_folder, open_sequence, open_source
+from .sources import FollowOutside, MaxGap, TimeOffset, cache_folder, open_sequence, open_source, read_poses
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
@@ -117,10 +118,12 @@ def convert(
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
     to: Annotated[Layout, typer.Option(help=f"Layout to write: {', '.join(WRITABLE)}.")] = Layout.IMAGES,
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
-    poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, paired by time within 0.02 s.")] = None,
+    poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, interpolated by time.")] = None,
     camera: Annotated[
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
     ] = None,
+    max_gap: MaxGap = MAX_GAP_S,
+    time_offset: TimeOffset = 0.0,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     follow_outside: FollowOutside = False,
 ) -> None:
@@ -129,7 +132,7 @@ def convert(
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
-    truth = own if poses is None else read_tum(poses)
+    truth = own if poses is None else read_poses(poses, time_offset)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
@@ -142,14 +145,14 @@ def convert(
             lens,
             truth,
             lambda number: report("frames", number, max(total, number)),
-            max_difference_s=0.0 if poses is None else MAX_TIME_DIFFERENCE_S,
+            max_gap_s=0.0 if poses is None else max_gap,
         )
     how_many = (
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
     )
     console.print(
         f"{counted(done.n_frames, 'frame')} written as {to}, {how_many} poses; left out: "
-        f"{done.n_unreadable} unreadable, {done.n_without_pose} without a pose"
+        f"{done.n_unreadable} unreadable"
         + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
         soft_wrap=True,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +14,9 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Layout
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.errors import OdometryError
-from conformodal.poses import Alignment, Trajectory, align, associate, read_tum, recall, relative_errors
-from conformodal.poses.metrics import KITTI_LENGTHS_M, kitti_drift
+from conformodal.poses import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
+from conformodal.poses.alignment import straightness
+from conformodal.poses.metrics import KITTI_LENGTHS_M, MAX_GAP_S, kitti_drift
 from conformodal.running.results.evaluation import bounded_coverage, error_table
 from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.running.results.provenance import provenance
@@ -31,7 +32,7 @@ from conformodal.running.results.runs import read_metrics, read_trajectories, re
 
 from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
 from .outcome import describe_coverage
-from .sources import FollowOutside, open_sequence
+from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
 
 
 @report_errors
@@ -42,17 +43,26 @@ def evaluate(
     alignment: Annotated[
         Alignment, typer.Option("--align", help="Alignment of each trajectory before the comparison.")
     ] = Alignment.NONE,
+    max_gap: MaxGap = MAX_GAP_S,
+    time_offset: TimeOffset = 0.0,
     follow_outside: FollowOutside = False,
 ) -> None:
-    """Compare results with true poses, paired by time within 0.01 s. Writes OUT/evaluation/metrics.json."""
+    """Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
         recover(out)
         found = _read_results(out)
-        true_poses = _read_truth(truth, layout, follow_outside=follow_outside)
-        mine, theirs = associate(found.times, true_poses)
-        matched = true_poses[theirs]
+        true_poses = _read_truth(truth, layout, time_offset, follow_outside=follow_outside)
+        rows, gaps = poses_at(true_poses, found.times.timestamps_s, max_gap)
+        mine = np.flatnonzero(np.isfinite(rows).all(axis=1))
+        if not mine.size:
+            associate(found.times, true_poses, max_gap)  # says why
+            raise OdometryError(f"{truth}: no pose of the results lies between true ones within {max_gap:g} s")
+        matched = Trajectory(found.times.timestamps_s[mine], rows[mine, :3], rows[mine, 3:])
         moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
         errors = {name: row | _motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
+        doubt = ""
+        if alignment in (Alignment.SE3, Alignment.SIM3) and moved:
+            doubt = straightness(matched, next(iter(errors.values()))["rmse_m"])
         metrics = found.metrics
         sign = metrics.get("sign_reference_quat_wxyz")
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
@@ -70,6 +80,8 @@ def evaluate(
             "seed": metrics.get("seed"),
             "unfinished": found.unfinished,
             "n_matched": len(mine),
+            "largest_gap_s": float(gaps[mine].max()),
+            "alignment_doubt": doubt or None,
             "n_answered": len(found.times),
             "errors": errors,
             "coverage": {
@@ -89,7 +101,10 @@ def evaluate(
     if found.unfinished:
         report_strongly("the run did not come to its end: what it had written until then is evaluated")
     have = noun_for(len(mine), "has", "have")
-    console.print(f"{len(mine)} of {counted(len(found.times), 'pose')} {have} a true one within 0.01 s")
+    answers, gap = counted(len(found.times), "pose"), gaps[mine].max()
+    console.print(f"{len(mine)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s")
+    if doubt:
+        report_strongly(doubt)
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
     report_line(describe_coverage(result["coverage"]))
@@ -164,8 +179,9 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return found
 
 
-def _read_truth(path: Path, layout: Layout, *, follow_outside: bool) -> Trajectory:
+def _read_truth(path: Path, layout: Layout, offset_s: float, *, follow_outside: bool) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
-        return open_sequence(path, layout, require_poses=True, follow_outside=follow_outside).require_truth()
-    return read_tum(path)
+        poses = open_sequence(path, layout, require_poses=True, follow_outside=follow_outside).require_truth()
+        return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
+    return read_poses(path, offset_s)

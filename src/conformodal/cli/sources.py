@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.poses import PinholeCamera
+from conformodal.poses import PinholeCamera, Trajectory, read_tum
 
 from .console import report_line
 from .options import OptionError
@@ -36,6 +37,8 @@ FollowOutside = Annotated[
         help="Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are.",
     ),
 ]
+MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
+TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 
 
@@ -71,6 +74,16 @@ def open_sequence(
     if notes:
         _report_warnings(sequence.notes)
     return sequence
+
+
+def read_poses(path: Path, offset_s: float = 0.0) -> Trajectory:
+    """The poses of a TUM file, moved in time; says what is wrong with some of them."""
+    with warnings.catch_warnings(record=True) as came:
+        warnings.simplefilter("always")
+        poses = read_tum(path)
+    for warning in came:
+        report_line(str(warning.message))
+    return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
 
 
 def open_source(

@@ -12,14 +12,16 @@ import numpy as np
 from .cameras import SCALED
 from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
+from .frame_table import INTERPOLATED
 from .lenses import OTHER_CAMERA, UNDISTORTED
+from .nerf import ORIGINAL_WORLD
 from .sequence import Sequence
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED)
+_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, ORIGINAL_WORLD)
 
 
 @dataclass

@@ -1,6 +1,7 @@
-"""EuRoC (Burri et al. 2016): ``mav0/cam0`` with its calibration, and the body's poses.
+"""EuRoC (Burri et al. 2016) and TUM-VI (Schubert et al. 2018): ``mav0/cam0`` with its calibration, the body's poses.
 
-Ground truth is of the body; ``T_BS`` of ``sensor.yaml`` takes it to the camera.
+Ground truth is of the body; ``T_BS`` of ``sensor.yaml``, or ``T_cam_imu`` of Kalibr's ``camchain.yaml``, takes it to
+the camera.
 """
 
 from __future__ import annotations
@@ -9,24 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
-from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.core.arrays import FloatArray
+from conformodal.poses import Trajectory
 from conformodal.poses.formats import euroc_table
-from conformodal.poses.text import matrix_faults, table_of, whole_number
+from conformodal.poses.text import matrix_faults, nanoseconds, table_of
 
-from .cameras import UNDISTORT, Size, camera_of
+from .cameras import UNDISTORT, Size, camera_beside, camera_of
 from .decoding import common_size
 from .errors import DatasetError
-from .frame_table import FrameTable, listed, paired_by_time
+from .frame_table import Damaged, FrameTable, listed, paired_by_time
+from .lenses import AnyCamera, fisheye_of
 from .reading import Note, PathGuard, read_lines, reader
 from .sequence import Sequence
 
-# Ground truth comes at 200 Hz.
-MAX_TIME_DIFFERENCE_S = 0.005
+_BESIDE = "camera-intrinsics.txt"
 _MOST_BYTES = 16_000  # a calibration has a tenth of that
-_TRUTH = "state_groundtruth_estimate0"
+_TRUTHS = ("state_groundtruth_estimate0", "mocap0")
+_RADIAL, _FISHEYE = ("radial-tangential", "radtan"), "equidistant"
 
 
 @reader
@@ -36,16 +38,18 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     Parameters
     ----------
     folder
-        ``mav0``, or the folder that holds it.
+        ``mav0``, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, ``camchain.yaml`` (in the folder
+        or in ``dso``), or ``camera-intrinsics.txt``, which says no mounting: the body's poses are then the camera's.
     require_poses
-        True leaves out images without a pose within 5 ms: ground truth starts later than the camera. False keeps all
+        True leaves out images without a pose by time: ground truth starts later than the camera. False keeps all
         of them; the sequence has a truth only if every one has a pose.
     follow_outside
         Whether ``data.csv`` may name files outside the folder.
     """
     folder = Path(folder).resolve()
     root = folder if folder.name == "mav0" else folder / "mav0"
-    path, truth = root / "cam0" / "data.csv", root / _TRUTH / "data.csv"
+    path, truths = root / "cam0" / "data.csv", [root / name / "data.csv" for name in _TRUTHS]
+    truth = next((place for place in truths if place.is_file()), truths[0])
     data, notes = root / "cam0" / "data", list[Note]()
 
     place = PathGuard(root, path, follow_outside=follow_outside)
@@ -54,34 +58,46 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         time, name = (field.strip() for field in line.split(",")[:2])
         if not name:
             raise ValueError
-        return whole_number(time) / 1e9, place(data, name)
+        return nanoseconds(time) / 1e9, place(data, name)
 
     images, times = listed(path, parse, "'timestamp [ns], file'", notes)
-    camera, T_body_cam = _sensor(root / "cam0" / "sensor.yaml", common_size(images), notes)
-    poses = None
+    camera, T_body_cam = _calibration(root, common_size(images), notes)
+    poses, why = None, Damaged()
     if require_poses and not truth.is_file():
         raise DatasetError(f"{truth}: poses are missing")
     if truth.is_file():
-        poses = paired_by_time(euroc_table, truth, times, MAX_TIME_DIFFERENCE_S, notes)
+        poses, why = paired_by_time(euroc_table, truth, times, notes)
         known = np.isfinite(poses).all(axis=1)
         body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
         poses[known] = table_of(body.poses_se3 @ T_body_cam)
-    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
     table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
     return table.sequence(camera, require_poses=require_poses)
 
 
-def _sensor(path: Path, size: Size, notes: list[Note]) -> tuple[PinholeCamera, npt.NDArray[np.float64]]:
-    text = "\n".join(read_lines(path))
+def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, FloatArray]:
+    """The camera, and its pose on the body (4, 4)."""
+    sensor = root / "cam0" / "sensor.yaml"
+    chains = [place / "camchain.yaml" for place in (root, root.parent, root / "dso", root.parent / "dso")]
+    path = next((place for place in (sensor, *chains) if place.is_file()), sensor)
+    beside = next((place for place in (root / "cam0", root, root.parent) if (place / _BESIDE).is_file()), None)
+    if not path.is_file() and beside is not None:
+        where = f"{sensor}: is missing, so the body's poses are taken as the camera's"
+        notes.append(Note("no mounting of the camera", where))
+        return camera_beside(beside, size, None, notes), np.eye(4)
+    lines = read_lines(path)
+    text = "\n".join(lines[1:] if lines and lines[0].startswith("%YAML") else lines).replace("!!opencv-matrix", "")
     if len(text) > _MOST_BYTES:
         raise DatasetError(f"{path}: has {len(text)} characters, expected a calibration of at most {_MOST_BYTES}")
     try:
-        sensor: Any = yaml.safe_load(text)
-        pixels = _numbers(sensor["intrinsics"], 4)
-        lens = _numbers(sensor.get("distortion_coefficients") or (), None)
-        T_body_cam = np.array(_numbers(sensor["T_BS"]["data"], 16)).reshape(4, 4)
-        model = (sensor.get("camera_model", "pinhole"), sensor.get("distortion_model", "radial-tangential"))
-        stated = _numbers(sensor["resolution"], 2) if "resolution" in sensor else None
+        content: Any = yaml.safe_load(text)
+        kalibr = path is not sensor
+        content = content["cam0"] if kalibr else content
+        pixels = _numbers(content["intrinsics"], 4)
+        lens = _numbers(content.get("distortion_coeffs" if kalibr else "distortion_coefficients") or (), None)
+        rows = [v for row in content["T_cam_imu"] for v in row] if kalibr else content["T_BS"]["data"]
+        mounting = np.array(_numbers(rows, 16)).reshape(4, 4)
+        models = (content.get("camera_model", "pinhole"), content.get("distortion_model", _RADIAL[0]))
+        stated = _numbers(content["resolution"], 2) if "resolution" in content else None
     except (
         yaml.YAMLError,
         KeyError,
@@ -93,17 +109,21 @@ def _sensor(path: Path, size: Size, notes: list[Note]) -> tuple[PinholeCamera, n
         RecursionError,
     ) as exc:
         raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    if model not in (("pinhole", "radial-tangential"), ("pinhole", "radtan")):
+    if models[0] != "pinhole" or models[1] not in (*_RADIAL, _FISHEYE) or (models[1] == _FISHEYE and len(lens) != 4):
         raise DatasetError(
-            f"{path}: has camera model {model[0]}, {model[1]}; expected pinhole, radial-tangential: {UNDISTORT}"
+            f"{path}: has camera model {models[0]}, {models[1]}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
+            f"numbers: {UNDISTORT}"
         )
-    faults = matrix_faults(T_body_cam[None])
-    if faults or not np.isfinite(T_body_cam).all():
-        raise DatasetError(f"{path}: T_BS {faults.get(0, 'holds NaN or infinity')}")
+    faults = matrix_faults(mounting[None])
+    if faults or not np.isfinite(mounting).all():
+        raise DatasetError(f"{path}: {'T_cam_imu' if kalibr else 'T_BS'} {faults.get(0, 'holds NaN or infinity')}")
     whole = None if stated is None else (int(stated[0]), int(stated[1]))
-    lens = lens if any(lens) else ()
-    camera = camera_of(f"{path}: intrinsics", pixels, size, lens, stated=whole, notes=notes)
-    return camera, T_body_cam
+    source = f"{path}: intrinsics"
+    if models[1] == _FISHEYE:
+        camera: AnyCamera = fisheye_of(source, pixels, size, lens, stated=whole, notes=notes)
+    else:
+        camera = camera_of(source, pixels, size, lens if any(lens) else (), stated=whole, notes=notes)
+    return camera, np.linalg.inv(mounting) if kalibr else mounting
 
 
 def _numbers(values: Any, count: int | None) -> tuple[float, ...]:

@@ -17,17 +17,20 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, associate
+from conformodal.core.words import counted
+from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, poses_at
+from conformodal.poses.metrics import MAX_GAP_S, clock_hint, nearest_in_time
 
 from .decoding import SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
 from .lenses import AnyCamera, Fisheye, brought
-from .reading import Note, read_lines, readable, shown
+from .reading import Note, read_lines, read_numbers, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
 
 NO_POSE = "no pose"
+INTERPOLATED = "poses are interpolated"
 _LEFT_OUT = "left out, "
 _BETWEEN_RECORDINGS_S = 10.0
 
@@ -198,6 +201,8 @@ def listed(
         except DatasetError:
             raise
         except (ValueError, IndexError):
+            if not images and not faults and line.lstrip()[:1].isalpha():
+                continue  # a header
             faults.append(f"{path}, line {number}: expected {expected}, got {line[:80]!r}")
             continue
         stamps.append(stamp)
@@ -209,41 +214,52 @@ def listed(
 
 
 def paired_by_time(
-    read: Callable[[Path, Damaged], FloatArray],
-    path: Path,
-    times: FloatArray,
-    max_difference_s: float,
-    notes: list[Note],
-) -> FloatArray:
-    """Poses (n, 7) of frames at `times`: the nearest in time, NaN where none is within `max_difference_s`.
+    read: Callable[[Path, Damaged, list[str]], FloatArray], path: Path, times: FloatArray, notes: list[Note]
+) -> tuple[FloatArray, Damaged]:
+    """Poses (n, 7) of frames at `times`, interpolated by time, NaN where there is none; and why there is none.
 
-    `read` gives the file's rows ``time x y z qw qx qy qz``, and adds damaged ones to its second argument.
+    `read` gives the file's rows ``time x y z qw qx qy qz``, and adds damaged ones to its second argument and doubts to
+    its third. A frame at the time of a damaged row has no pose. A file ``max-gap.txt`` beside it holds the longest gap
+    between two poses that is bridged, in seconds, instead of 0.15.
     """
     damaged: Damaged = {}
+    doubts: list[str] = []
     try:
-        rows = read(path, damaged)
+        rows = read(path, damaged, doubts)
         notes += [Note("pose cannot be used", damaged[i]) for i in sorted(damaged)]
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        order = np.argsort(rows[:, 0], kind="stable")
-        twice = np.flatnonzero((np.diff(rows[order, 0]) == 0) & (np.diff(rows[order], axis=0) != 0).any(axis=1))
-        if twice.size:
-            ambiguous = np.unique(rows[order[twice], 0])
-            notes += [Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}") for t in ambiguous]
-            rows = rows[~np.isin(rows[:, 0], ambiguous)]
-        asked = np.flatnonzero(np.isfinite(times))
-        still = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(asked), 1))
-        frames, poses = associate(
-            Trajectory(times[asked], still[:, :3], still[:, 3:]),
-            Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:]),
-            max_difference_s,
-        )
+        notes += [Note("quaternions are not of unit length", doubt) for doubt in doubts]
+        rows = rows[np.isfinite(rows[:, 0])]
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        twice = np.flatnonzero((np.diff(rows[:, 0]) == 0) & (np.diff(rows, axis=0) != 0).any(axis=1))
+        for t in np.unique(rows[twice, 0]):
+            notes.append(Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}"))
+            rows[rows[:, 0] == t, 1:] = np.nan
+        sound = np.isfinite(rows).all(axis=1)
+        truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
     except TrajectoryFileError:
         raise
     except PoseError as exc:
         raise DatasetError(f"{path}: {exc}") from exc
-    found = np.full((len(times), 7), np.nan)
-    found[asked[frames]] = rows[poses, 1:]
-    return found
+    found, asked = np.full((len(times), 7), np.nan), np.flatnonzero(np.isfinite(times))
+    limit = path.with_name("max-gap.txt")
+    max_gap_s = float(read_numbers(limit)[0]) if limit.is_file() else MAX_GAP_S
+    found[asked], gaps = poses_at(truth, times[asked], max_gap_s)
+    if len(rows) > sound.sum() and len(asked):
+        lost = rows[~sound, 0]
+        found[asked[np.abs(lost[nearest_in_time(lost, times[asked])] - times[asked]) < 1e-3]] = np.nan
+    if not np.isfinite(found).any():
+        hint = clock_hint(times[asked], truth.timestamps_s) if len(asked) and len(truth) else ""
+        raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}")
+    bridged = gaps[np.isfinite(found[asked]).all(axis=1)]
+    if bridged.max() > 0:
+        count = counted(int((bridged > 0).sum()), "pose")
+        where = f"{path}: {count} between its own; the largest gap bridged is {bridged.max():.3g} s"
+        notes.append(Note(INTERPOLATED, where))
+    around = [
+        f"those around it are {gap:.3g} s apart" if gap < np.inf else "it is outside of their times" for gap in gaps
+    ]
+    why = {int(i): f"no pose within 1 ms in {path}, and {text}" for i, text in zip(asked, around, strict=True)}
+    return found, why
 
 
 def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:

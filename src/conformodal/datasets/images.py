@@ -15,7 +15,7 @@ from .cameras import camera_beside
 from .decoding import common_size
 from .errors import DatasetError
 from .frame_table import Damaged, FrameTable, paired_by_time
-from .reading import MAX_TIME_DIFFERENCE_S, SUFFIXES, Note, even_times, frame_times, image_files, reader
+from .reading import SUFFIXES, Note, even_times, frame_times, image_files, reader
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
@@ -31,7 +31,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     folder
         With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
         or the names of the files where all of these are numbers with a fraction or of nanoseconds, or else even
-        (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), the nearest within 0.02 s; or
+        (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
@@ -58,7 +58,9 @@ def _poses(
 ) -> npt.NDArray[np.float64] | None:
     for name in _TUM:
         if (folder / name).is_file():
-            return paired_by_time(tum_table, folder / name, times, MAX_TIME_DIFFERENCE_S, notes)
+            rows, why = paired_by_time(tum_table, folder / name, times, notes)
+            damaged |= why
+            return rows
     for path in (folder / name for name in _KITTI):
         if path.is_file():
             try:

@@ -16,7 +16,7 @@ from .errors import DatasetError
 from .euroc import read_euroc_mav
 from .images import read_image_folder
 from .kitti import read_kitti_odometry
-from .nerf import FILE, read_nerf
+from .nerf import FILE, read_nerf, transforms_file
 from .reading import image_files, readable, shown
 from .rgbd_scenes import looks_like_scenes, read_rgbd_scenes
 from .sequence import Sequence
@@ -75,7 +75,7 @@ _READERS = {
     Layout.COLMAP: _Reader(
         read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: model_folder(f) is not None
     ),
-    Layout.NERF: _Reader(read_nerf, FILE, lambda f: (f / FILE).is_file()),
+    Layout.NERF: _Reader(read_nerf, FILE, lambda f: transforms_file(f) is not None),
     Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt", _is_image_folder),
 }
 

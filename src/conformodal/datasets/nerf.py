@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import os
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from conformodal.core.arrays import FloatArray
 from conformodal.poses.text import matrix_faults, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
@@ -24,11 +24,13 @@ from .reading import Note, PathGuard, frame_times, read_lines, reader
 from .sequence import Sequence
 
 FILE = "transforms.json"
+ORIGINAL_WORLD = "poses are in the original world"
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")
 _LENS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE, _FISHEYE_LENS = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")
-_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_model", "is_fisheye", "k4", *_LENS)
+_SIZE_AND_ANGLES = ("w", "h", "camera_angle_x", "camera_angle_y")
+_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", *_SIZE_AND_ANGLES, "camera_model", "is_fisheye", "k4", *_LENS)
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
@@ -39,44 +41,82 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     Parameters
     ----------
     folder
-        With ``transforms.json``. Times are those of ``times.txt`` (seconds, one a line), or else even
-        (``frame-rate.txt`` in Hz, or 30). The scale is the file's own. Fisheye images are undistorted, once.
+        With ``transforms.json``, or only ``transforms_train.json``; a frame may have a camera of its own. Times are
+        those of ``times.txt`` (seconds, one a line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the
+        file's own; what nerfstudio's ``applied_transform`` did is undone. Fisheye images are undistorted, once.
     require_poses
         True leaves out frames without an image, or whose pose is missing or no rigid motion. False keeps them.
     follow_outside
         Whether the file may name images outside the folder.
     """
     folder = Path(folder).resolve()
-    path = folder / FILE
+    path = transforms_file(folder) or folder / FILE
+    notes: list[Note] = []
+    if path.name != FILE and (others := sorted(p.name for p in folder.glob("transforms_*.json") if p != path)):
+        notes.append(Note("other frames are not read", f"{path}: is read, and {', '.join(others)} beside it are not"))
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
         frames = sorted(content["frames"], key=lambda frame: natural_key(str(frame["file_path"])))
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
-        own = [f for f in frames if any(k in f and f[k] != content.get(k) for k in _OWN_CAMERA)]
+        world = _original_world(path, content)
+        cameras = [{**content, **{k: frame[k] for k in _OWN_CAMERA if k in frame}} for frame in frames]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as exc:
         raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if not frames:
         raise DatasetError(f"{path}: needs frames with 4x4 matrices, found none")
     names = [str(frame["file_path"]) for frame in frames]
-    if own:
-        raise DatasetError(f"{path}: {own[0]['file_path']} has a camera of its own; expected one camera for all frames")
-    twice = next((a for a, b in pairwise(names) if a == b), None)
-    if twice is not None:
-        raise DatasetError(f"{path}: names {twice} twice, expected one pose for an image")
     place = PathGuard(folder, path, follow_outside=follow_outside)
     images = [_image(place, name) for name in names]
     if not any(image.is_file() for image in images):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    notes: list[Note] = []
-    camera = _camera(path, content, common_size(images), notes)
+    first: dict[str, str] = {}
+    for name, image in zip(names, images, strict=True):
+        if (other := first.setdefault(os.path.realpath(image), name)) is not name:
+            raise DatasetError(f"{path}: names {other} twice, as {name} too; expected one pose for an image")
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
     why = {i: f"{path}: transform_matrix {faults.get(i, 'is missing, or holds NaN or infinity')}" for i in unknown}
     poses[unknown] = np.nan
+    if world is not None:
+        turn, shift, scale = world
+        poses[:, :3, 3] = (poses[:, :3, 3] / scale - shift) @ turn  # the inverse of x -> scale (turn x + shift)
+        poses[:, :3, :3] = turn.T @ poses[:, :3, :3]
+        notes.append(Note(ORIGINAL_WORLD, f"{path}: applied_transform and applied_scale are undone"))
     poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
+    lenses = _cameras(path, cameras, images, notes)
     table = FrameTable(folder.name, images, frame_times(folder, len(frames)), poses=poses, why=why, notes=notes)
-    return table.sequence(camera, require_poses=require_poses)
+    return table.sequence(lenses, require_poses=require_poses)
+
+
+def transforms_file(folder: Path) -> Path | None:
+    """The file of frames in a folder: ``transforms.json``, or else that of the training frames."""
+    return next((folder / name for name in (FILE, "transforms_train.json") if (folder / name).is_file()), None)
+
+
+def _cameras(path: Path, stated: list[dict[str, Any]], images: list[Path], notes: list[Note]) -> list[AnyCamera]:
+    """The camera of every frame; equal ones are made, and looked at, once."""
+    keys = [repr([camera.get(k) for k in _OWN_CAMERA]) for camera in stated]
+    made: dict[str, AnyCamera] = {}
+    for key, camera in zip(keys, stated, strict=True):
+        if key not in made:
+            there = [image for image, other in zip(images, keys, strict=True) if other == key and image.is_file()]
+            size = common_size(there or [image for image in images if image.is_file()])
+            made[key] = _camera(path, camera, size, notes)
+    return [made[key] for key in keys]
+
+
+def _original_world(path: Path, content: dict[str, Any]) -> tuple[FloatArray, FloatArray, float] | None:
+    """Rotation, shift and scale by which nerfstudio has moved the original world, if it has."""
+    if "applied_transform" not in content and "applied_scale" not in content:
+        return None
+    moved = np.eye(4)
+    rows = content.get("applied_transform", moved[:3].tolist())
+    moved[:3] = np.array([[_number(v) for v in row] for row in rows], dtype=np.float64)[:3]
+    scale = _number(content.get("applied_scale", 1.0))
+    if fault := matrix_faults(moved[None]).get(0, "" if np.isfinite(moved).all() and scale > 0 else "is none"):
+        raise DatasetError(f"{path}: applied_transform {fault}, expected a rigid motion and a positive scale")
+    return moved[:3, :3], moved[:3, 3], scale
 
 
 def _matrix(rows: Any) -> list[list[float]]:
@@ -113,6 +153,8 @@ def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) 
         else:
             fx = float(0.5 * width / np.tan(0.5 * _number(content["camera_angle_x"])))
         fy = _number(content.get("fl_y", fx))
+        if "fl_x" not in content and "fl_y" not in content and "camera_angle_y" in content:
+            fy = float(0.5 * height / np.tan(0.5 * _number(content["camera_angle_y"])))
         cx, cy = _number(content.get("cx", width / 2)), _number(content.get("cy", height / 2))
         lens = tuple(_number(content.get(k, 0.0)) for k in (_FISHEYE_LENS if fisheye else _LENS))
     except (KeyError, ValueError, OverflowError, ZeroDivisionError) as exc:

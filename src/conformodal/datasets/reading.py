@@ -22,9 +22,7 @@ Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
 _RATES_HZ = (1e-3, 1e6)
-# Poses are paired with images as near as this, as the TUM data set's own tool does.
-MAX_TIME_DIFFERENCE_S = 0.02
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
 
 
 class Note(NamedTuple):

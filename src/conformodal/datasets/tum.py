@@ -11,8 +11,8 @@ from conformodal.poses.text import number
 
 from .cameras import camera_beside
 from .decoding import common_size
-from .frame_table import FrameTable, listed, paired_by_time
-from .reading import MAX_TIME_DIFFERENCE_S, Note, PathGuard, reader
+from .frame_table import Damaged, FrameTable, listed, paired_by_time
+from .reading import Note, PathGuard, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -33,7 +33,7 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
         With ``rgb.txt`` and ``groundtruth.txt``. The camera is that of freiburg1, 2 or 3 by the folder's name (``fr3``
         will do), unless ``camera-intrinsics.txt`` lies in it.
     require_poses
-        True leaves out images without a pose within 0.02 s. False keeps all of them; the sequence has a truth only
+        True leaves out images without a pose by time. False keeps all of them; the sequence has a truth only
         if every one has a pose.
     follow_outside
         Whether ``rgb.txt`` may name files outside the folder.
@@ -51,9 +51,8 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     images, times = listed(path, parse, "'timestamp filename'", notes)
     match = re.search(r"(?:freiburg|fr)([123])", folder.name)
     camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, notes)
-    poses = None
+    poses, why = None, Damaged()
     if require_poses or truth.is_file():
-        poses = paired_by_time(tum_table, truth, times, MAX_TIME_DIFFERENCE_S, notes)
-    why = dict.fromkeys(range(len(images)), f"no pose within {MAX_TIME_DIFFERENCE_S:g} s in {truth}")
+        poses, why = paired_by_time(tum_table, truth, times, notes)
     table = FrameTable(folder.name, images, times, poses=poses, why=why, notes=notes)
     return table.sequence(camera, require_poses=require_poses)

@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.choices import as_member
 from conformodal.core.words import counted
-from conformodal.poses import PinholeCamera, PoseError, Trajectory, associate, matrix_from_quat_wxyz
-from conformodal.poses.metrics import nearest_in_time
+from conformodal.poses import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
+from conformodal.poses.metrics import MAX_GAP_S, clock_hint
 
 from .errors import DatasetError
 from .layouts import Layout
-from .reading import MAX_TIME_DIFFERENCE_S
 from .staging import staged
 from .streams.frames import Frame, FrameStream
 from .streams.stored import SequenceStream
@@ -32,9 +31,6 @@ _PLACES: dict[Layout, tuple[str, str]] = {
     Layout.COLMAP: ("images", "{number:06d}"),
 }
 WRITABLE = tuple(_PLACES)
-# Readers pair frames with poses by time in these: a frame without one would be lent a pose that is near enough.
-_PAIRED_BY_TIME = (Layout.TUM, Layout.IMAGES)
-_ROUNDED_S = 2e-6
 _MOST_NAMES = 20
 _UNEVEN = 0.2  # of a frame's time
 _MOST_NUMBERED = 999_999  # six digits
@@ -49,7 +45,7 @@ class ConversionReport:
     ----------
     n_frames, n_posed
         Written, and how many of them with a pose.
-    n_unreadable, n_without_pose, n_without_time
+    n_unreadable, n_without_time
         Left out.
     notes
         For people.
@@ -58,7 +54,6 @@ class ConversionReport:
     n_frames: int = 0
     n_posed: int = 0
     n_unreadable: int = 0
-    n_without_pose: int = 0
     n_without_time: int = 0
     notes: list[str] = field(default_factory=list)
 
@@ -70,7 +65,7 @@ def write_layout(
     camera: PinholeCamera,
     poses: Trajectory | None,
     progress: Callable[[int], None] | None = None,
-    max_difference_s: float = MAX_TIME_DIFFERENCE_S,
+    max_gap_s: float = MAX_GAP_S,
 ) -> ConversionReport:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
 
@@ -90,8 +85,8 @@ def write_layout(
         Of the frames, paired by time. Frames without one are kept without. None writes no poses.
     progress
         Called with frames done.
-    max_difference_s
-        Between a frame and its pose; 0 for poses with the frames' own times.
+    max_gap_s
+        Longest time between two poses that one is interpolated from; 0 for poses with the frames' own times.
 
     Raises
     ------
@@ -111,27 +106,24 @@ def write_layout(
             "at a time"
         )
     if isinstance(stream, SequenceStream):  # what is known before the first frame is read
-        _pair(stream.name, stream.sequence.timestamps_s, poses, max_difference_s)
+        _pair(stream.name, stream.sequence.timestamps_s, poses, max_gap_s)
     with staged(folder) as part:
         frames = _Frames(part, layout, several)
         for number, frame in enumerate(stream, start=1):
             frames.take(frame, stream, camera)
             if progress is not None:
                 progress(number)
-        return frames.finish(stream.name, camera, poses, max_difference_s)
+        return frames.finish(stream.name, camera, poses, max_gap_s)
 
 
-def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_difference_s: float) -> FloatArray:
-    """Rows ``x y z qw qx qy qz`` (n, 7) of frames, the nearest in time; NaN where there is none."""
-    rows = np.full((len(times), 7), np.nan)
+def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_gap_s: float) -> FloatArray:
+    """Rows ``x y z qw qx qy qz`` (n, 7) of frames, interpolated by time; NaN where there is none."""
     if poses is None:
-        return rows
-    asked = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0, 0, 0], (len(times), 1)))
-    try:
-        frames, found = associate(asked, poses, max_difference_s)
-    except PoseError as exc:
-        raise DatasetError(f"{name}: no frame has a pose: {exc}") from exc
-    rows[frames] = np.column_stack((poses.positions_xyz, poses.orientations_quat_wxyz))[found]
+        return np.full((len(times), 7), np.nan)
+    rows, _ = poses_at(poses, times, max_gap_s)
+    if not np.isfinite(rows).any():
+        hint = clock_hint(times, poses.timestamps_s) if len(times) else ""
+        raise DatasetError(f"{name}: no frame has a pose by its time{hint}")
     return rows
 
 
@@ -175,41 +167,23 @@ class _Frames:
             Image.fromarray(np.asarray(frame.image)).save(target)
         return str(target.relative_to(self.place))
 
-    def finish(
-        self, name: str, camera: PinholeCamera, truth: Trajectory | None, max_difference_s: float
-    ) -> ConversionReport:
+    def finish(self, name: str, camera: PinholeCamera, truth: Trajectory | None, max_gap_s: float) -> ConversionReport:
         """Write everything but the images."""
         if not self.rows:
             raise DatasetError(f"{name}: nothing to write: {len(self.unreadable)} unreadable, no time for the rest")
         sources, names = [row[0] for row in self.rows], [row[1] for row in self.rows]
         times, recording = np.array([row[2] for row in self.rows]), np.array([row[3] for row in self.rows])
-        poses = _pair(name, times, truth, max_difference_s)
+        poses = _pair(name, times, truth, max_gap_s)
         posed = np.asarray(np.isfinite(poses).all(axis=1))
-        lent = self._lent(times, posed)
-        for i in np.flatnonzero(lent).tolist():
-            (self.place / names[i]).unlink()
-        kept = np.flatnonzero(~lent)
-        notes = _write(
-            self.layout, self.folder, [names[i] for i in kept], times[kept], recording[kept], poses[kept], camera
-        )
+        notes = _write(self.layout, self.folder, names, times, recording, poses, camera)
         left = {
             "left out {} without an image": self.unreadable,
             "left out {} whose time goes back": self.without_time,
-            "left out {} without a pose, so near to others in time that they would be read back with theirs": [
-                sources[i] for i in np.flatnonzero(lent)
-            ],
-            "kept {} without a pose": [sources[i] for i in kept if truth is not None and not posed[i]],
+            "kept {} without a pose": [sources[i] for i in np.flatnonzero(~posed) if truth is not None],
         }
         told = [_listed(why, frames) for why, frames in left.items() if frames]
-        counts = int(posed.sum()), len(self.unreadable), int(lent.sum()), len(self.without_time)
-        return ConversionReport(len(kept), *counts, told + notes)
-
-    def _lent(self, times: FloatArray, posed: BoolArray) -> BoolArray:
-        """Which frames without a pose would be read back with another frame's."""
-        if self.layout not in _PAIRED_BY_TIME or not posed.any():
-            return np.zeros(len(posed), dtype=np.bool_)
-        away = np.abs(times - times[posed][nearest_in_time(times[posed], times)])
-        return np.asarray(~posed & (away <= MAX_TIME_DIFFERENCE_S + _ROUNDED_S))
+        counts = int(posed.sum()), len(self.unreadable), len(self.without_time)
+        return ConversionReport(len(names), *counts, told + notes)
 
 
 def _listed(why: str, frames: list[str]) -> str:
@@ -251,9 +225,10 @@ def _write(
     np.savetxt(folder / "camera-intrinsics.txt", camera.matrix)
     if camera.distortion:
         np.savetxt(folder / "camera-distortion.txt", camera.distortion)
-    if len(truth) and layout in _PAIRED_BY_TIME:
-        rows = np.column_stack((truth.positions_xyz, np.roll(truth.orientations_quat_wxyz, -1, axis=1))).tolist()
-        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times[at].tolist(), rows, strict=True)]
+    if len(truth) and layout in (Layout.TUM, Layout.IMAGES):
+        # a frame without a pose has a row of NaN: else one between its neighbours' would be read back for it
+        rows = np.column_stack((poses[:, :3], np.roll(poses[:, 3:], -1, axis=1))).tolist()
+        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times.tolist(), rows, strict=True)]
         name = "groundtruth.txt" if layout is Layout.TUM else "poses.tum"
         _write_lines(folder / name, ["# timestamp tx ty tz qx qy qz qw", *lines])
     return lost

@@ -8,7 +8,15 @@ from .alignment import Alignment, align
 from .camera import PinholeCamera
 from .errors import PoseError, TrajectoryFileError
 from .formats import read_euroc, read_kitti, read_tum, tum_lines, write_tum
-from .metrics import associate, orientation_errors_deg, position_errors_m, recall, relative_errors, trajectory_errors
+from .metrics import (
+    associate,
+    orientation_errors_deg,
+    poses_at,
+    position_errors_m,
+    recall,
+    relative_errors,
+    trajectory_errors,
+)
 from .relative import MotionStatus, RelativeMotion, Submap
 from .rotations import angle_between_quats, fix_sign, matrix_from_quat_wxyz, normalise_quat, sign_reference
 from .trajectory import Trajectory, concatenate

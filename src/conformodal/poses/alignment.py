@@ -14,6 +14,9 @@ from .errors import PoseError
 from .metrics import check_same_length
 from .trajectory import Trajectory
 
+# Of the spread along a path, and of the residuals: less across it leaves its roll open.
+_STRAIGHT, _RESIDUALS = 0.02, 3.0
+
 
 class Alignment(StrEnum):
     """Transformations that may be applied to an estimate before it is compared."""
@@ -21,6 +24,7 @@ class Alignment(StrEnum):
     NONE = "none"
     SE3 = "se3"  # rotation and translation
     SIM3 = "sim3"  # and scale, as for one camera that knows none
+    YAW = "yaw"  # rotation about the world's z axis, for two worlds whose z is up, and translation
     SCALE = "scale"  # scale alone, about the world's origin
 
 
@@ -53,8 +57,35 @@ def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Traj
     if kind is Alignment.NONE:
         return estimate
     p, q = estimate.positions_xyz, estimate.orientations_quat_wxyz
-    R, t, s = umeyama(p, truth.positions_xyz, with_scale=kind is not Alignment.SE3)
+    if kind is Alignment.YAW:
+        means = p.mean(axis=0), truth.positions_xyz.mean(axis=0)
+        (x, y), (u, v) = (p - means[0]).T[:2], (truth.positions_xyz - means[1]).T[:2]
+        R = Rotation.from_euler("z", np.arctan2(x @ v - y @ u, x @ u + y @ v)).as_matrix()
+        t, s = means[1] - R @ means[0], 1.0
+    else:
+        R, t, s = umeyama(p, truth.positions_xyz, with_scale=kind is not Alignment.SE3)
     if kind is Alignment.SCALE:
         return Trajectory(estimate.timestamps_s, s * p, q)
     turned = Rotation.from_matrix(R) * Rotation.from_quat(q, scalar_first=True)
     return Trajectory(estimate.timestamps_s, s * p @ R.T + t, turned.as_quat(scalar_first=True))
+
+
+def straightness(truth: Trajectory, residual_m: float = 0.0) -> str:
+    """Why aligning to a path leaves the rotation about it open, or nothing.
+
+    A path that hardly leaves a line fixes two angles; the third is what makes the errors of the positions smallest.
+
+    Parameters
+    ----------
+    truth
+        The path.
+    residual_m
+        What is left of the errors after alignment, RMS in metres.
+    """
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(truth.positions_xyz.T)), 0))[::-1]
+    if spread[1] > max(_STRAIGHT * spread[0], _RESIDUALS * residual_m):
+        return ""
+    return (
+        f"the path is nearly straight ({spread[0]:.2g} m along, {spread[1]:.2g} m across, RMS): the rotation about it "
+        "is hardly determined, and fitted; where z is up in both worlds, align by yaw"
+    )

@@ -7,13 +7,24 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
-from .text import drop_faults, matrix_faults, number, pose_faults, read_rows, table_of, trajectory_of, whole_number
+from .text import (
+    drop_faults,
+    length_doubt,
+    matrix_faults,
+    nanoseconds,
+    number,
+    pose_faults,
+    read_rows,
+    table_of,
+    trajectory_of,
+)
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0  # of KITTI
@@ -34,16 +45,35 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory."""
-    return trajectory_of(path, tum_table(path))
+    """Read a trajectory; warns of rows without a pose, which are left out, and of quaternions not of unit length."""
+    damaged: dict[int, str] = {}
+    rows = tum_table(path, damaged)
+    if damaged:
+        warnings.warn(f"{len(damaged)} x left out, pose cannot be used: {damaged[min(damaged)]}", stacklevel=2)
+    return trajectory_of(path, rows[np.isfinite(rows).all(axis=1)])
 
 
-def tum_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
-    """Rows ``time x y z qw qx qy qz`` (n, 8) of a file; for `damaged` see :func:`~conformodal.poses.text.read_rows`."""
+def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[str] | None = None) -> FloatArray:
+    """Rows ``time x y z qw qx qy qz`` (n, 8) of a file; for `damaged` see :func:`~conformodal.poses.text.read_rows`.
+
+    `doubts` takes up what is unlikely; None warns of it.
+    """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
     rows = read_rows(path, lambda line: [number(f) for f in line.replace(",", " ").split()], 8, expected, damaged)
-    rows = rows[:, [0, 1, 2, 3, 7, 4, 5, 6]]
+    return _checked(rows[:, [0, 1, 2, 3, 7, 4, 5, 6]], length_doubt(path, rows[:, 1:], 3), path, damaged, doubts)
+
+
+def _checked(
+    rows: FloatArray, doubt: str, path: Path, damaged: dict[int, str] | None, doubts: list[str] | None
+) -> FloatArray:
+    """Rows (n, 8) without faulty poses, which keep their times; tells a doubt."""
+    times = rows[:, 0].copy()
     drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    rows[:, 0] = times
+    if doubt and doubts is None:
+        warnings.warn(doubt, stacklevel=4)
+    elif doubt and doubts is not None:
+        doubts.append(doubt)
     return rows
 
 
@@ -70,13 +100,12 @@ def read_euroc(path: Path) -> Trajectory:
     return trajectory_of(path, euroc_table(path))
 
 
-def euroc_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
+def euroc_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[str] | None = None) -> FloatArray:
     """As :func:`tum_table`, of EuRoC's format."""
     rows = read_rows(path, _parse_euroc, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", damaged)
-    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
-    return rows
+    return _checked(rows, length_doubt(path, rows[:, 1:], 3), path, damaged, doubts)
 
 
 def _parse_euroc(line: str) -> list[float]:
     fields = line.split(",")[:8]
-    return [whole_number(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]
+    return [nanoseconds(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]

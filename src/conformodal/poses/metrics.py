@@ -13,7 +13,11 @@ from .trajectory import Trajectory
 
 # Matches what common tools use to pair estimated and true timestamps.
 MAX_TIME_DIFFERENCE_S = 0.01
+# Between two poses that one is interpolated from: images of 10 Hz poses are bridged, a lost pose among them is not.
+MAX_GAP_S = 0.15
+_SAME_S = 1e-3  # a pose as near in time is taken as it is
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+_NANOSECONDS, _SINCE_1970_S = 1e14, 1e8
 _KITTI_EVERY = 10  # frames between the starts of stretches
 
 
@@ -71,9 +75,61 @@ def associate(
         raise PoseError(
             f"no estimated pose has a true one within {max_difference_s} s: estimates span "
             f"{estimate.timestamps_s.min():.3f} to {estimate.timestamps_s.max():.3f} s, "
-            f"truth {times.min():.3f} to {times.max():.3f} s"
+            f"truth {times.min():.3f} to {times.max():.3f} s{clock_hint(estimate.timestamps_s, times)}"
         )
     return np.flatnonzero(matched), order[nearest[matched]]
+
+
+def clock_hint(times_s: FloatArray, others_s: FloatArray) -> str:
+    """Why two sets of times do not meet, where their size shows it; else nothing."""
+    sizes = [float(np.median(t)) for t in (times_s, others_s)]
+    if max(sizes) > _NANOSECONDS > min(sizes):
+        return f"; {max(sizes):.6g} looks like nanoseconds, expected seconds"
+    if times_s.max() < others_s.min() or others_s.max() < times_s.min():
+        counts = "; one counts from 1970" if max(sizes) > _SINCE_1970_S > min(sizes) else ""
+        return f"; the clocks are {abs(sizes[0] - sizes[1]):.6g} s apart{counts}: shift the poses by --time-offset"
+    return ""
+
+
+def poses_at(path: Trajectory, times_s: FloatArray, max_gap_s: float = MAX_GAP_S) -> tuple[FloatArray, FloatArray]:
+    """Poses of a path at other times, interpolated: positions linearly, orientations on the great arc.
+
+    Parameters
+    ----------
+    path
+        In any order of time.
+    times_s
+        (n,) seconds, finite.
+    max_gap_s
+        Longest time between two poses that is bridged. Before the first pose and after the last there is none; one
+        within a millisecond is taken as it is.
+
+    Returns
+    -------
+    rows
+        (n, 7) ``x y z qw qx qy qz``, NaN where there is no pose.
+    gaps_s
+        (n,) seconds between the poses around each time: 0 where one is taken as it is, infinite outside of the path.
+    """
+    found, gaps = np.full((len(times_s), 7), np.nan), np.full(len(times_s), np.inf)
+    if not len(path):
+        return found, gaps
+    order = np.argsort(path.timestamps_s, kind="stable")
+    times, rows = path.timestamps_s[order], np.column_stack((path.positions_xyz, path.orientations_quat_wxyz))[order]
+    near = nearest_in_time(times, times_s)
+    same = np.abs(times[near] - times_s) <= _SAME_S
+    found[same], gaps[same] = rows[near[same]], 0.0
+    after = np.searchsorted(times, times_s)
+    inside = np.flatnonzero(~same & (after > 0) & (after < len(times)))
+    gaps[inside] = times[after[inside]] - times[after[inside] - 1]
+    inside = inside[gaps[inside] <= max_gap_s]
+    left, right = rows[after[inside] - 1], rows[after[inside]]
+    share = ((times_s[inside] - times[after[inside] - 1]) / gaps[inside])[:, None]
+    found[inside, :3] = left[:, :3] + share * (right[:, :3] - left[:, :3])
+    first, last = (Rotation.from_quat(side[:, 3:], scalar_first=True) for side in (left, right))
+    turned = first * Rotation.from_rotvec(share * (first.inv() * last).as_rotvec())
+    found[inside, 3:] = turned.as_quat(scalar_first=True)
+    return found, gaps
 
 
 def nearest_in_time(times_s: FloatArray, asked_s: FloatArray) -> IntArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from decimal import Decimal
 from math import isfinite
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from .trajectory import Trajectory
 
 # Farther away than any place, in metres: squares of larger numbers overflow.
 _MOST_M = 1e9
+_LENGTH_OFF = 0.01  # of a unit quaternion
 _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
@@ -33,6 +35,17 @@ def whole_number(text: str) -> int:
     if not text.isascii() or "_" in text or len(text) > 20:
         raise ValueError(f"{text[:80]!r} is not a whole number")
     return int(text)
+
+
+def nanoseconds(text: str) -> int:
+    """As :func:`whole_number`, also in scientific notation, exactly."""
+    try:
+        return whole_number(text)
+    except ValueError:
+        value = Decimal(text) if abs(number(text)) < 1e20 else Decimal("0.5")
+        if value != int(value):
+            raise ValueError(f"{text[:80]!r} is not a whole number") from None
+        return int(value)
 
 
 def text_lines(path: Path) -> list[str]:
@@ -52,7 +65,7 @@ def read_rows(
     *,
     by_line: bool = False,
 ) -> FloatArray:
-    """Rows (n, width) of a file; blank lines and those that start with ``#`` are skipped.
+    """Rows (n, width) of a file; blank lines, those that start with ``#``, and a header of words are skipped.
 
     Parameters
     ----------
@@ -63,8 +76,8 @@ def read_rows(
     width, expected
         Numbers per line, and what a line should be, for messages.
     damaged
-        Collects what is wrong with a line, by its row, which then holds NaN. The file is still refused if most lines do
-        not hold `width` numbers, or all are bad. None refuses the file for any bad line.
+        Collects what is wrong with a line, by its row, which then holds NaN but for its time. The file is still refused
+        if most lines do not hold `width` numbers, or all are bad. None refuses the file for any bad line.
     by_line
         Whether rows are matched to frames by line, so that a blank line between rows is ambiguous.
     """
@@ -87,10 +100,12 @@ def read_rows(
             row = parse(line)
         except (ValueError, IndexError):
             row = []
-        n_unread += len(row) != width
         if len(row) != width or not all(map(isfinite, row)):
+            if not rows and not by_line and len(row) != width and line.lstrip()[:1].isalpha():
+                continue  # a header
             bad[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
-            row = [np.nan] * width
+            n_unread += len(row) != width
+            row = [row[0] if len(row) == width and not by_line else np.nan, *[np.nan] * (width - 1)]
         rows.append(row)
     if not rows:
         raise TrajectoryFileError(f"{path}: holds no pose; expected lines of {expected}")
@@ -99,6 +114,25 @@ def read_rows(
     if damaged is not None:
         damaged.update(bad)
     return np.array(rows)
+
+
+def length_doubt(path: Path, values: FloatArray, at: int) -> str:
+    """What is wrong with the lengths of quaternions, the columns `at` to `at` + 3 of poses (n, 7), or nothing.
+
+    Where other columns have unit length, the order is likely another.
+    """
+    with np.errstate(over="ignore"):
+        lengths = np.array([np.linalg.norm(values[:, k : k + 4], axis=1) for k in range(4)])
+    off = np.flatnonzero(np.abs(lengths[at] - 1) > _LENGTH_OFF)
+    if not off.size:
+        return ""
+    apart = np.nanmedian(np.abs(lengths - 1), axis=1)
+    best = int(np.argmin(apart))
+    order = f"; columns {best + 1} to {best + 4} of the pose have unit length: is the order another?"
+    return (
+        f"{path}: pose {off[0]} (counted from 0) has a quaternion of length {lengths[at, off[0]]:.4g}, expected 1; so "
+        f"have {off.size} of {len(values)}; they are normalised{order if apart[best] < 1e-3 and best != at else ''}"
+    )
 
 
 def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
