@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5310,
     "core": 430,
     "datasets": 4780,
-    "localization": 2100,
+    "localization": 2180,
     "model": 1250,
     "motion": 990,
     "networks": 810,

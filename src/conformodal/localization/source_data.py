@@ -21,6 +21,7 @@ from conformodal.vision.settings import TrainingConfig
 
 from .errors import LocalizationError
 from .local_features import LocalFeatures, Matcher, extract_local_features
+from .parallel import in_threads
 
 
 @dataclass(eq=False)
@@ -97,8 +98,8 @@ class SourceData:
         """Local features of some frames, cached."""
         report = stage_of(self.progress, "local features")
         missing = [i for i in frames.tolist() if i not in self._local_features]
-        for done, i in enumerate(missing, start=1):
-            self._local_features[i] = extract_local_features(self.sequence.image(i), self.sequence.camera)
-            if report is not None:
-                report(done, len(missing))
+        found = in_threads(
+            lambda i: extract_local_features(self.sequence.image(i), self.sequence.camera), missing, report
+        )
+        self._local_features.update(zip(missing, found, strict=True))
         return [self._local_features[i] for i in frames.tolist()]

@@ -49,7 +49,7 @@ def data_of(poses_se3, camera, depth_m, **settings):
 @pytest.mark.slow
 def test_other_frames_are_not_looked_at_and_their_poses_count_nothing(world, looked_at, stated_camera, depth_m):
     source = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), FRAMES)
-    assert looked_at == FRAMES.tolist()
+    assert sorted(looked_at) == FRAMES.tolist()
     np.testing.assert_array_equal(source.frames, FRAMES)
     wrong = world.poses_se3.copy()
     others = np.setdiff1d(np.arange(N), FRAMES)
@@ -83,7 +83,7 @@ def test_folds_share_images_and_not_maps(world, looked_at, stated_camera, depth_
     shared = data_of(world.poses_se3, stated_camera, depth_m, progress=lambda *now: told.append(now))
     LandmarkSource.fit(shared, np.arange(0, 40))
     second = LandmarkSource.fit(shared, np.arange(20, 60))
-    assert looked_at == list(range(60))
+    assert sorted(looked_at) == list(range(60))
     assert {stage for stage, _, _ in told} == {"local features", "landmarks"}
     assert told[-1][1] == told[-1][2]
     alone = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), np.arange(20, 60))

@@ -128,24 +128,36 @@ def test_claims_grow_as_corners_get_fewer(world_of, stated_camera, depth_m):
     assert of_few.sigma_rad > 1.5 * of_many.sigma_rad
 
 
-def rays_to(points, centres, noise=0.0, seed=0):
+def rays_to(points, centres, off=0.0):
+    """Rays of all cameras to each point; the last camera's are off."""
+    n, k = len(points), len(centres)
     apart = points[:, None] - centres
     plane = apart[..., :2] / apart[..., 2:]
-    plane = plane + noise * np.random.default_rng(seed).normal(size=plane.shape)
-    return Rays(plane, np.ones(plane.shape[:2], bool), np.tile(np.eye(3), (len(centres), 1, 1)), centres)
+    plane[:, -1] += off
+    corner, camera = np.repeat(np.arange(n), k), np.tile(np.arange(k), n)
+    return Rays(corner, camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
 
 
 def test_points_are_where_their_rays_meet():
     points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
-    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0.5, 0.1], [-0.5, 0.2, 0]]))
-    found, sound = triangulate(rays, 0.005)
+    centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]])
+    found, sound = triangulate(rays_to(points, centres), 0.005)
     assert sound.all()
     np.testing.assert_allclose(found, points, atol=1e-6)
-    plane = rays.plane.copy()
-    plane[:, 2] += 0.05  # a match that is wrong in every point
-    found, sound = triangulate(rays._replace(plane=plane), 0.005)
+    found, sound = triangulate(rays_to(points, centres, off=0.05), 0.005)  # a match that is wrong in every point
     np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
     assert sound.mean() > 0.9
+
+
+def test_a_corner_that_no_other_camera_sees_is_no_point():
+    points = np.array([[0.1, 0, 4.0], [0.2, 0.1, 5], [0, 0.3, 4]])
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
+    seen = np.array([True, True, True, False, True, True])
+    found, sound = triangulate(
+        rays._replace(corner=rays.corner[seen], camera=rays.camera[seen], plane=rays.plane[seen]), 0.005
+    )
+    assert sound.tolist() == [True, False, True]
+    np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)
 
 
 def test_points_without_parallax_or_behind_are_not_sound():

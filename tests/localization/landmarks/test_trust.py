@@ -17,7 +17,10 @@ def test_a_corner_counts_once_although_several_keyframes_match_it(world_of, stat
     landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
     image = world.see(world.poses_se3[30], seed=3)
     (near,) = landmarks._retrieve(image.global_descriptor, np.ones(60, dtype=bool))
-    corners, _ = landmarks._matched(image, near)
+    matches = {}
+    landmarks.localize(image, matches=matches)
+    assert sorted(matches) == sorted(near)
+    corners = np.concatenate([pairs[:, 0] for pairs in matches.values()])
     assert len(corners) > 1.5 * len(np.unique(corners))  # most were matched more than once
     (found,) = landmarks.localize(image)
     assert found.n_inliers <= len(np.unique(corners)) <= len(image.pixels)

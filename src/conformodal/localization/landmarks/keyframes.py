@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.robust import MEDIAN_OF_NORM2
-from conformodal.localization.local_features import LocalFeatures, match, product
+from conformodal.localization.local_features import LocalFeatures, match
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.settings import PNP, RETRIEVAL
 from conformodal.motion.two_view import poselib_camera
@@ -44,20 +44,27 @@ class LandmarkMap:
         return self.global_descriptors.astype(np.float32)  # products of halves are slow
 
     def localize(
-        self, image: LocalFeatures, hidden: BoolArray | None = None, most: int = RETRIEVAL.clusters
+        self,
+        image: LocalFeatures,
+        hidden: BoolArray | None = None,
+        most: int = RETRIEVAL.clusters,
+        matches: dict[int, IntArray] | None = None,
     ) -> list[PoseMeasurement]:
         """Absolute pose estimates of an image: one PnP hypothesis for each of the `most` similar retrieval clusters.
 
         Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
         :class:`~conformodal.localization.error_model.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
+        `matches` caches those of the image by keyframe.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
-        found = (self._solve(image, near, shown) for near in self._retrieve(image.global_descriptor, shown)[:most])
+        matches = {} if matches is None else matches
+        places = self._retrieve(image.global_descriptor, shown)[:most]
+        found = (self._solve(image, near, shown, matches) for near in places)
         return [estimate for estimate in found if estimate is not None]
 
     def _retrieve(self, descriptor: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
-        alike = product(self._descriptors, descriptor).astype(np.float64)
+        alike = (self._descriptors @ descriptor).astype(np.float64)
         alike[~shown | (np.diff(self.starts) < PNP.min_inliers)] = -np.inf
         order = np.argsort(-alike, kind="stable")[: RETRIEVAL.retrieved]
         order = order[np.isfinite(alike[order])]
@@ -71,8 +78,15 @@ class LandmarkMap:
             order = order[~here]
         return found
 
-    def _solve(self, image: LocalFeatures, near: IntArray, shown: BoolArray) -> PoseMeasurement | None:
-        corners, points = self._matched(image, near)
+    def _solve(
+        self, image: LocalFeatures, near: IntArray, shown: BoolArray, matches: dict[int, IntArray]
+    ) -> PoseMeasurement | None:
+        for frame in near.tolist():
+            if frame not in matches:
+                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
+                matches[frame] = np.add(pairs, (0, self.starts[frame]))
+        corners, landmarks = np.concatenate([matches[frame] for frame in near.tolist()]).T
+        points = self.points_xyz[landmarks].astype(np.float64)
         pixels = image.pixels[corners]
         if len(pixels) < PNP.min_inliers:
             return None
@@ -82,13 +96,12 @@ class LandmarkMap:
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < PNP.min_inliers:
             return None
-        R_world_cam = np.asarray(pose.R).T
-        centre = -R_world_cam @ np.asarray(pose.t)
-        sigmas = self._spreads(pixels[inliers], points[inliers], R_world_cam, centre)
+        T_world_cam = np.eye(4)
+        T_world_cam[:3, :3] = np.asarray(pose.R).T
+        T_world_cam[:3, 3] = -T_world_cam[:3, :3] @ np.asarray(pose.t)
+        sigmas = self._spreads(pixels[inliers], points[inliers], T_world_cam[:3, :3], T_world_cam[:3, 3])
         if sigmas is None:
             return None
-        T_world_cam = np.eye(4)
-        T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, centre
         T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
         off, scatter, apart = self._correction(T_world_pose, shown)
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
@@ -113,16 +126,6 @@ class LandmarkMap:
             return 0.0
         area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
         return float(area / (self.camera.width * self.camera.height))
-
-    def _matched(self, image: LocalFeatures, near: IntArray) -> tuple[IntArray, FloatArray]:
-        """Indices (m,) of the image's corners, and the landmarks (m, 3) that they match."""
-        corners, points = [np.empty(0, np.int64)], [np.empty((0, 3))]
-        for frame in near.tolist():
-            mine = slice(self.starts[frame], self.starts[frame + 1])
-            pairs = match(image.descriptors, self.descriptors[mine])
-            corners.append(pairs[:, 0])
-            points.append(self.points_xyz[mine][pairs[:, 1]].astype(np.float64))
-        return np.concatenate(corners), np.concatenate(points)
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
         """Errors of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the nearest one's distance."""

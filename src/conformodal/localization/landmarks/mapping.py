@@ -8,13 +8,16 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import Progress
-from conformodal.localization.local_features import DESCRIPTOR_BYTES, LocalFeatures, Matcher
+from conformodal.localization.local_features import LocalFeatures, Matcher
+from conformodal.localization.parallel import in_threads
 from conformodal.localization.settings import MAPPING
 from conformodal.poses import PinholeCamera
 
 from .camera_fit import Matches, fit_camera
 from .keyframes import LandmarkMap
 from .triangulation import Rays, triangulate
+
+_FRAMES_AT_A_TIME = 32  # that are triangulated
 
 
 def build_map(
@@ -30,21 +33,18 @@ def build_map(
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     poses = poses_se3 @ mounted.T_pose_cam
     tolerance = 2 * MAPPING.tolerance_px / (mounted.camera.fx + mounted.camera.fy)
-    points, descriptors = [np.empty((0, 3))], [np.empty((0, DESCRIPTOR_BYTES), np.uint8)]
-    starts = [0]
-    for i, found in enumerate(pairs):
-        here, sound = triangulate(_rays(i, found, features, poses, mounted.camera), tolerance)
-        points.append(here[sound])
-        descriptors.append(features[i].descriptors[sound])
-        starts.append(starts[-1] + int(sound.sum()))
+    chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
+    found = in_threads(lambda few: triangulate(_rays(few, pairs, features, poses, mounted.camera), tolerance), chunks)
+    points, sound = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     return LandmarkMap(
         camera=mounted.camera,
         T_pose_cam=mounted.T_pose_cam,
         poses_se3=poses_se3,
         global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
-        starts=np.array(starts),
-        points_xyz=np.concatenate(points).astype(np.float32),
-        descriptors=np.concatenate(descriptors),
+        starts=np.concatenate(([0], np.cumsum(sound)))[before],
+        points_xyz=points[sound].astype(np.float32),
+        descriptors=np.concatenate([d.descriptors for d in features])[sound],
         depth_m=depth_m,
         corrections=np.full((len(features), 6), np.nan),
     )
@@ -90,18 +90,18 @@ def _matched(
     features: Sequence[LocalFeatures], partners: Sequence[IntArray], matcher: Matcher, progress: Progress | None
 ) -> list[list[tuple[int, IntArray]]]:
     """For each frame, its partners and those whose partner it is, each with the corners that both see."""
-    found: list[list[tuple[int, IntArray]]] = [[] for _ in features]
-    done: set[tuple[int, int]] = set()
+    later: list[set[int]] = [set() for _ in features]
     for i, others in enumerate(partners):
         for j in others.tolist():
-            first, second = min(i, j), max(i, j)
-            if (first, second) not in done:
-                done.add((first, second))
-                pairs = matcher(features[first], features[second])
-                found[first].append((second, pairs))
-                found[second].append((first, pairs[:, ::-1]))
-        if progress is not None:
-            progress(i + 1, len(features))
+            later[min(i, j)].add(max(i, j))
+
+    def of(i: int) -> list[tuple[int, IntArray]]:
+        return [(j, matcher(features[i], features[j])) for j in sorted(later[i])]
+
+    found = in_threads(of, range(len(features)), progress)
+    for i, own in enumerate(list(map(list, found))):
+        for j, pairs in own:
+            found[j].append((i, pairs[:, ::-1]))
     return found
 
 
@@ -117,16 +117,21 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tu
 
 
 def _rays(
-    i: int,
-    found: Sequence[tuple[int, IntArray]],
+    frames: range,
+    pairs: Sequence[Sequence[tuple[int, IntArray]]],
     features: Sequence[LocalFeatures],
     poses_cam: FloatArray,
     camera: PinholeCamera,
 ) -> Rays:
-    n, cameras = len(features[i].pixels), [i, *(j for j, _ in found)]
-    pixels, seen = np.zeros((n, len(cameras), 2)), np.zeros((n, len(cameras)), dtype=bool)
-    pixels[:, 0], seen[:, 0] = features[i].pixels, True
-    for k, (j, pair) in enumerate(found, start=1):
-        pixels[pair[:, 0], k], seen[pair[:, 0], k] = features[j].pixels[pair[:, 1]], True
-    poses = poses_cam[cameras]
-    return Rays(camera.on_plane(pixels), seen, poses[:, :3, :3], poses[:, :3, 3])
+    """Rays of the corners of some frames, numbered on from frame to frame."""
+    corners, cameras, pixels, before = [], [], [], 0
+    for i in frames:
+        seen = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
+        corners += [before + pair[:, 0] for _, pair in seen]
+        cameras += [np.full(len(pair), j) for j, pair in seen]
+        pixels += [features[j].pixels[pair[:, 1]] for j, pair in seen]
+        before += len(features[i].pixels)
+    corner = np.concatenate(corners)
+    order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
+    plane, camera_of = camera.on_plane(np.concatenate(pixels)[order]), np.concatenate(cameras)[order]
+    return Rays(corner[order], camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])

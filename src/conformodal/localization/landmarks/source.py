@@ -15,6 +15,7 @@ from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.local_features import LocalFeatures, Matcher
 from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.parallel import in_threads
 from conformodal.localization.settings import ERROR_MODEL, MAPPING, PNP
 from conformodal.localization.source import SourceAnswer, SourceState, register_source
 from conformodal.localization.source_data import SourceData
@@ -99,7 +100,9 @@ class LandmarkSource:
         """One estimate per retrieval cluster; none for images without local features."""
         if not evidence.local_features:
             return SourceAnswer(measurements=[[] for _ in evidence.features])
-        return SourceAnswer(measurements=[[] if f is None else self.localize(f) for f in evidence.local_features])
+        return SourceAnswer(
+            measurements=in_threads(lambda f: [] if f is None else self.localize(f), evidence.local_features)
+        )
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
@@ -126,21 +129,20 @@ def _corrections(
     plain: LandmarkMap, features: Sequence[LocalFeatures], truth: Trajectory, progress: Progress | None
 ) -> FloatArray:
     """Errors (n, 6) of the keyframes' own estimates, each with the keyframe left out; NaN for outliers."""
-    found = np.full((len(features), 6), np.nan)
-    for i, image in enumerate(features):
-        hidden = np.zeros(len(features), dtype=bool)
-        hidden[i] = True
-        for one in plain.localize(image, hidden, most=1):
+    indices = np.arange(len(features))
+
+    def of(i: int) -> FloatArray:
+        for one in plain.localize(features[i], indices == i, most=1):
             off = one.position_xyz - truth.positions_xyz[i]
             estimated, true = (
                 Rotation.from_quat(q, scalar_first=True)
                 for q in (one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i])
             )
             if np.linalg.norm(off) < PNP.correctable * plain.depth_m:
-                found[i] = np.concatenate((off, (estimated * true.inv()).as_rotvec()))
-        if progress is not None:
-            progress(i + 1, len(features))
-    return found
+                return np.concatenate((off, (estimated * true.inv()).as_rotvec()))
+        return np.full(6, np.nan)
+
+    return np.array(in_threads(of, indices.tolist(), progress))
 
 
 def _fit_errors(
@@ -152,19 +154,22 @@ def _fit_errors(
     progress: Progress | None,
 ) -> ErrorModel | None:
     """Fit the error model to frames localised with their piece, stretch or surroundings hidden from the map."""
-    rows = []
-    for k, i in enumerate(left_out.tolist()):
+
+    def estimated(i: int) -> list[tuple[float, ...]]:
+        rows: list[tuple[float, ...]] = []
+        matches: dict[int, IntArray] = {}
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)
         hidings = [(group == group[i], 1.0) for group in groups]
         hidings += [(overlap > share, MAPPING.hidden_weight) for share in MAPPING.hidden_overlaps]
         for hidden, weight in hidings:
-            for one in landmarks.localize(features[i], hidden):
+            for one in landmarks.localize(features[i], hidden, matches=matches):
                 off = float(np.linalg.norm(one.position_xyz - truth.positions_xyz[i]))
                 angle = float(angle_between_quats(one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i]))
                 predicted = (off, one.sigma_m, angle, one.sigma_rad, one.distance_to_known)
                 rows.append((*predicted, weight, *_support(one)))
-        if progress is not None:
-            progress(k + 1, len(left_out))
+        return rows
+
+    rows = [row for part in in_threads(estimated, left_out.tolist(), progress) for row in part]
     if len(rows) < ERROR_MODEL.least_estimates:
         return None
     table = np.array(rows)

@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from conformodal.core import process
+from conformodal.localization.landmarks.mapping import build_map
+from conformodal.localization.parallel import in_threads
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    return lambda n: monkeypatch.setattr(process, "_limit", n)
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_results_are_in_the_order_of_the_items_and_products_take_one_thread(threads, n):
+    threads(n)
+    told = []
+
+    def work(item):
+        return item, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    before = threadpool_info()
+    assert in_threads(work, range(20), lambda *now: told.append(now)) == [(i, {1}) for i in range(20)]
+    assert told == [(i, 20) for i in range(1, 21)]
+    assert threadpool_info() == before
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda item: 1 / item, range(3))
+    assert threadpool_info() == before
+
+
+def test_a_map_does_not_depend_on_the_number_of_threads(threads, world_of, stated_camera, depth_m):
+    world = world_of(n=20)
+    found = []
+    for n in (1, 3):
+        threads(n)
+        found.append(build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
+    for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
