@@ -18,6 +18,7 @@ from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import Mixture, fuse
 from .measurement import PoseMeasurement
+from .parallel import go_on, in_threads
 from .regions import Support
 from .source import PoseSource, SourceAnswer, find_source
 from .source_data import SourceData
@@ -42,15 +43,33 @@ class Localizer:
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray, names: Sequence[str], fitted: Sequence[PoseSource] = ()) -> Self:
-        """Fit the named sources on `frames` (m,) alone; a source that cannot be fitted on them is left out.
+        """Fit the named sources on `frames` (m,) alone, see :meth:`fit_each`."""
+        return cls.fit_each(data, [frames], names, fitted)[0]
 
-        A source among `fitted` that learnt from exactly these frames is reused: the caller knows that fitting it again
-        would give the same.
+    @classmethod
+    def fit_each(
+        cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str], fitted: Sequence[PoseSource] = ()
+    ) -> list[Self]:
+        """A localizer for each part (m,) of the frames, which learns from it alone.
+
+        A source that cannot be fitted is left out. One among `fitted` that learnt from exactly these frames is reused:
+        the caller knows that fitting it again would give the same. Each source learns in a thread, part after part:
+        networks share random numbers, so no two are trained at once.
         """
-        there = {source.name: source for source in fitted if np.array_equal(source.frames, frames)}
-        found = [there[name] if name in there else find_source(name).fit(data, frames) for name in names]
-        sources = tuple(source for source in found if source is not None)
-        return cls(sources, data.bins_of(frames), data.sign_reference)
+
+        def fit(name: str) -> list[PoseSource | None]:
+            found = []
+            for frames in parts:
+                go_on()
+                same = [s for s in fitted if s.name == name and np.array_equal(s.frames, frames)]
+                found.append(same[-1] if same else find_source(name).fit(data, frames))
+            return found
+
+        columns = in_threads(fit, names[::-1])[::-1]  # by default, the last takes longest
+        return [
+            cls(tuple(source for source in own if source is not None), data.bins_of(frames), data.sign_reference)
+            for frames, *own in zip(parts, *columns, strict=True)
+        ]
 
     @property
     def frames(self) -> IntArray:

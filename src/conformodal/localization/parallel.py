@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from threading import Event, current_thread, main_thread
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -15,19 +16,39 @@ from conformodal.core.progress import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_interrupted = Event()
+
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """Results of `work` in the order of the items, which do not depend on the number of threads.
 
-    Matrix products take one thread each: idle BLAS threads spin, which slows whatever runs at the same time.
+    Matrix products take one thread each: idle BLAS threads spin, which slows whatever runs at the same time. An
+    interrupt of the main thread ends the others at their next item.
     """
+
+    def checked(item: Item) -> Result:
+        go_on()
+        return work(item)
+
     found = []
+    if current_thread() is main_thread():
+        _interrupted.clear()
     with _threads().limit(limits=1, user_api="blas"), ThreadPoolExecutor(thread_limit()) as pool:
-        for result in (pool.map if min(len(items), thread_limit()) > 1 else map)(work, items):
-            found.append(result)
-            if progress is not None:
-                progress(len(found), len(items))
+        try:
+            for result in (pool.map if min(len(items), thread_limit()) > 1 else map)(checked, items):
+                found.append(result)
+                if progress is not None:
+                    progress(len(found), len(items))
+        except KeyboardInterrupt:
+            _interrupted.set()
+            raise
     return found
+
+
+def go_on() -> None:
+    """Raise KeyboardInterrupt if the main thread was interrupted."""
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
 
 
 @cache

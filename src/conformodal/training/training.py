@@ -100,10 +100,12 @@ def train_model(
     fitted = tuple(fitted)
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, checkpoint_dir, progress)
-    localizers = [Localizer.fit(sources, fold.train, config.sources, fitted) for fold in folds.folds]
+    parts = [fold.train for fold in folds.folds]
+    if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
+        parts.append(folds.region_frames)
+    *localizers, localizer = Localizer.fit_each(sources, parts, config.sources, fitted)
+    localizers = localizers or [localizer]
     prior = _motion_prior(data, config)
-    single = len(localizers) == 1 and np.array_equal(folds.folds[0].train, folds.region_frames)
-    localizer = localizers[0] if single else Localizer.fit(sources, folds.region_frames, config.sources, fitted)
     if config.method is Method.PAPER:  # without a novelty test
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
         paths: dict[str, SplitConformal] = {}

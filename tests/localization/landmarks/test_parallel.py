@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -27,6 +29,23 @@ def test_results_are_in_the_order_of_the_items_and_products_take_one_thread(thre
     with pytest.raises(ZeroDivisionError):
         in_threads(lambda item: 1 / item, range(3))
     assert threadpool_info() == before
+
+
+def test_an_interrupt_ends_what_other_threads_do(threads):
+    threads(2)
+    done = []
+
+    def work(item):
+        time.sleep(0.002)
+        done.append(item)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        in_threads(lambda n: in_threads(work, range(n)), [0, 2000], interrupt)
+    assert len(done) < 1000
+    assert in_threads(str, range(3)) == ["0", "1", "2"]
 
 
 def test_a_map_does_not_depend_on_the_number_of_threads(threads, world_of, stated_camera, depth_m):

@@ -99,17 +99,22 @@ class LocalRegression:
         kernel = np.where(there, np.exp(-NEIGHBOURS.decay * np.where(there, square, 0) / np.maximum(reach, 1e-12)), 0)
         place = np.zeros_like(near) if how.radius is None else self._places(near, there, how.radius)
         n_places = 1 if how.radius is None else NEIGHBOURS.places
-        values = np.empty((len(queries), n_places, self.targets.shape[1]))
+        values = np.zeros((len(queries), n_places, self.targets.shape[1]))
         weights = np.zeros((len(queries), n_places))
         novelty = np.zeros(len(queries))
         for p in range(n_places):
             mine = np.where(place == p, kernel, 0)
             mine[np.cumsum(mine > 0, axis=1) > how.neighbours] = 0
             weights[:, p] = mine.sum(axis=1)
-            first = np.argsort(mine == 0, axis=1, kind="stable")[:, : how.neighbours]
-            chosen = np.take_along_axis(near, first, axis=1)
-            values[:, p], rest = _ridge(
-                known[chosen], self.targets[chosen], np.take_along_axis(mine, first, axis=1), queries, how.ridge
+            rows = np.flatnonzero(weights[:, p] > 0) if p else np.arange(len(queries))  # most have one place or two
+            first = np.argsort(mine[rows] == 0, axis=1, kind="stable")[:, : how.neighbours]
+            chosen = np.take_along_axis(near[rows], first, axis=1)
+            values[rows, p], rest = _ridge(
+                known[chosen],
+                self.targets[chosen],
+                np.take_along_axis(mine[rows], first, axis=1),
+                queries[rows],
+                how.ridge,
             )
             if p == 0:  # the place of the nearest neighbour
                 novelty = rest
