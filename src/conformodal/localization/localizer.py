@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self, TypeVar
 
@@ -57,12 +57,17 @@ class Localizer:
         networks share random numbers, so no two are trained at once.
         """
 
+        def told(stage: str, done: int, total: int) -> None:
+            go_on()
+            if data.progress is not None:
+                data.progress(stage, done, total)
+
         def fit(name: str) -> list[PoseSource | None]:
             found = []
             for frames in parts:
                 go_on()
                 same = [s for s in fitted if s.name == name and np.array_equal(s.frames, frames)]
-                found.append(same[-1] if same else find_source(name).fit(data, frames))
+                found.append(same[-1] if same else find_source(name).fit(replace(data, progress=told), frames))
             return found
 
         columns = in_threads(fit, names[::-1])[::-1]  # by default, the last takes longest
