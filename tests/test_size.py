@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2550,
+    "cli": 2600,
     "conformal": 5310,
     "core": 430,
-    "datasets": 4790,
+    "datasets": 4920,
     "localization": 2100,
     "model": 1250,
     "motion": 990,
@@ -40,4 +40,4 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6620
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6630
