@@ -16,7 +16,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets.corridor.path import Waypoint, fly
-from conformodal.datasets.corridor.world import (
+from conformodal.datasets.corridor.world import (  # fmt: skip
     DOOR_CENTRE,
     DOOR_HEIGHT,
     HEIGHT,

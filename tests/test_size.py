@@ -10,7 +10,7 @@ BUDGET = {
     "cli": 2640,
     "conformal": 5030,
     "core": 430,
-    "datasets": 4790,
+    "datasets": 4920,
     "localization": 2100,
     "model": 1250,
     "motion": 990,
@@ -40,4 +40,4 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6620
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6630

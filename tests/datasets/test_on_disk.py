@@ -1,14 +1,22 @@
 """What public bug reports of readers brought: each kind with the right value."""
 
 import json
+import struct
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import DatasetError, DatasetWarning, read_sequence
+from conformodal.datasets.convention import fitting_convention
+from conformodal.datasets.lenses import as_camera
+from conformodal.datasets.nerf import OPENGL_AXES
+from conformodal.poses import PinholeCamera, Trajectory
 
+from .test_colmap_binary import as_binary
 from .test_layouts import PLACES, QUATS, WRITERS, Layout, N, matrices, picture
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
@@ -182,3 +190,106 @@ def test_tum_vi_is_read(tmp_path):
     with pytest.warns(DatasetWarning, match="the body's poses are taken as the camera's"):
         body = read_sequence(folder)
     np.testing.assert_allclose(body.truth.poses_se3 @ T_body_cam, matrices(), atol=1e-9)
+
+
+def colmap(root, cameras, of_image):
+    """The COLMAP data set with other cameras; `of_image` gives the camera of every image."""
+    WRITERS[Layout.COLMAP](root)
+    place = root / "sparse" / "0"
+    place.joinpath("cameras.txt").write_text("\n".join(cameras) + "\n")
+    lines = place.joinpath("images.txt").read_text().splitlines()
+    for k, line in enumerate(lines):
+        if line.endswith("png"):
+            lines[k] = line.replace(" 3 000", f" {of_image[int(line[-5])]} 000")
+    place.joinpath("images.txt").write_text("\n".join(lines) + "\n")
+    return root
+
+
+PINHOLE = "PINHOLE 64 48 40 40 32 24"
+
+
+def test_one_camera_per_image_with_equal_numbers_is_one_camera(tmp_path):
+    folder = colmap(tmp_path, [f"{k} {PINHOLE}" for k in range(1, N + 1)], range(1, N + 1))
+    sequence = read_sequence(folder)
+    np.testing.assert_allclose(sequence.truth.poses_se3, matrices(), atol=1e-9)
+    assert all(path.parent.name == "images" for path in sequence.image_paths)
+
+
+def test_images_of_other_cameras_are_brought_to_that_of_most(tmp_path):
+    """A camera of twice the size and focal length, and one with a lens, see what the first sees."""
+    cameras = [f"1 {PINHOLE}", "2 PINHOLE 128 96 80 80 64 48", "3 OPENCV 64 48 40 40 32 24 -0.1 0.01 0.001 0.002"]
+    folder = colmap(tmp_path, cameras, (1, 2, 3, 1, 1))
+    y, x = np.mgrid[:48, :64]
+    ramp = np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)
+    for name in ("0000", "0002", "0003", "0004"):
+        Image.fromarray(ramp).save(folder / "images" / f"{name}.png")
+    y, x = np.mgrid[:96, :128] / 2
+    Image.fromarray(np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)).save(folder / "images" / "0001.png")
+    camera = PinholeCamera(40, 40, 32, 24, 64, 48, (-0.1, 0.01, 0.001, 0.002))
+    with pytest.warns(DatasetWarning, match="1 image of fx = 80, 128x96 as of fx = 40, 64x48"):
+        sequence = read_sequence(folder)
+    assert (sequence.camera.fx, sequence.camera.width, sequence.camera.distortion) == (40, 64, ())
+    np.testing.assert_allclose(sequence.truth.poses_se3, matrices(), atol=1e-9)
+    np.testing.assert_allclose(sequence.image(1)[2:-2, 2:-2].astype(int), ramp[2:-2, 2:-2].astype(int), atol=3)
+    rays = np.array([[0.3, 0.2, 1.0], [-0.5, 0.4, 1.0], [0.1, -0.3, 1.0]])
+    at = np.rint(rays[:, :2] * 40 + (32, 24)).astype(int)
+    rays[:, :2] = (at - (32, 24)) / 40
+    bent, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
+    np.testing.assert_allclose(sequence.image(2)[at[:, 1], at[:, 0], :2], bent[:, 0] * (4, 5), atol=1.5)
+
+
+def test_a_sequence_is_seen_by_another_camera(tmp_path):
+    folder = WRITERS[Layout.IMAGES](tmp_path)
+    y, x = np.mgrid[:48, :64]
+    for path in folder.glob("*.png"):
+        Image.fromarray(np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)).save(path)
+    wanted = PinholeCamera(20, 20, 16, 12, 32, 24, (-0.1, 0.01, 0.001, 0.002))
+    seen = as_camera(read_sequence(folder), wanted)
+    assert seen.camera == wanted
+    at = np.array([[16, 12], [6, 5], [27, 20]])
+    rays = cv2.undistortPoints(at[:, None].astype(float), wanted.matrix, np.array(wanted.distortion))[:, 0]
+    np.testing.assert_allclose(seen.image(0)[at[:, 1], at[:, 0], :2], (rays * 40 + (32, 24)) * (4, 5), atol=4)
+
+
+def test_of_several_models_the_larger_is_read_and_both_are_named(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    first = folder / "sparse" / "0"
+    (folder / "sparse" / "1").mkdir()
+    for name in ("cameras.txt", "images.txt"):
+        (first / name).rename(folder / "sparse" / "1" / name)
+    (first / "cameras.txt").write_text(f"3 {PINHOLE}\n")
+    (first / "images.txt").write_text("1 1 0 0 0 0 0 0 3 0000.png\n\n")
+    with pytest.warns(DatasetWarning, match=r"sparse/1 \(5 images\) is read, not .*sparse/0 \(1 images\)"):
+        sequence = read_sequence(folder)
+    np.testing.assert_allclose(sequence.truth.poses_se3, matrices(), atol=1e-9)
+
+
+def test_a_models_own_folder_finds_its_images(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    np.testing.assert_allclose(read_sequence(folder / "sparse" / "0").truth.poses_se3, matrices(), atol=1e-9)
+
+
+@pytest.mark.parametrize("model", [11, 17])
+def test_a_camera_of_an_unknown_model_that_no_image_uses_is_passed_over(tmp_path, model):
+    before = read_sequence(as_binary(WRITERS[Layout.COLMAP](tmp_path)))
+    path = tmp_path / "sparse" / "0" / "cameras.bin"
+    content = path.read_bytes()
+    path.write_bytes(struct.pack("<Q", 2) + content[8:] + struct.pack("<iiQQ16d", 9, model, 64, 48, *[1.0] * 16))
+    assert read_sequence(tmp_path).camera == before.camera
+
+
+@pytest.mark.parametrize(
+    ("made", "best"),
+    [
+        (lambda poses: poses, "camera-to-world, OpenCV axes"),
+        (np.linalg.inv, "world-to-camera, OpenCV axes"),
+        (lambda poses: poses @ OPENGL_AXES, "camera-to-world, OpenGL axes"),
+        (lambda poses: np.linalg.inv(poses @ OPENGL_AXES), "world-to-camera, OpenGL axes"),
+    ],
+)
+def test_the_convention_of_given_poses_is_told(redkitchen, made, best):
+    sequence = read_sequence(redkitchen)
+    poses = made(sequence.truth.poses_se3)
+    given = replace(sequence, truth=Trajectory.from_poses_se3(sequence.timestamps_s, poses))
+    # whatever they were made to be, what undoes it is named
+    assert fitting_convention(given)[0] == best

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,15 @@ def test_a_network_is_exported_once(backbone, onnx, cache, monkeypatch):
 
 def test_the_file_names_no_source_of_this_machine(onnx):
     assert b".py" not in onnx.content
+
+
+def test_the_oldest_runtime_reads_the_file(backbone):
+    import onnx
+
+    model = onnx.load_model_from_string(exporting._export(backbone))
+    assert model.ir_version == 10  # the newest of ONNX Runtime 1.20
+    assert {one.domain: one.version for one in model.opset_import if one.version}[""] == 18
+    assert '"onnxruntime>=1.20"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def test_an_export_that_answers_otherwise_is_refused(backbone, onnx, monkeypatch):

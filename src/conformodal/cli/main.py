@@ -25,7 +25,7 @@ COMMANDS = {
     "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
     "run": "Compute regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
-    "evaluate": "Compare results with true poses, paired by time within 0.01 s. Writes OUT/evaluation/metrics.json.",
+    "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",
     "view": "Open the page of results.",
     "info": "Print a saved model's training data, guarantee, size and network speed.",
     "data": "Check or convert a data set.",

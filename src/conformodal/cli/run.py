@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from conformodal.datasets import Layout, Sequence
+from conformodal.datasets.lenses import as_camera
 from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
@@ -35,7 +36,7 @@ from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from conformodal.running.streaming import StreamRunner
 
-from .console import StatusLine, print_where, report_errors, report_strongly
+from .console import StatusLine, print_where, report_errors, report_line, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import ROS_SUFFIX, OptionError
 from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics, summary, unfinished_metrics
@@ -101,7 +102,8 @@ def run(
             source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
         )
         if isinstance(stream, SequenceStream):
-            stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
+            sequence = stream.sequence if part is not Part.ALL else _as_trained(loaded, stream.sequence)
+            stream = SequenceStream(sequence, part_frames(loaded, sequence, part))
         elif part is not Part.ALL:
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
@@ -117,6 +119,16 @@ def run(
         raise typer.Exit(stop_code([metrics["signal"]]))
     if metrics["stopped"]:
         raise typer.Exit(BROKE_OFF)
+
+
+def _as_trained(model: PoseModel, sequence: Sequence) -> Sequence:
+    """Images of another camera as the model's camera would have seen them."""
+    try:
+        model.check_camera(sequence.camera)
+    except OdometryError as exc:
+        report_line(f"{exc}: its images are brought to the model's camera")
+        sequence = as_camera(sequence, model.camera)
+    return sequence
 
 
 class FrameSink(Protocol):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .cameras import SCALED
+from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
 from .frame_table import INTERPOLATED
@@ -107,6 +108,11 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
         speed = moved / np.maximum(steps, 1e-9)
         jumps = (speed > _JUMP * np.median(speed)) & (moved > _LEAST_JUMP_M) if speed.size else np.empty(0, dtype=bool)
         add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
+        best, shares = fitting_convention(sequence)
+        if best != AS_GIVEN:
+            fit = ", ".join(f"{name}: {100 * share:.0f} %" for name, share in shares.items())
+            where = f"matched corners within 2 px of their epipolar line: {fit}"
+            found.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
     problems: dict[int, str] = {}
     digests: list[bytes] = [b""] * len(sequence)
 

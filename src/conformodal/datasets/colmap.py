@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.poses import matrix_from_quat_wxyz
-from conformodal.poses.text import number, pose_faults, table_of, whole_number
+from conformodal.poses.text import length_doubt, number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
@@ -26,7 +27,7 @@ from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
 
-_PLACES = ("", "sparse", "sparse/0", "text")
+_MANY = 10  # cameras, whose notes are told once
 # model: (numbers of fx, fy, cx, cy among the parameters; numbers of k1, k2, p1, p2 and perhaps k3, or of a fisheye
 # lens's k1 to k4, None where the lens has none)
 _MODELS: dict[str, tuple[tuple[int, int, int, int], tuple[int | None, ...]]] = {
@@ -37,15 +38,17 @@ _MODELS: dict[str, tuple[tuple[int, int, int, int], tuple[int | None, ...]]] = {
     "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7)),
     "FULL_OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7, 8)),
     "OPENCV_FISHEYE": ((0, 1, 2, 3), (4, 5, 6, 7)),
+    "SIMPLE_RADIAL_FISHEYE": ((0, 0, 1, 2), (3, None, None, None)),
+    "RADIAL_FISHEYE": ((0, 0, 1, 2), (3, 4, None, None)),
 }
-_FISHEYE = "OPENCV_FISHEYE"
 # A line of points holds numbers alone, and an image's name has a letter that no number has.
 _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 
 
-def model_folder(folder: Path) -> Path | None:
-    """Where in a folder a model lies, if there is one."""
-    return next((place for place in (folder / name for name in _PLACES) if _ending(place)), None)
+def model_folders(folder: Path) -> list[Path]:
+    """Where in a folder models lie: COLMAP writes one for every part that it could not join, ``sparse/1`` and so on."""
+    parts = sorted((folder / "sparse").glob("[0-9]*"), key=lambda place: natural_key(place.name))
+    return [place for place in (folder, folder / "sparse", *parts, folder / "text") if _ending(place)]
 
 
 def _ending(place: Path) -> str | None:
@@ -61,41 +64,71 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     Parameters
     ----------
     folder
-        With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``. Images
+        With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``; or the
+        model's own folder, with ``images`` above it. Of several models the one of most images is read. Images
         in ``images`` that the model does not name are frames without a pose. Times are those of ``times.txt`` (seconds,
         one a line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's own: metres only if the
-        model was scaled. Fisheye images are undistorted, once.
+        model was scaled. Images of fisheye lenses and of other cameras than most have are brought to that, once.
     require_poses
         True leaves out images that are missing, or have no pose or one that is no rigid motion. False keeps them.
     follow_outside
         Whether the model may name images outside the folder.
     """
     folder = Path(folder).resolve()
-    place = model_folder(folder)
-    if place is None:
+    notes: list[Note] = []
+    models = [(place, *_model(place)) for place in model_folders(folder)]
+    if not models:
         raise DatasetError(
             f"{folder}: holds no cameras.txt with images.txt, nor cameras.bin with images.bin; expected a COLMAP model"
         )
-    ending = _ending(place)
-    of_images, of_cameras = place / f"images.{ending}", place / f"cameras.{ending}"
-    rows = _images(of_images) if ending == "txt" else binary_images(of_images)
-    cameras = _lines_of_cameras(of_cameras) if ending == "txt" else binary_cameras(of_cameras)
-    used = sorted({camera for _, _, camera in rows.values()})
-    if len(used) != 1 or used[0] not in cameras:
-        raise DatasetError(f"{of_images}: uses cameras {used}, expected one of {sorted(cameras)}")
-    base = folder / "images" if (folder / "images").is_dir() else folder
-    image = PathGuard(folder, of_images, follow_outside=follow_outside)
+    place, of_images, rows, of_cameras, cameras = max(models, key=lambda model: len(model[2]))
+    if others := [f"{at} ({len(images)} images)" for at, _, images, *_ in models if at != place]:
+        notes.append(
+            Note("other models are not read", f"{place} ({len(rows)} images) is read, not {', '.join(others)}")
+        )
+    if missing := sorted({camera for _, _, camera in rows.values()} - cameras.keys()):
+        raise DatasetError(
+            f"{of_images}: uses cameras {missing}, expected some of {sorted(cameras)} ({of_cameras.name})"
+        )
+    # a model's own folder, as sparse/0, lies below that of the images
+    bases = [base for base in (folder, folder.parent, folder.parent.parent) if (base / "images").is_dir()]
+    inside = (folder / next(iter(rows))).is_file() or not bases
+    base = folder if inside and not (folder / "images").is_dir() else bases[0] / "images"
+    image = PathGuard(folder if base.is_relative_to(folder) else base, of_images, follow_outside=follow_outside)
     registered = {name: image(base, name) for name in rows}
-    others = [] if base == folder else _unregistered(base, list(registered.values()))
-    found = registered | {name: image(base, name) for name in others}
+    unregistered = [] if base == folder else _unregistered(base, list(registered.values()))
+    found = registered | {name: image(base, name) for name in unregistered}
     names = sorted(found, key=natural_key)
     images = [found[name] for name in names]
-    notes: list[Note] = []
-    size = common_size([registered[name] for name in sorted(registered, key=natural_key)])
-    camera = _camera(of_cameras, *cameras[used[0]], size, notes)
-    poses, why = _poses(of_images, names, rows)
+    poses, why = _poses(of_images, names, rows, notes)
+    lenses = _lenses(
+        of_cameras, cameras, {name: (registered[name], rows[name][2]) for name in names if name in rows}, notes
+    )
+    most = Counter(lenses.values()).most_common(1)[0][0]  # images that the model does not name are taken for its
     table = FrameTable(folder.name, images, frame_times(folder, len(names)), poses=poses, why=why, notes=notes)
-    return table.sequence(camera, require_poses=require_poses)
+    return table.sequence([lenses.get(name, most) for name in names], require_poses=require_poses)
+
+
+def _model(place: Path) -> tuple[Path, _Rows, Path, dict[int, tuple[str, list[str]]]]:
+    """Files and contents of a model."""
+    ending = _ending(place)
+    of_images, of_cameras = place / f"images.{ending}", place / f"cameras.{ending}"
+    if ending == "txt":
+        return of_images, _images(of_images), of_cameras, _lines_of_cameras(of_cameras)
+    return of_images, binary_images(of_images), of_cameras, binary_cameras(of_cameras)
+
+
+def _lenses(
+    path: Path, cameras: dict[int, tuple[str, list[str]]], images: dict[str, tuple[Path, int]], notes: list[Note]
+) -> dict[str, AnyCamera]:
+    """The camera of every image by name; the same numbers are one camera, whatever their places in the file."""
+    made: dict[int, AnyCamera] = {}
+    for camera_id in sorted({camera for _, camera in images.values()}):
+        size = common_size([image for image, camera in images.values() if camera == camera_id])
+        found: list[Note] = []
+        made[camera_id] = _camera(path, *cameras[camera_id], size, found)
+        notes += [note for note in found if note.what not in {other.what for other in notes} or len(cameras) < _MANY]
+    return {name: made[camera] for name, (_, camera) in images.items()}
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:
@@ -104,11 +137,13 @@ def _unregistered(base: Path, registered: list[Path]) -> list[str]:
     return [path.name for path in image_files(base) if os.path.splitext(os.path.realpath(path))[0] not in known]
 
 
-def _poses(path: Path, names: list[str], rows: _Rows) -> tuple[FloatArray, Damaged]:
+def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tuple[FloatArray, Damaged]:
     """Camera to world (n, 7), NaN where there is none, and why."""
     unknown = [float("nan")] * 4, [float("nan")] * 3, 0
     quats = np.array([rows.get(name, unknown)[0] for name in names])
     shifts = np.array([rows.get(name, unknown)[1] for name in names])
+    if doubt := length_doubt(path, np.column_stack((quats, shifts)), 0):
+        notes.append(Note("quaternions are not of unit length", doubt))
     faults = pose_faults(shifts, quats)
     known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
     known[list(faults)] = False
@@ -193,7 +228,7 @@ def _camera(path: Path, at: str, fields: list[str], size: Size, notes: list[Note
     pixels = tuple(values[i] for i in places)
     distortion = tuple(0.0 if i is None else values[i] for i in lens)
     source, stated = f"{path}, {at}", (width, height)
-    if model == _FISHEYE:
+    if model.endswith("FISHEYE"):
         return fisheye_of(source, pixels, size, distortion, stated=stated, notes=notes)
     if any(values[9:]):
         raise DatasetError(f"{source}: camera model {model} has k4, k5 or k6, expected zeros: {UNDISTORT}")

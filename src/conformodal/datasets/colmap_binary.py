@@ -21,8 +21,10 @@ _MODELS = (
     ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 )
 N_PARAMETERS = dict(_MODELS)
+_MOST_MODELS = 64
 _POINT_BYTES = 24  # x, y and the number of a point
 _LONGEST_NAME = 4096
 
@@ -91,8 +93,11 @@ def binary_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     found = {}
     for k in file.records("camera"):
         camera, model, width, height = (int(v) for v in file.take("iiQQ"))
-        if not 0 <= model < len(_MODELS):
-            raise file.damaged(f"camera {camera} has the model {model}, expected 0 to {len(_MODELS) - 1}")
+        if not 0 <= model < len(_MODELS):  # of a later COLMAP: nobody knows how long its record is
+            if not 0 <= model < _MOST_MODELS:
+                raise file.damaged(f"camera {camera} has the model {model}, expected 0 to {len(_MODELS) - 1}")
+            found[camera] = (f"record {k + 1}", [str(camera), f"number {model}"])
+            break
         name, n_parameters = _MODELS[model]
         values = map(repr, file.take(f"{n_parameters}d"))
         found[camera] = (f"record {k + 1}", [str(camera), name, str(width), str(height), *values])

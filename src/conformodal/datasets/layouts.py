@@ -11,7 +11,7 @@ from typing import NamedTuple
 from conformodal.core.choices import as_member
 from conformodal.core.words import counted
 
-from .colmap import model_folder, read_colmap
+from .colmap import model_folders, read_colmap
 from .errors import DatasetError
 from .euroc import read_euroc_mav
 from .images import read_image_folder
@@ -73,7 +73,7 @@ _READERS = {
         lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0")),
     ),
     Layout.COLMAP: _Reader(
-        read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: model_folder(f) is not None
+        read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: bool(model_folders(f))
     ),
     Layout.NERF: _Reader(read_nerf, FILE, lambda f: transforms_file(f) is not None),
     Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt", _is_image_folder),

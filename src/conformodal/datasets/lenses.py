@@ -124,7 +124,7 @@ def _views(lens: Fisheye) -> str:
     )
 
 
-def _plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
+def on_plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
     """Where rays through pixels (n, 2) as they are on the image meet the plane at depth 1."""
     if not camera.distortion:
         return camera.on_plane(pixels)
@@ -137,7 +137,7 @@ def _plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
 def _maps(source: AnyCamera, target: PinholeCamera) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Where in an image of a source the pixels of the target are, x and y; -1 where it does not see them."""
     grid = np.indices((target.height, target.width))[::-1].reshape(2, -1).T.astype(np.float64)
-    plane, pinhole = _plane(target, grid), source.pinhole if isinstance(source, Fisheye) else source
+    plane, pinhole = on_plane(target, grid), source.pinhole if isinstance(source, Fisheye) else source
     if isinstance(source, Fisheye):
         lens = np.array(source.coefficients)
         found = cv2.fisheye.distortPoints(plane[:, None], pinhole.matrix, lens).reshape(-1, 2)
@@ -148,7 +148,7 @@ def _maps(source: AnyCamera, target: PinholeCamera) -> tuple[npt.NDArray[np.floa
         rays = np.column_stack((plane, np.ones(len(plane))))
         found = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), source.matrix, np.array(source.distortion))[0][:, 0]
         corners = np.array([[x, y] for x in (0.0, source.width - 1) for y in (0.0, source.height - 1)])
-        widest = np.linalg.norm(_plane(source, corners), axis=1).max()  # beyond, a lens may fold into the image again
+        widest = np.linalg.norm(on_plane(source, corners), axis=1).max()  # beyond, a lens may fold into the image again
     found[~(np.linalg.norm(plane, axis=1) <= 1.05 * widest) | ~np.isfinite(found).all(axis=1)] = -1
     x, y = np.clip(found, -1e6, 1e6).T.reshape(2, target.height, target.width).astype(np.float32)
     return x, y

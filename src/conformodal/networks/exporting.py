@@ -27,7 +27,8 @@ from conformodal.vision.settings import VisionError
 
 from .torch_backbone import TorchBackbone
 
-OPSET = 18
+# What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
+OPSET, IR_VERSION = 18, 10
 _N_IMAGES = 64  # of quantisation; ranges of activations hardly widen with more
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
@@ -158,6 +159,7 @@ def _export(backbone: TorchBackbone) -> bytes:
         raise VisionError(f"{backbone.config.name} cannot be exported to ONNX: {exc}") from exc
     assert program is not None
     model = program.model_proto
+    model.ir_version = IR_VERSION
     for part in (model, model.graph, *model.graph.node, *model.graph.value_info):
         del part.metadata_props[:]  # among them lines of source files of the machine that exports
     return bytes(model.SerializeToString())
