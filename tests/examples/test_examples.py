@@ -57,13 +57,6 @@ def test_a_table_without_its_targets_is_refused(tmp_path, targets):
     assert "name targets among its columns of numbers, given, up; got" in done.stderr
 
 
-def test_a_table_of_few_rows_is_refused(tmp_path):
-    (tmp_path / "own.csv").write_text("given,up\n1,2\n\n2,3\n", encoding="utf-8")
-    done = run("table.py", tmp_path, "own.csv", "up")
-    assert done.returncode == 1
-    assert "2 whole rows are too few; at least 50 are needed" in done.stderr
-
-
 @pytest.mark.slow
 def test_a_stream_is_answered_by_a_saved_model(small_world, tmp_path):
     frames = tmp_path / "flight" / "seq-01"

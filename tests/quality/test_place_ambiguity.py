@@ -87,12 +87,6 @@ def test_stretches_that_look_alike_are_named_by_known_frames():
     assert (first, last) == (50, 69)
 
 
-def test_where_regions_hold_one_place_nothing_is_ambiguous():
-    found = judged([[(1, 2)]] * 8, [1.5] * 8)
-    assert found.stretches == []
-    assert (found.n_places == 1).all()
-
-
 @pytest.mark.parametrize(("n", "frames"), [(5, "frames 20 to 28"), (1, "frame 20")])
 def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
