@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_colmap, read_sequence, recognise
 from conformodal.datasets.colmap_binary import _MODELS
+from conformodal.poses import PoseError
 
 N, SIZE = 5, (64, 48)
 # seen from above, with z up: looks along x first, then turns to the left by 10 degrees a frame
@@ -193,6 +194,8 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
     sequence = read_sequence(folder, require_poses=False)
     assert len(sequence) == N
     assert sequence.truth is None
+    with pytest.raises(PoseError, match="no poses"):
+        sequence.require_truth()
 
 
 def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
@@ -434,3 +437,16 @@ def test_an_image_is_named_once(binary):
     path.write_bytes(struct.pack("<Q", 2) + first + first)
     with pytest.raises(DatasetError, match="a second time"):
         read_colmap(binary)
+
+
+def test_pictures_without_a_camera_are_named(tmp_path):
+    place = tmp_path / "photos"
+    place.mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(place / name)
+    for folder in (place, tmp_path):
+        with pytest.raises(DatasetError, match=r"photos holds 2 pictures; put camera-intrinsics\.txt beside them"):
+            read_sequence(folder)
+    (place / "camera-intrinsics.txt").write_text("4 0 2\n0 4 2\n0 0 1\n")
+    with pytest.raises(DatasetError, match=r"photos holds 2 pictures; name that folder"):
+        read_sequence(tmp_path)

@@ -66,6 +66,7 @@ POINTS = "10.5 11.5 -1 12.0 13.0 44\n"
 POSES = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 ROWS = [
     (SEVEN, lambda r: picture(r / "seq-1" / "frame-000000.color.png", 25), "seq-0?1: another folder has its number"),
+    (SEVEN, lambda r: [p.unlink() for p in r.rglob("*.pose.txt")], r"000000\.pose\.txt: pose is missing \(5 of 5"),
     (SEVEN, drop("camera-intrinsics.txt"), "no camera is known for 64x48.*camera-intrinsics"),
     (SEVEN, lambda r: [p.unlink() for p in r.rglob("frame-0*")], "holds no frame"),
     (SEVEN, add("camera-distortion.txt", "-0.28 0.07\n"), r"camera-distortion\.txt: distortion must be k1"),

@@ -116,3 +116,11 @@ def test_given_test_must_fit_the_frames(tmp_path):
     sequence = read_sevenscenes(write_scene(tmp_path))
     with pytest.raises(DatasetError, match=r"6 images, but given_test has shape \(2,\)"):
         replace(sequence, given_test=np.zeros(2, bool))
+
+
+@pytest.mark.parametrize(("gone", "there"), [("TrainSplit.txt", "TestSplit.txt"), ("TestSplit.txt", "TrainSplit.txt")])
+def test_one_list_without_the_other_is_refused(tmp_path, gone, there):
+    scene = write_scene(tmp_path)
+    (scene / gone).unlink()
+    with pytest.raises(DatasetError, match=rf"{gone}: is missing; {there} beside it"):
+        read_sevenscenes(scene)

@@ -192,3 +192,10 @@ def test_too_few_frames_and_unknown_parts_are_refused():
         make_split(np.zeros(3, int), "interleaved")
     with pytest.raises(SplitError, match="part"):
         make_split(np.zeros(100, int), "blocks").part("validation")
+
+
+def test_an_interleaved_split_has_random_calibration_frames_already():
+    from conformodal.datasets import with_random_calibration
+
+    split = make_split(np.zeros(100, int), "interleaved")
+    assert with_random_calibration(split, 0.5) is split

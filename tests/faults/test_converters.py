@@ -226,3 +226,10 @@ def test_two_that_write_one_folder_do_not_mix(tmp_path):
                 pool.submit(second).result()
     assert [p.read_text() for p in out.iterdir()] == ["first"]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
+
+
+def test_images_of_another_size_are_left_out_and_named(tmp_path):
+    stream = Failing(None)
+    with pytest.raises(DatasetError, match="nothing to write: 3 unreadable"):
+        write_layout(tmp_path / "out", Layout.TUM, stream, PinholeCamera(40, 40, 32, 24, 48, 64), poses_for())
+    assert list(tmp_path.iterdir()) == []

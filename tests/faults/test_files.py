@@ -404,3 +404,25 @@ def test_folders_of_any_name_are_read(tmp_path, name):
     assert len(read_sequence(folder)) == N
     assert invoke("data", "check", folder).exit_code == 0
     run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "out")
+
+
+def test_two_poses_for_one_time_are_no_pose(tmp_path):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    before = read_sequence(folder)
+    path = folder / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, " ".join([lines[3].split()[0], "7", *lines[3].split()[2:]])]) + "\n")
+    expect(folder, Layout.TUM, before, 2, "2.png: no pose within")
+    assert "two poses for time" in read_sequence(folder).notes[0].where
+
+
+@pytest.mark.parametrize("layout", [Layout.AUTO, *WRITERS])
+@pytest.mark.parametrize("what", ["nowhere", "file", "empty"])
+def test_what_is_no_data_set_is_refused(tmp_path, layout, what):
+    path = tmp_path / "a"
+    if what == "file":
+        path.write_text("x")
+    elif what == "empty":
+        path.mkdir()
+    with pytest.raises(DatasetError):
+        read_sequence(path, layout)

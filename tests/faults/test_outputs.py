@@ -354,3 +354,30 @@ def test_a_command_that_is_refused_changes_nothing(world, monkeypatch, command):
     said = [line for line in result.stderr.splitlines() if line.strip() and " fps " not in line]  # but for the status
     assert [line[:7] for line in said] == ["error: "]
     assert contents(world) == before
+
+
+@pytest.mark.parametrize("moment", ["before the flight", "in the flight", "after it"])
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_demo_that_was_killed_starts_again(tmp_path, monkeypatch, moment, seed):
+    flights = []
+
+    def fly(folder, *, seed, **_):
+        if moment == "before the flight" and not flights:
+            flights.append(None)
+            raise KeyboardInterrupt
+        fill(folder, {"seq-01/seed": str(seed)})
+        flights.append(seed)
+        if moment == "in the flight" and len(flights) == 1:
+            shutil.move(folder / "seq-01", folder / ".seq-01.part")
+            raise KeyboardInterrupt
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("conformodal.cli.demo.write_corridor", fly)
+    monkeypatch.setattr("conformodal.cli.demo.train_on", stop)
+    monkeypatch.setattr("conformodal.cli.demo.read_sevenscenes", lambda folder: folder)
+    for given in (0, seed, seed):
+        assert invoke("demo", "--out", tmp_path, "--seed", given).exit_code == 130
+    assert (tmp_path / "corridor" / "seq-01" / "seed").read_text() == str(seed)
+    assert len(flights) == 1 + (moment != "after it" or seed == 4)

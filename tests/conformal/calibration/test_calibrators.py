@@ -201,3 +201,14 @@ def test_one_threshold_over_all_targets_needs_no_scale_and_nine_samples():
     assert len(set(cal.thresholds_.tolist())) == 1
     few = cm.SplitConformal(bins, 0.1, "hpd", "max").calibrate(proba[:8], y[:8])
     assert few.predict(proba).unbounded.all()
+
+
+def test_rows_that_look_alike_may_scale_and_calibrate():
+    rng = np.random.default_rng(0)
+    bins = cm.QuantileBins.from_edges([np.arange(3.0)] * 2)
+    proba, y = np.full((40, 2, 2), 0.5), rng.integers(0, 2, (40, 2)) + 0.5
+    cal = cm.SplitConformal(bins, 0.1, "lac", "max").fit_scale(proba[:31], y[:31])
+    assert np.isfinite(cal.calibrate(proba[31:], y[31:]).thresholds_).all()
+    one = cm.QuantileBins.from_edges([np.arange(3.0)])  # a scale changes no order of one target's scores
+    cal = cm.SplitConformal(one, 0.1, "lac", "max").fit_scale(proba[:, 0], y[:, 0])
+    assert np.isfinite(cal.calibrate(proba[:, 0], y[:, 0]).thresholds_).all()

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.pipeline import make_pipeline
@@ -118,3 +119,13 @@ def test_a_diagnosis_in_one_call():
     assert set(found.columns[0].by_group) == {"True", "False"}
     with pytest.raises(NotCalibratedError, match="conformalize"):
         ConformalRegressor(forest(), calibration_size=0).fit(X, y).diagnose(X, y)
+
+
+def test_metadata_routing_asks_for_regions():
+    X, y = bimodal(300)
+    with config_context(enable_metadata_routing=True):
+        reg = ConformalRegressor(forest(), n_bins=10, random_state=0).set_predict_request(region=True)
+        reg.set_fit_request(sample_weight=True)
+        chain = make_pipeline(StandardScaler().set_fit_request(sample_weight=False), reg)
+        chain.fit(X, y, sample_weight=np.ones(300))
+        assert len(chain.predict(X, region=True)) == 300
