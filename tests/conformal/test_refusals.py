@@ -201,6 +201,7 @@ REFUSED = [
     (lambda: cm.diagnose(SPLIT, P, Y, groups=[1]), "groups"),
     (lambda: cm.diagnose(SPLIT, P[:0], Y[:0]), "at least one"),
     (lambda: cm.check_coverage([0.0, np.nan], 9, 0.1), "boolean"),
+    (lambda: cm.check_coverage(HELD[:0], 9, 0.1), "at least one sample"),
     (lambda: coverage_by_group(["no"], ["a"], 9, 0.1), "boolean"),
     (lambda: coverage_by_size(HELD, [1.0], 9, 0.1), "sizes must have"),
     (lambda: coverage_by_size(HELD, np.full(N, np.nan), 9, 0.1), "NaN"),
