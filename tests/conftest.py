@@ -4,6 +4,8 @@ import pytest
 
 from conformodal.datasets import read_sevenscenes
 
+CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
+
 
 @pytest.fixture(scope="module")
 def sequence(small_corridor):
@@ -18,3 +20,15 @@ def two_recordings(small_corridor, tmp_path):
     for name in ("camera-intrinsics.txt", "frame-rate.txt"):
         shutil.copy(small_corridor / name, tmp_path / name)
     return read_sevenscenes(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as started:
+        quiet = ["--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", *quiet])
+        yield opened
+        opened.close()

@@ -7,21 +7,21 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2640,
+    "cli": 2630,
     "conformal": 5030,
     "core": 430,
-    "datasets": 4920,
-    "localization": 2100,
-    "model": 1250,
+    "datasets": 4740,
+    "localization": 2510,
+    "model": 1360,
     "motion": 990,
     "networks": 760,
     "poses": 1080,
     "quality": 930,
-    "reasoning": 1520,
-    "report": 780,
-    "ros": 790,
-    "running": 2250,
-    "training": 580,
+    "reasoning": 1550,
+    "report": 820,
+    "ros": 750,
+    "running": 2370,
+    "training": 690,
     "vision": 470,
 }
 
@@ -40,4 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6630
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6690
+
+
+def test_tests_keep_to_their_budget():
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18200

@@ -2,13 +2,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from experiments.drawing import (
-    SoftmaxOfTarget,
-    Steps,
-    binning_figure,
-    overview_figure,
-    softmax_figure,
-)
+from experiments.drawing import SoftmaxOfTarget, Steps, binning_figure, overview_figure, softmax_figure
 
 EDGES = np.array([0.0, 1.0, 1.5, 2.0, 4.0])
 PROBA = np.array([0.5, 0.05, 0.05, 0.4])

@@ -105,11 +105,6 @@ def test_results_of_other_settings_or_damaged_ones_are_worked_out_again(tmp_path
     assert work.done == [0]
 
 
-def test_tasks_that_share_a_key_are_refused(tmp_path):
-    with pytest.raises(ExperimentError, match="square-1"):
-        run_tasks([Square(1), Square(1, version=2)], Counting(), tmp_path)
-
-
 def check_two_at_a_time(folder, **where):
     (folder / "met").mkdir()
     tasks = [Square(k) for k in range(5)]

@@ -1,30 +1,33 @@
 """The paper's system from the command line: train, run, evaluate."""
 
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from conformodal.cli import demo
+from conformodal.cli.main import app
 from conformodal.poses import read_tum
 from conformodal.running.results.records import read_region_records
 from conformodal.running.results.runs import read_trajectories
-from tests.helpers import invoke
+from tests.helpers import refusal, run_ok
 
 
 @pytest.fixture(scope="module")
 def trained(small_world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
     options = ["--method", "paper", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache]
-    result = invoke("train", small_world.folder, "--out", folder / "model", *options)
-    assert result.exit_code == 0, result.output
+    result = run_ok("train", small_world.folder, "--out", folder / "model", *options)
     assert "the paper has no such test" in result.output
     return folder
 
 
 def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     out = trained / "out"
-    result = invoke("run", trained / "model", small_world.folder, "--part", "test", "--out", out)
-    assert result.exit_code == 0, result.output
+    run_ok("run", trained / "model", small_world.folder, "--part", "test", "--out", out)
     metrics = json.loads((out / "metrics.json").read_text())
     assert list(metrics["errors"]) == ["greedy"]
     assert metrics["configuration"]["method"] == "paper"
@@ -38,15 +41,62 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     assert len(answer) == metrics["n_answered"]
     np.testing.assert_array_equal(read_trajectories(out)["greedy"].positions_xyz, answer.positions_xyz)
     assert "<script" in (out / "report.html").read_text()
-    checked = invoke("evaluate", out, "--truth", out / "truth.tum")
-    assert checked.exit_code == 0, checked.output
+    checked = run_ok("evaluate", out, "--truth", out / "truth.tum")
     assert "greedy" in checked.output
     assert "smoothed" not in checked.output
 
 
-@pytest.mark.parametrize("option", [("--score", "density"), ("--joint", "bonferroni"), ("--calibration", "stretches")])
-def test_what_the_paper_does_not_have_is_refused_before_the_work(small_world, tmp_path, option):
-    result = invoke("train", small_world.folder, "--out", tmp_path / "m", "--method", "paper", *option)
-    assert result.exit_code == 2
-    assert "the paper's system has no settings" in " ".join(result.output.split())
-    assert not (tmp_path / "m").exists()
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [(["--novelty-level", 0.1], "no test for unknown places"), (["--match-every", 3], "looks at no local features")],
+)
+def test_options_of_our_own_system_are_refused(trained, small_world, tmp_path, options, said):
+    assert said in refusal("run", trained / "model", small_world.folder, *options, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_papers_answer_gets_no_radius(trained, small_world):
+    before = (trained / "model" / "model.json").read_bytes()
+    assert "gets no radius" in refusal("calibrate", trained / "model", small_world.folder)
+    assert (trained / "model" / "model.json").read_bytes() == before
+
+
+@pytest.fixture
+def out(small_world, tmp_path, monkeypatch):
+    """Holds the first half of the small corridor's flight, as if an earlier demo had written it."""
+    folder = tmp_path / "out"
+    shutil.copytree(small_world.folder, folder / "corridor")
+    flight = {"seed": 3, "n_modules": 3, "n_laps": 1}
+    (folder / "corridor" / "demo.json").write_text(json.dumps(flight))
+    images = sorted((folder / "corridor" / "seq-01").glob("*.color.png"))
+    for image in images[len(images) // 2 :]:
+        image.unlink()
+        image.with_name(image.name.replace("color.png", "pose.txt")).unlink()
+    (folder / "cache").symlink_to(small_world.cache)
+    monkeypatch.setattr(demo, "N_MODULES", 3)
+    monkeypatch.setattr(demo, "N_LAPS", 1)
+    monkeypatch.setattr(demo, "TRAINING", replace(demo.TRAINING, epochs=3))
+    return folder
+
+
+@pytest.mark.slow
+def test_the_papers_system_is_trained_and_compared_with_the_classical_regressor(out):
+    result = CliRunner().invoke(app, ["demo", "--out", str(out), "--seed", "3", "--method", "paper"])
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == f"results: {out.resolve()}"
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["command"] == "demo"
+    assert metrics["configuration"]["method"] == "paper"
+    assert set(metrics["errors"]) == {"greedy", "classical"}
+    assert (metrics["coverage"]["alpha"], metrics["coverage"]["joint"]) == (0.1, "none")
+    assert metrics["ambiguity"]["n_places"] > 0
+    ratio = metrics["errors"]["classical"]["rmse_m"] / metrics["errors"]["greedy"]["rmse_m"]
+    assert f"{ratio:.2f}" in result.output
+    answer = read_tum(out / "trajectory.tum")
+    assert len(answer) == len(read_tum(out / "methods" / "classical.tum")) == metrics["n_answered"]
+    page = (out / "report.html").read_text()
+    assert "the paper&#39;s system: its greedy answer" in page
+    assert "the paper's greedy answer" in (out / "figures" / "plan.svg").read_text()
+    assert "conformal" not in (out / "figures" / "plan.svg").read_text()
+    loaded = json.loads((out / "model" / "model.json").read_text())
+    assert loaded["configuration"]["method"] == "paper"

@@ -12,7 +12,7 @@ from conformodal.cli import view as view_module
 from conformodal.cli.main import COMMANDS, app
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
-from tests.helpers import invoke
+from tests.helpers import invoke, run_ok
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -42,13 +42,6 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize(("words", "offered"), [("conformodal tr", "train"), ("conformodal run --par", "--part")])
-def test_the_shell_completes_verbs_and_options(words, offered):
-    asked = {"_CONFORMODAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-    result = CliRunner(env=asked).invoke(app, [], prog_name="conformodal")
-    assert offered in result.output.split()
-
-
 def test_info_says_what_the_model_knows_and_promises(small_world):
     found = json.loads(invoke("info", small_world.model, "--json").stdout)
     model = load_model(small_world.model)
@@ -72,9 +65,15 @@ def test_a_page_is_opened(tmp_path, monkeypatch):
     page = tmp_path / "report.html"
     page.write_text("<html></html>")
     for place in (tmp_path, page):
-        result = invoke("view", place)
-        assert result.exit_code == 0, result.output
+        result = run_ok("view", place)
         assert str(page) in result.stdout.replace("\n", "")
     assert opened == [page.as_uri()] * 2
     assert invoke("view", page, "--no-browser").exit_code == 0
     assert len(opened) == 2
+
+
+@pytest.mark.parametrize(("words", "offered"), [("conformodal tr", "train"), ("conformodal run --par", "--part")])
+def test_the_shell_completes_verbs_and_options(words, offered):
+    asked = {"_CONFORMODAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    result = CliRunner(env=asked).invoke(app, [], prog_name="conformodal")
+    assert offered in result.output.split()

@@ -39,31 +39,23 @@ def windows():
     return [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
 
 
-def test_a_recording_is_closed_where_the_view_cannot_be_opened(monkeypatch, tmp_path):
-    def no_screen(*arguments, **options):
-        raise RuntimeError("no screen")
+class NoScreen(Recorder):
+    def __init__(self, *arguments, **options):
+        raise OSError("no screen")
 
-    monkeypatch.setattr(run, "LiveView", no_screen)
-    with (
-        pytest.raises(RuntimeError, match="no screen"),
-        run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
-    ):
+
+class Broken(Recorder):
+    def close(self):
+        raise OSError("gone")
+
+
+@pytest.mark.parametrize(("view", "still_open"), [(NoScreen, [False]), (Broken, [False, True])])
+def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view, still_open):
+    monkeypatch.setattr(run, "LiveView", view)
+    sinks = run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False)
+    with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
         pass
-    assert [its.open for its in opened] == [False]
-
-
-def test_a_view_that_fails_to_close_leaves_no_recording_open(monkeypatch, tmp_path):
-    class Broken(Recorder):
-        def close(self):
-            raise OSError("gone")
-
-    monkeypatch.setattr(run, "LiveView", Broken)
-    with (
-        pytest.raises(OSError, match="gone"),
-        run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False),
-    ):
-        pass
-    assert [its.open for its in opened] == [False, True]
+    assert [its.open for its in opened] == still_open
 
 
 def test_a_stream_that_breaks_off_leaves_no_thread():

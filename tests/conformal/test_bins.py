@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from conformodal.conformal import ConformalError, NotCalibratedError, QuantileBins
+from conformodal.conformal import QuantileBins
 
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 
@@ -59,32 +59,6 @@ def test_soft_targets_peak_at_the_true_bin_and_average_to_the_true_place():
     assert set(one_hot.ravel()) == {0.0, 1.0}
     outside = bins.soft_targets(np.array([-100.0, 100.0]), 0.7)[0]
     assert outside.argmax(axis=1).tolist() == [0, 4]
-
-
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
-        (lambda: QuantileBins(0), "n_bins"),
-        (lambda: QuantileBins(2.5), "n_bins"),
-        (lambda: QuantileBins(5, margin=-1), "margin"),
-        (lambda: QuantileBins(5).fit([]), "at least one"),
-        (lambda: QuantileBins(5).fit([1.0, np.nan]), "row 1"),
-        (lambda: QuantileBins(5).fit(np.zeros((2, 2, 2))), "shape"),
-        (lambda: QuantileBins(5).fit(["a"]), "numeric"),
-        (lambda: QuantileBins.from_edges([[0.0, 0.0]]), "increasing"),
-        (lambda: QuantileBins.from_edges([]), "at least one"),
-        (lambda: QuantileBins(5).fit([1.0, 2.0]).encode(np.zeros((3, 2))), "expected 1"),
-        (lambda: QuantileBins(5).fit([1.0, 2.0]).soft_targets([1.0], -1), "sigma_bins"),
-    ],
-)
-def test_bad_input_is_refused_by_name(make, match):
-    with pytest.raises(ConformalError, match=match):
-        make()
-
-
-def test_unfitted_bins_say_so():
-    with pytest.raises(NotCalibratedError):
-        QuantileBins(5).encode([1.0])
 
 
 def test_codes_of_many_values_are_those_of_a_search():

@@ -4,7 +4,6 @@ from scipy import stats
 
 from conformodal.conformal import (
     ConformalError,
-    NotCalibratedError,
     QuantileBins,
     SplitConformal,
     check_coverage,
@@ -40,58 +39,6 @@ def test_values_outside_the_edges_count_against_calibration(problem):
     assert cal.predict(proba).unbounded.all()
 
 
-def test_lists_of_arrays_and_single_targets():
-    rng = np.random.default_rng(0)
-    bins = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2, 3]])
-    parts = [rng.dirichlet(np.ones(k), size=30) for k in (2, 3)]
-    y = rng.uniform(0, 2, (30, 2))
-    assert SplitConformal(bins).calibrate(parts, y).predict(parts).contains(y).shape == (30, 2)
-    one = QuantileBins.from_edges([[0, 1, 2]])
-    assert SplitConformal(one).calibrate(parts[0], y[:, 0]).predict(parts[0]).contains(y[:, 0]).shape == (30, 1)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "match"),
-    [
-        (lambda p, y: (np.where(p == p.max(), np.nan, p), y), "NaN"),
-        (lambda p, y: (p * 2, y), "sum to 1"),
-        (lambda p, y: (p - 0.5, y), "negative"),
-        (lambda p, y: (p[:, :1], y), r"shape \(n, 2, K\)"),
-        (lambda p, y: (p[:, :, :-1], y), "7 bins"),
-        (lambda p, y: (p, y[:-1]), "y has"),
-        (lambda p, y: (p, y[:, :1]), "expected 2"),
-        (lambda p, y: (p, np.where(y == y.max(), np.inf, y)), "finite"),
-    ],
-)
-def test_bad_arrays_are_refused_by_name(problem, spoil, match):
-    bins, proba, y = problem(4)
-    with pytest.raises(ConformalError, match=match):
-        SplitConformal(bins).calibrate(*spoil(proba, y))
-
-
-def test_bad_settings_are_refused(problem):
-    bins, proba, _ = problem(5)
-    for kwargs in ({"alpha": 90}, {"score": "best"}, {"score": 3}, {"joint": "all"}):
-        with pytest.raises(ConformalError, match=next(iter(kwargs))):
-            SplitConformal(bins, **kwargs)
-    with pytest.raises(NotCalibratedError):
-        SplitConformal(bins).predict(proba)
-    with pytest.raises(ConformalError, match="scores must have shape"):
-        SplitConformal(bins).calibrate_scores(np.zeros(3))
-
-
-def test_a_score_of_ones_own(problem):
-    class Margin:
-        name = "margin"
-
-        def of_bins(self, proba, widths):
-            return proba.max(axis=1, keepdims=True) - proba
-
-    bins, proba, y = problem(6)
-    cal = SplitConformal(bins, 0.2, Margin()).calibrate(proba, y)
-    np.testing.assert_array_equal(cal.predict(proba).contains(y), cal.score_samples(proba, y) <= cal.thresholds_)
-
-
 def test_coverage_band_is_central_and_exact():
     low, high = coverage_band(99, 50, 0.1, level=0.9)
     law = stats.betabinom(50, 90, 10)
@@ -107,3 +54,121 @@ def test_coverage_band_is_central_and_exact():
     ):
         with pytest.raises(ConformalError):
             bad()
+
+
+SPLITS, M = 1000, 40
+TIES = np.array([0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05])
+
+
+def split_counts(bins, proba_of, draw, n, alpha, shift):
+    """Covered of M test values, for each of SPLITS splits; `shift` plants an error in the rank."""
+    rng = np.random.default_rng(11)
+    counts = np.empty(SPLITS, dtype=int)
+    for i in range(SPLITS):
+        y, proba = draw(rng, n + M), proba_of(rng, n + M)
+        cal = SplitConformal(bins, alpha).calibrate(proba[:n], y[:n])
+        if shift and 1 <= cal.rank + shift <= n:
+            cal.thresholds_ = np.sort(cal.scores_, axis=0)[cal.rank + shift - 1]
+        counts[i] = cal.predict(proba[n:]).contains(y[n:]).sum()
+    return counts
+
+
+def tied_law(share, n, alpha):
+    """Law of the covered count if scores take few values, the j-th lowest with probability `share[j]`.
+
+    The threshold is at most the j-th value if at least k calibration scores are; given it, counts are binomial.
+    """
+    k = conformal_rank(n, alpha)
+    reach = np.minimum(np.cumsum(share), 1.0)
+    below = stats.binom.sf(k - 1, n, reach)
+    at = np.diff(np.concatenate(([0.0], below)))
+    law = (at[:, None] * stats.binom.pmf(np.arange(M + 1), M, reach[:, None])).sum(axis=0)
+    law[M] += 1 - at.sum()  # no finite threshold: the whole space
+    return law
+
+
+def beta_binomial(n, alpha):
+    k = conformal_rank(n, alpha)
+    return stats.betabinom.pmf(np.arange(M + 1), M, k, n + 1 - k) if k <= n else np.eye(M + 1)[M]
+
+
+def p_value(counts, law):
+    """Chi-square of the counts, in cells of at least 20 expected."""
+    cells, total = np.zeros(M + 1, dtype=int), 0.0
+    for i, mass in enumerate(law * SPLITS):
+        cells[i:] = cells[i - 1] + 1 if total >= 20 else cells[i]
+        total = mass if total >= 20 else total + mass
+    expected = np.bincount(cells, law * SPLITS)
+    observed = np.bincount(cells[counts], minlength=expected.size)
+    if expected.size > 1 and expected[-1] < 20:
+        expected, observed = (np.append(a[:-2], a[-2:].sum()) for a in (expected, observed))
+    if expected.size == 1:
+        return 1.0 if (law[counts] > 0).all() else 0.0
+    if (observed[expected == 0] > 0).any():
+        return 0.0
+    return stats.chisquare(observed, expected * observed.sum() / expected.sum()).pvalue
+
+
+def uniform(rng, size):
+    return rng.uniform(size=size)
+
+
+def random_rows(k):
+    def rows(rng, size):
+        noise = rng.exponential(size=(size, k)) ** 3
+        return noise / noise.sum(axis=1, keepdims=True)
+
+    return rows
+
+
+def fixed_row(row):
+    return lambda rng, size: np.tile(row, (size, 1))
+
+
+def from_bins(share):
+    return lambda rng, size: rng.choice(share.size, size, p=share) + 0.5
+
+
+def equal(k):
+    return QuantileBins.from_edges([np.linspace(0, 1, k + 1)])
+
+
+def whole_numbers(k):
+    return QuantileBins.from_edges([np.arange(k + 1.0)])
+
+
+POISSON = np.append(stats.poisson.pmf(np.arange(8), 1.5), stats.poisson.sf(7, 1.5))
+CASES = {
+    "more bins than samples": (equal(400), random_rows(400), uniform, 29, 0.1, beta_binomial(29, 0.1)),
+    "one calibration sample": (equal(300), random_rows(300), uniform, 1, 0.5, beta_binomial(1, 0.5)),
+    "too few samples": (equal(50), random_rows(50), uniform, 5, 0.1, beta_binomial(5, 0.1)),
+    # lac ranks by probability; equal probabilities tie
+    "ties": (whole_numbers(7), fixed_row(TIES), from_bins(TIES), 29, 0.2, tied_law([0.3, 0.4, 0.2, 0.1], 29, 0.2)),
+    "repeated values": (
+        whole_numbers(9),
+        fixed_row(POISSON),
+        lambda rng, size: np.minimum(rng.poisson(1.5, size), 8) + 0.0,
+        49,
+        0.15,
+        tied_law(np.sort(POISSON)[::-1], 49, 0.15),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_coverage_follows_its_exact_law(name):
+    bins, rows, draw, n, alpha, law = CASES[name]
+    assert law.sum() == pytest.approx(1)
+    assert p_value(split_counts(bins, rows, draw, n, alpha, 0), law) > 0.001
+
+
+@pytest.mark.parametrize("name", ["ties", "repeated values"])
+@pytest.mark.parametrize("shift", [-1, 1])
+def test_an_error_of_one_in_the_rank_does_not(name, shift):
+    bins, rows, draw, n, alpha, law = CASES[name]
+    assert p_value(split_counts(bins, rows, draw, n, alpha, shift), law) < 1e-4
+
+
+def test_with_ties_coverage_is_only_higher():
+    *_, law = CASES["ties"]
+    assert (np.cumsum(law) <= np.cumsum(beta_binomial(29, 0.2)) + 1e-12).all()

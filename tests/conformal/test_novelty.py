@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from conformodal.conformal import ConformalError, NoveltyTest
+from conformodal.conformal import NoveltyTest
 
 
 def test_the_p_value_of_a_tiny_example_worked_by_hand():
@@ -16,17 +16,6 @@ def test_the_p_value_of_a_tiny_example_worked_by_hand():
     # as large is enough
     np.testing.assert_allclose(test.p_values([3.0, 2.0, 5.0]), [(1 + 0.5 + 1) / 5, (1 + 1 + 1) / 5, 2 / 5])
     assert (test.n_groups, test.least_p) == (4, 1 / 5)
-
-
-def test_groups_of_one_count_scores():
-    rng = np.random.default_rng(0)
-    known = rng.normal(size=(300, 3))
-    test = NoveltyTest(known, np.arange(300))
-    apart = np.linalg.norm(known[:, None] - known, axis=2)
-    np.fill_diagonal(apart, np.inf)
-    np.testing.assert_allclose(test.scores_, apart.min(axis=1))
-    new = test.scores(rng.normal(size=(20, 3)))
-    np.testing.assert_allclose(test.p_values(new), [(1 + (test.scores_ >= s).sum()) / 301 for s in new])
 
 
 @pytest.mark.parametrize("spread", [0.02, 0.5])
@@ -56,26 +45,14 @@ def test_other_places_get_the_least_p_value():
     assert test.least_p == 1 / 51
 
 
-@pytest.mark.parametrize(
-    ("references", "groups", "match"),
-    [
-        (np.zeros(3), [0, 1, 2], r"shape \(n, k\)"),
-        (np.empty((0, 2)), [], "references must be finite"),
-        ([[0.0], [np.nan]], [0, 1], "references must be finite"),
-        ([[0.0], [1.0]], [0], "one label per sample"),
-        ([[0.0], [1.0]], [0.0, np.nan], "NaN"),
-        ([[0.0], [1.0]], [5, 5], "two groups"),
-    ],
-)
-def test_references_that_are_none_are_refused(references, groups, match):
-    with pytest.raises(ConformalError, match=match):
-        NoveltyTest(references, groups)
-
-
-@pytest.mark.parametrize("samples", [np.zeros(2), np.zeros((1, 3))])
-def test_samples_of_another_shape_are_refused(samples):
-    with pytest.raises(ConformalError, match=r"samples must have shape \(m, 2\)"):
-        NoveltyTest(np.eye(2), [0, 1]).scores(samples)
+def test_left_out_p_values_are_those_of_the_other_groups():
+    rng = np.random.default_rng(5)
+    references, groups = rng.normal(size=(30, 3)), np.repeat(np.arange(6), 5)
+    test = NoveltyTest(references, groups)
+    for i in (0, 7, 29):
+        others = groups != groups[i]
+        shares = [np.mean(test.scores_[groups == g] >= test.scores_[i]) for g in np.unique(groups[others])]
+        assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 7)
 
 
 def test_those_that_are_novel_are_the_same_whichever_sample_joins_them():
@@ -99,13 +76,3 @@ def test_p_values_of_other_scores_are_uniform_on_their_ranks():
         p.append(test.rescored(scores[:9], np.arange(9)).p_values(scores[9:])[0])
     counts = np.bincount(np.rint(np.array(p) * 10).astype(int), minlength=11)[1:]
     assert stats.chisquare(counts).pvalue > 1e-4
-
-
-def test_left_out_p_values_are_those_of_the_other_groups():
-    rng = np.random.default_rng(5)
-    references, groups = rng.normal(size=(30, 3)), np.repeat(np.arange(6), 5)
-    test = NoveltyTest(references, groups)
-    for i in (0, 7, 29):
-        others = groups != groups[i]
-        shares = [np.mean(test.scores_[groups == g] >= test.scores_[i]) for g in np.unique(groups[others])]
-        assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 7)

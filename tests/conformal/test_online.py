@@ -1,25 +1,146 @@
+"""The bounds that trackers state, against sequences that are chosen by someone who knows the thresholds."""
+
 from fractions import Fraction
+from math import inf, nextafter, pi, sqrt
 
 import numpy as np
 import pytest
 
-from conformodal.conformal import Aci, ConformalError, ConformalPid, OnlineConformal, QuantileBins
+from conformodal.conformal import Aci, ConformalPid, OnlineConformal, QuantileBins
+
+T = 1200
 
 
-def misses(tracker, scores):
-    missed = 0
-    for s in scores:
-        missed += s > tracker.threshold()
-        tracker.update(s)
-    return missed / len(scores)
+def just_above(limit, t, rng):
+    if limit == inf:
+        return 0.0
+    return -1.0 if limit == -inf else nextafter(limit, inf)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_aci_keeps_its_bound_on_any_sequence(seed):
-    rng = np.random.default_rng(seed)
-    scores = rng.normal(size=2000).cumsum() + np.where(np.arange(2000) % 700 < 50, np.inf, 0)
-    gamma = 0.02
-    assert abs(misses(Aci(0.1, gamma), scores) - 0.1) <= (0.9 + gamma) / (2000 * gamma)
+def just_above_or_far_below(limit, t, rng):
+    return -1e9 if limit == inf else just_above(limit, t, rng)
+
+
+def above_or_at(limit, t, rng):
+    return just_above(limit, t, rng) if t % 2 else min(max(limit, -1e6), 1e6)
+
+
+def above_by_stretches(limit, t, rng):
+    return just_above(limit, t, rng) if (t // 300) % 2 else -1.0
+
+
+# a score from the threshold, the time and random numbers
+ADVERSARIES = {
+    "just above": just_above,
+    "just above, or far below": just_above_or_far_below,
+    "above and at": above_or_at,
+    "above by stretches": above_by_stretches,
+    "far above": lambda limit, t, rng: 1e300 if limit < inf else 0.0,
+    "twice as far": lambda limit, t, rng: 2 * abs(limit) + 1 if abs(limit) < 1e150 else 0.0,
+    "always below": lambda limit, t, rng: min(limit, 1e6) - 1 if limit > -inf else -inf,
+    "growing fast": lambda limit, t, rng: 2.0 ** (t / 3),
+    "falling": lambda limit, t, rng: -float(t),
+    "inf and -inf": lambda limit, t, rng: inf if t % 2 else -inf,
+    "inf at times": lambda limit, t, rng: inf if t % 700 < 50 else rng.normal(),
+    "-inf then inf": lambda limit, t, rng: -inf if t < T / 2 else inf,
+    "largest floats": lambda limit, t, rng: 1.7e308 if t % 2 else -1.7e308,
+    "smallest floats": lambda limit, t, rng: 5e-324 * (t % 3),
+    "walk": lambda limit, t, rng: float(rng.normal() + 30 * np.sin(t / 50)),
+    "two values": lambda limit, t, rng: float(t % 10 == 0),
+    "inf against finite": lambda limit, t, rng: inf if limit < inf else 0.0,
+}
+
+
+def play(tracker, adversary, steps=T):
+    """Whether each score was missed; the empty set misses -inf too."""
+    rng = np.random.default_rng(0)
+    missed = []
+    for t in range(steps):
+        limit = tracker.threshold()
+        assert limit == limit
+        score = adversary(limit, t, rng)
+        empty = limit == -inf if isinstance(tracker, ConformalPid) else tracker.alpha_t >= 1
+        missed.append(score > limit or empty)
+        tracker.update(score)
+    return np.array(missed)
+
+
+@pytest.mark.parametrize("adversary", ADVERSARIES)
+@pytest.mark.parametrize(("alpha", "gamma", "window"), [("0.1", 0.005, None), ("0.1", 0.1, 20), ("0.9", 0.05, None)])
+def test_aci_keeps_its_bound_at_every_step(adversary, alpha, gamma, window):
+    missed = play(Aci(alpha, gamma, window), ADVERSARIES[adversary])
+    rate, step = Fraction(alpha), Fraction(str(gamma))
+    bound = (max(rate, 1 - rate) + step) / step
+    for steps, total in enumerate(np.cumsum(missed).tolist(), 1):
+        assert abs(total - steps * rate) <= bound, steps
+
+
+def test_the_empty_set_misses_minus_infinity():
+    tracker = Aci(0.5, 0.25)
+    for _ in range(50):
+        tracker.update(-inf)
+    assert tracker.alpha_t <= 1 + Fraction(1, 4)
+    pid = ConformalPid(0.5, saturation=0.01, start=0.0)
+    for _ in range(50):
+        pid.update(-inf)
+    assert abs(pid.error) <= 0.01 * pi / 2 * sqrt(50) + 1
+
+
+@pytest.mark.parametrize("adversary", ADVERSARIES)
+@pytest.mark.parametrize(("alpha", "saturation", "start"), [(0.1, 1.0, None), (0.3, 0.2, 0.0)])
+@pytest.mark.filterwarnings("error")
+def test_pid_keeps_its_bound_at_every_step(adversary, alpha, saturation, start):
+    missed = play(ConformalPid(alpha, saturation=saturation, start=start), ADVERSARIES[adversary])
+    for steps, total in enumerate(np.cumsum(missed).tolist(), 1):
+        assert abs(total - steps * alpha) <= pi / 2 * saturation * sqrt(steps) + 1 + 1e-9, steps
+
+
+# pushes the truth into the bin of the largest score: the worst that a set over bins can meet
+@pytest.mark.parametrize(
+    ("method", "bound"), [(None, (0.9 + 0.005) / (0.005 * T)), ("pid", (pi / 2 * sqrt(T) + 1) / T)]
+)
+@pytest.mark.parametrize("score", ["lac", "hpd"])
+def test_online_sets_keep_the_bound_of_their_tracker(method, bound, score):
+    bins = QuantileBins.from_edges([np.array([0, 1, 3, 4, 8.0])])
+    rng = np.random.default_rng(1)
+    proba = rng.dirichlet(np.ones(4), T)
+    stream = OnlineConformal(bins, 0.1, score, **({} if method is None else {"method": method}))
+    held = []
+    for row in proba:
+        regions = stream.predict(row[None])
+        out = np.flatnonzero(~regions.masks[0][0])
+        y = bins.centers[0][out[0]] if out.size else 9.0  # beyond the edges only the whole line holds
+        held.append(regions.contains([y])[0, 0])
+        stream.update(row[None], [y])
+    share = 1 - np.cumsum(held) / np.arange(1, T + 1)
+    assert abs(share[-1] - 0.1) <= bound
+
+
+def test_the_default_is_the_method_with_the_bound():
+    bins = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
+    trackers = OnlineConformal(bins, 0.1).trackers
+    assert [type(tracker) for tracker in trackers] == [Aci, Aci]
+    # PID that saturates at 5 t / log(t) misses thousands in a row
+    assert abs(play(trackers[0], just_above, 8000).mean() - 0.1) <= (0.9 + 0.005) / (0.005 * 8000)
+    assert abs(play(ConformalPid(0.1), just_above, 8000).mean() - 0.1) <= (pi / 2 * sqrt(8000) + 1) / 8000
+
+
+@pytest.mark.parametrize("method", ["aci", "pid"])
+def test_coverage_follows_a_drift(method):
+    rng = np.random.default_rng(1)
+    scores = np.abs(rng.normal(size=6000)) * (1 + 3 * (np.arange(6000) > 3000))
+    bins = QuantileBins.from_edges([[0, 1]])
+    (tracker,) = OnlineConformal(bins, 0.1, method=method).trackers
+    missed = play(tracker, lambda limit, t, rng: float(scores[t]), 6000)
+    assert abs(missed[:3000].mean() - 0.1) < 0.02
+    assert abs(missed[3000:].mean() - 0.1) < 0.02
+
+
+@pytest.mark.parametrize("make", [Aci, ConformalPid])
+def test_a_window_bounds_what_is_kept(make):
+    tracker = make(0.1, window=50)
+    play(tracker, ADVERSARIES["walk"], 500)
+    assert len(tracker.past) == 50
 
 
 def test_alpha_is_not_clipped():
@@ -34,16 +155,6 @@ def test_alpha_is_not_clipped():
     assert easy.alpha_t > Fraction(9, 10)
 
 
-def test_coverage_follows_a_drift():
-    rng = np.random.default_rng(1)
-    scores = np.abs(rng.normal(size=4000)) * (1 + 3 * (np.arange(4000) > 2000))
-    tracker = ConformalPid(0.1)
-    first = misses(tracker, scores[:2000])
-    second = misses(tracker, scores[2000:])
-    assert abs(first - 0.1) < 0.03
-    assert abs(second - 0.1) < 0.03
-
-
 def test_sets_are_those_of_the_trackers():
     rng = np.random.default_rng(2)
     bins = QuantileBins.from_edges([np.linspace(0, 1, 11)])
@@ -53,12 +164,3 @@ def test_sets_are_those_of_the_trackers():
     for i in range(400):
         np.testing.assert_array_equal(one.predict(proba[i : i + 1]).masks[0][0], whole.masks[0][i])
         one.update(proba[i : i + 1], y[i : i + 1])
-
-
-def test_errors():
-    with pytest.raises(ConformalError, match="gamma"):
-        Aci(0.1, 0)
-    with pytest.raises(ConformalError, match="NaN"):
-        Aci(0.1).update(float("nan"))
-    with pytest.raises(ConformalError, match="method"):
-        OnlineConformal(QuantileBins.from_edges([[0, 1]]), method="dtaci")

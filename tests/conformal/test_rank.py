@@ -1,10 +1,11 @@
-from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from conformodal.conformal import ConformalError, conformal_quantile, conformal_rank
+import conformodal.conformal as cm
+from conformodal.conformal.calibration.weighted import WeightedRanks
+from conformodal.conformal.online import PastScores
 
 
 def exact(n: int, thousandths: int) -> int:
@@ -13,58 +14,91 @@ def exact(n: int, thousandths: int) -> int:
 
 @pytest.mark.parametrize("n", [*range(1, 40), 99, 100, 199, 499, 500, 999, 1000, 1999, 2000])
 def test_rank_is_exact_for_every_alpha_in_thousandths(n):
-    found = [conformal_rank(n, a / 1000) for a in range(1, 1000)]
+    found = [cm.conformal_rank(n, a / 1000) for a in range(1, 1000)]
     assert found == [exact(n, a) for a in range(1, 1000)]
 
 
-def test_float_arithmetic_would_miss_ranks():
-    # the reason for rational arithmetic: the obvious formula is wrong in many of these cases
-    wrong = sum(int(np.ceil((n + 1) * (1 - a / 1000))) != exact(n, a) for n in range(1, 400) for a in range(1, 1000))
-    assert wrong > 100
-
-
-@pytest.mark.parametrize("alpha", [0.1, "0.1", Decimal("0.1"), Fraction(1, 10), np.float32(0.1), np.float64(0.1)])
-def test_alpha_is_read_as_the_decimal_it_is_written_as(alpha):
-    assert conformal_rank(9, alpha) == 9
-    assert conformal_rank(19, alpha) == 18
-
-
-@pytest.mark.parametrize("alpha", [0, 1, -0.1, 90, "x", None, True, float("nan"), [0.1]])
-def test_alpha_outside_the_unit_interval_is_refused(alpha):
-    with pytest.raises(ConformalError, match="alpha"):
-        conformal_rank(10, alpha)
-
-
 def test_percentage_gets_a_hint():
-    with pytest.raises(ConformalError, match=r"did you mean 0\.1"):
-        conformal_rank(10, 90)
-
-
-@pytest.mark.parametrize("n", [-1, 2.5, "3", True])
-def test_count_must_be_a_whole_number(n):
-    with pytest.raises(ConformalError, match="n must be"):
-        conformal_rank(n, 0.1)
+    with pytest.raises(cm.ConformalError, match=r"did you mean 0\.1"):
+        cm.conformal_rank(10, 90)
 
 
 def test_quantile_is_the_kth_smallest_and_keeps_its_type():
     scores = np.random.default_rng(0).random((57, 3)).astype(np.float32)
-    k = conformal_rank(57, 0.13)
-    found = conformal_quantile(scores, 0.13)
+    k = cm.conformal_rank(57, 0.13)
+    found = cm.conformal_quantile(scores, 0.13)
     assert found.dtype == np.float32
     np.testing.assert_array_equal(found, np.sort(scores, axis=0)[k - 1])
-    np.testing.assert_array_equal(conformal_quantile(scores.T, 0.13, axis=1), found)
+    np.testing.assert_array_equal(cm.conformal_quantile(scores.T, 0.13, axis=1), found)
 
 
 def test_quantile_is_infinite_where_data_is_short():
-    assert conformal_quantile(np.zeros(8), 0.1) == np.inf
-    assert conformal_quantile(np.zeros(9), 0.1) == 0
-    assert conformal_quantile(np.empty((0, 2)), 0.1).tolist() == [np.inf, np.inf]
+    assert cm.conformal_quantile(np.zeros(8), 0.1) == np.inf
+    assert cm.conformal_quantile(np.zeros(9), 0.1) == 0
+    assert cm.conformal_quantile(np.empty((0, 2)), 0.1).tolist() == [np.inf, np.inf]
 
 
 def test_quantile_counts_infinite_scores_and_refuses_nan():
-    assert conformal_quantile([0.1, np.inf, 0.2], 0.25) == np.inf
-    assert conformal_quantile([0.1, np.inf, 0.2], 0.5) == 0.2
-    with pytest.raises(ConformalError, match="NaN"):
-        conformal_quantile([0.1, np.nan], 0.5)
-    with pytest.raises(ConformalError, match="axis"):
-        conformal_quantile(0.3, 0.5)
+    assert cm.conformal_quantile([0.1, np.inf, 0.2], 0.25) == np.inf
+    assert cm.conformal_quantile([0.1, np.inf, 0.2], 0.5) == 0.2
+    with pytest.raises(cm.ConformalError, match="NaN"):
+        cm.conformal_quantile([0.1, np.nan], 0.5)
+    with pytest.raises(cm.ConformalError, match="axis"):
+        cm.conformal_quantile(0.3, 0.5)
+
+
+@pytest.mark.slow
+def test_ranks_to_2000_in_thousandths():
+    # every n, and for each n every 37th rate, starting at another one
+    past = PastScores()
+    for n in range(1, 2001):
+        past.add(float(n))
+        scores = np.arange(1, n + 1, dtype=float)
+        weights = WeightedRanks([0.1] * n, [0.1])
+        for a in range(1 + n * 7 % 37, 1000, 37):
+            alpha, k = Fraction(a, 1000), exact(n, a)
+            assert cm.conformal_rank(n, a / 1000) == k
+            assert weights.at(alpha)[0] == k
+            assert cm.conformal_quantile(scores, alpha) == past.threshold(alpha) == (k if k <= n else np.inf)
+
+
+def missed_by_floats(most):
+    pairs = [(n, a) for n in range(1, most + 1) for a in range(1, 1000)]
+    return [(n, a) for n, a in pairs if int(np.ceil((n + 1) * (1 - a / 1000))) != exact(n, a)]
+
+
+class PlaceScore:
+    """A bin's score is its number, whatever its probability."""
+
+    name = "place"
+
+    def of_bins(self, proba, widths):
+        return np.broadcast_to(np.arange(widths.size, dtype=float), proba.shape)
+
+
+def calibrators(n, alpha):
+    """Sets of one new sample after calibration with one sample in each of n bins, of n + 1."""
+    bins = cm.QuantileBins.from_edges([np.arange(n + 2.0)])
+    proba = np.full((n, n + 1), 1 / (n + 1))
+    y, same = np.random.default_rng(n).permutation(n) + 0.5, np.zeros(n)
+    settings = (bins, alpha, PlaceScore())
+    yield cm.SplitConformal(*settings).calibrate(proba, y).predict(proba[:1])
+    yield cm.SplitConformal(*settings, joint="bonferroni").calibrate(proba, y).predict(proba[:1])
+    scaled = cm.SplitConformal(*settings, joint="max").fit_scale(proba, y)
+    yield scaled.calibrate(proba, y).predict(proba[:1])
+    yield cm.SplitConformal(bins, 0.5, PlaceScore()).calibrate(proba, y).at(alpha).predict(proba[:1])
+    yield cm.MondrianConformal(*settings).calibrate(proba, y, same).predict(proba[:1], [0])
+    yield cm.WeightedConformal(*settings).calibrate(proba, y, same + 0.3).predict(proba[:1], [0.3])
+    yield cm.CrossConformal(*settings).calibrate(proba, y, same).predict({0.0: proba[:1]})
+    halves = cm.CrossConformal(*settings).calibrate(proba, y, np.arange(n) % 2)
+    yield halves.predict(dict.fromkeys(np.unique(np.arange(n) % 2), proba[:1]))
+
+
+def test_every_calibrator_where_floats_would_miss():
+    missed = missed_by_floats(120)
+    assert len(missed) > 20
+    for n, a in [*missed, (1, 500), (1, 499), (9, 100), (8, 100), (999, 1), (998, 1)]:
+        k = exact(n, a)
+        for regions in calibrators(n, a / 1000):
+            assert regions.unbounded[0, 0] == (k > n)
+            assert regions.masks[0].sum() == (k if k <= n else n + 1)

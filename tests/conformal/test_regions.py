@@ -1,7 +1,9 @@
+import json
+
 import numpy as np
 import pytest
 
-from conformodal.conformal import ConformalError, QuantileBins, Regions
+from conformodal.conformal import QuantileBins, Regions
 
 BINS = QuantileBins.from_edges([[0.0, 1, 3, 6, 10], [0.0, 1, 2]])
 MASKS = [np.array([[1, 0, 1, 1], [0, 0, 0, 0], [1, 1, 1, 1]], bool), np.array([[0, 1], [1, 1], [1, 0]], bool)]
@@ -44,15 +46,32 @@ def test_indexing_and_membership():
     assert regions()[:1].contains([[10.0, 2.0]], joint=True).tolist() == [True]
 
 
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
-        (lambda: Regions(BINS, MASKS[:1], np.zeros((3, 2), bool)), "one array per target"),
-        (lambda: Regions(BINS, [MASKS[1], MASKS[0]], np.zeros((3, 2), bool)), "mask of target 0"),
-        (lambda: Regions(BINS, MASKS, np.zeros((3, 1), bool)), "unbounded"),
-        (lambda: regions().contains(np.zeros((2, 2))), "2 rows"),
-    ],
-)
-def test_bad_shapes_are_refused(make, match):
-    with pytest.raises(ConformalError, match=match):
-        make()
+def random_regions():
+    rng = np.random.default_rng(0)
+    bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 1, 8)), [0.0, 0.1, 0.3]])
+    masks = [rng.random((30, 7)) < 0.5, rng.random((30, 2)) < 0.5]
+    return Regions(bins, masks, rng.random((30, 2)) < 0.1)
+
+
+def test_a_parquet_file_holds_intervals_and_edges(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    before = random_regions()
+    parquet.write_table(before.to_arrow(), tmp_path / "r.parquet")
+    after = parquet.read_table(tmp_path / "r.parquet")
+    edges = json.loads(after.schema.metadata[b"conformodal.edges"])
+    assert edges == [e.tolist() for e in before.bins.edges_]
+    assert after.column_names == ["target_0", "target_1"]
+    columns = [after.column(name).to_pylist() for name in after.column_names]
+    for i in range(len(before)):
+        for column, intervals in zip(columns, before.intervals(i), strict=True):
+            assert column[i] == intervals.tolist()
+
+
+def test_concatenation_and_hull():
+    r = random_regions()
+    both = Regions.concatenate([r[:10], r[10:]])
+    assert all(map(np.array_equal, both.masks, r.masks))
+    for i in range(30):
+        for j, intervals in enumerate(r.intervals(i)):
+            hull = r.hull[i, j]
+            assert np.isnan(hull).all() if len(intervals) == 0 else (hull == [intervals[0, 0], intervals[-1, 1]]).all()

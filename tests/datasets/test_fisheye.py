@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_colmap, read_nerf, read_sequence
+from conformodal.datasets import DatasetError, DatasetWarning, read_colmap, read_sequence
 from conformodal.datasets.lenses import _maps, fisheye_of
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera
 
 W, H = 160, 120
@@ -155,14 +153,6 @@ def test_pictures_are_undistorted_once(tmp_path, cache):
     assert not set(stamps) & set(read_colmap(tmp_path / "a").image_paths)
 
 
-def test_the_rest_of_the_house_sees_a_pinhole_camera(tmp_path):
-    before = read_sequence(write_colmap(tmp_path / "a"))
-    write_layout(tmp_path / "b", Layout.TUM, SequenceStream(before), before.camera, before.truth)
-    after = read_sequence(tmp_path / "b")
-    assert after.camera == before.camera
-    np.testing.assert_array_equal(after.image(2), before.image(2))
-
-
 def test_a_stated_size_scales_the_lens(tmp_path):
     twice = [2 * v for v in F]
     sequence = read_sequence(write_colmap(tmp_path / "a", (*twice, *K), (2 * W, 2 * H)))
@@ -198,27 +188,19 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-@pytest.mark.parametrize("layout", ["colmap", "nerf"])
-def test_coefficients_of_no_lens_are_refused(tmp_path, layout, what):
+def test_coefficients_of_no_lens_are_refused(tmp_path, what):
     lens, match = BAD[what]
-    if layout == "colmap":
-        write_colmap(tmp_path / "a", (*F, *lens))
-    else:
-        write_nerf(tmp_path / "a", dict(zip(("k1", "k2", "k3", "k4"), lens, strict=True)))
-    with pytest.raises(DatasetError, match=rf"(cameras\.txt, line 1|transforms\.json).*{match}"):
-        read_sequence(tmp_path / "a")
-
-
-@pytest.mark.parametrize("f", [0.1, -60, float("nan"), 1e7])
-def test_focal_lengths_of_no_camera_are_refused(tmp_path, f):
-    with pytest.raises(DatasetError, match=r"cameras\.txt, line 1"):
-        read_colmap(write_colmap(tmp_path / "a", (f, *F[1:], *K)))
+    write_colmap(tmp_path / "a", (*F, *lens))
+    write_nerf(tmp_path / "b", dict(zip(("k1", "k2", "k3", "k4"), lens, strict=True)))
+    for name, file in (("a", r"cameras\.txt, line 1"), ("b", r"transforms\.json")):
+        with pytest.raises(DatasetError, match=rf"{file}.*{match}"):
+            read_sequence(tmp_path / name)
 
 
 @pytest.mark.parametrize("change", [{"p1": 0.1}, {"p2": 0.1}, {"fl_x": None}, {"k4": "0"}, {"camera_model": "FISHEYE"}])
 def test_fisheye_cameras_of_nerf_that_say_something_else_are_refused(tmp_path, change):
     with pytest.raises(DatasetError, match=r"transforms\.json"):
-        read_nerf(write_nerf(tmp_path / "a", change))
+        read_sequence(write_nerf(tmp_path / "a", change))
 
 
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
@@ -235,7 +217,7 @@ numbers = st.one_of(st.floats(), st.floats(-2, 2), st.floats(1, 1000))
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @given(pixels=st.tuples(*[numbers] * 4), lens=st.tuples(*[numbers] * 4))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_any_numbers_are_a_lens_that_does_not_fold_or_are_refused(pixels, lens):
     try:
         found = fisheye_of("file", pixels, (W, H), lens, stated=None, notes=[])

@@ -1,13 +1,18 @@
 """Every layout is written as published, with a scene whose answer is known: the camera walks along x and turns left."""
 
 import json
+import re
+import struct
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_sequence, recognise
+from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_colmap, read_sequence, recognise
+from conformodal.datasets.colmap_binary import _MODELS
+from conformodal.poses import PoseError
 
 N, SIZE = 5, (64, 48)
 # seen from above, with z up: looks along x first, then turns to the left by 10 degrees a frame
@@ -189,6 +194,8 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
     sequence = read_sequence(folder, require_poses=False)
     assert len(sequence) == N
     assert sequence.truth is None
+    with pytest.raises(PoseError, match="no poses"):
+        sequence.require_truth()
 
 
 def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
@@ -246,27 +253,6 @@ def break_file(name, content):
     return spoil
 
 
-@pytest.mark.parametrize(
-    ("layout", "spoil", "match"),
-    [
-        (Layout.KITTI, break_file("calib.txt", "P1: 1\n"), r"calib\.txt: has no line P0"),
-        (Layout.KITTI, break_file("times.txt", "0 1\n"), r"times\.txt: holds 2 times for 5 images"),
-        (Layout.KITTI, break_file("07.txt", "1 2 3\n"), r"07\.txt, line 1"),
-        (Layout.KITTI, break_file("07.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), r"07\.txt.*1 poses, but there are 5"),
-        (Layout.TUM, break_file("rgb.txt", "# nothing\n"), r"rgb\.txt: lists no image"),
-        (Layout.TUM, lambda r: next(r.rglob("camera-intrinsics.txt")).unlink(), "no camera is known for 64x48"),
-        (Layout.EUROC, break_file("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml: is no EuRoC"),
-        (Layout.RGBD_SCENES, break_file("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose: holds 1 poses.*image 4"),
-        (Layout.RGBD_SCENES, break_file("02.pose", "0 0 0 0 1 1 1\n"), r"02\.pose: pose 0 .*no direction"),
-    ],
-)
-def test_damaged_data_sets_are_refused_by_name(tmp_path, layout, spoil, match):
-    folder = WRITERS[layout](tmp_path)
-    spoil(tmp_path)
-    with pytest.raises(DatasetError, match=match):
-        read_sequence(folder, layout)
-
-
 def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
     with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
         recognise(tmp_path)
@@ -281,54 +267,29 @@ def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
 def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
     write_images(tmp_path)
     for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
-        path.rename(tmp_path / f"shot_{i}.png")
+        path.rename(tmp_path / f"shot_{2 * i + 3}.png")  # the last is shot_11
     (tmp_path / "poses.tum").unlink()
-    assert read_sequence(tmp_path, require_poses=False).timestamps_s.tolist() == pytest.approx(
-        [0, 1 / 30, 2 / 30, 0.1, 4 / 30]
-    )
-    with pytest.raises(DatasetError, match=r"poses\.tum: poses are missing"):
-        read_sequence(tmp_path)
+    unposed = read_sequence(tmp_path, require_poses=False)
+    assert unposed.timestamps_s.tolist() == pytest.approx([0, 1 / 30, 2 / 30, 0.1, 4 / 30])
     (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
     np.savetxt(tmp_path / "poses.txt", matrices()[:, :3].reshape(N, 12))
     found = read_sequence(tmp_path)
     assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
     np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)
-    (tmp_path / "times.txt").write_text("1 2\n")
-    with pytest.raises(DatasetError, match="2 times for 5 images"):
-        read_sequence(tmp_path)
-    (tmp_path / "poses.txt").write_text("0 1 2 3 0 0 0 1\n" * N)
-    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
-    with pytest.raises(DatasetError, match=r"twelve numbers.*a file of time, position and quaternion is poses\.tum"):
-        read_sequence(tmp_path)
+    assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
 
 
-@pytest.mark.parametrize(
-    ("layout", "file", "change", "match"),
-    [
-        (
-            Layout.COLMAP,
-            "sparse/0/images.txt",
-            lambda t: t.replace(" 3 0002", " 4 0002"),
-            r"uses cameras \[4\], expected some of \[3\]",
-        ),
-        (Layout.COLMAP, "sparse/0/images.txt", lambda _: "# nothing\n", "holds no image"),
-        (Layout.NERF, "transforms.json", lambda t: t[:-20], "is no NeRF file"),
-        (Layout.NERF, "transforms.json", lambda t: t.replace("camera_angle_x", "angle"), "says no camera"),
-        (Layout.NERF, "transforms.json", lambda t: t.replace("/00", "/01"), "no such image"),
-        (Layout.NERF, "transforms.json", lambda t: t.replace("1.0]]", "]]", 1), "is no NeRF file"),
-        (Layout.IMAGES, "frame-rate.txt", lambda _: "-3", None),
-    ],
-)
-def test_damaged_files_are_named(tmp_path, layout, file, change, match):
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
+def test_times_come_from_a_file_and_frame_10_after_frame_9(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
-    path = tmp_path / file
-    path.write_text(change(path.read_text() if path.is_file() else ""))
-    if match is None:  # the names of the files are times, so the rate is not asked for
-        assert len(read_sequence(folder)) == N
-        return
-    with pytest.raises(DatasetError, match=match) as caught:
-        read_sequence(folder, layout)
-    assert path.name in str(caught.value)
+    text = max(tmp_path.rglob("images.txt"), default=tmp_path / "transforms.json")
+    for old, new in (("0003", "9"), ("0004", "10")):
+        (tmp_path / "images" / f"{old}.png").rename(tmp_path / "images" / f"{new}.png")
+        text.write_text(re.sub(rf"{old}(?=\.png|\")", new, text.read_text()))
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    found = read_sequence(folder)
+    assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
+    assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
 
 
 def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
@@ -341,8 +302,6 @@ def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
 
 @pytest.mark.parametrize("ending", ["txt", "bin"])
 def test_pictures_that_colmap_found_no_pose_for_are_frames_without_one(tmp_path, ending):
-    from .test_colmap_binary import as_binary
-
     write_colmap(tmp_path)
     picture(tmp_path / "images" / "0001b.png", 7)  # between the second and the third
     picture(tmp_path / "images" / "._0002.png", 9)
@@ -398,22 +357,86 @@ def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
         read_sequence(tmp_path)
 
 
-@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
-def test_colmap_and_nerf_take_times_from_a_file(tmp_path, layout):
-    WRITERS[layout](tmp_path)
-    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
-    assert read_sequence(tmp_path).timestamps_s.tolist() == [1, 2, 4, 5, 7]
-    (tmp_path / "times.txt").write_text("1 2 4\n")
-    with pytest.raises(DatasetError, match=r"times\.txt: holds 3 times for 5 images"):
-        read_sequence(tmp_path)
-
-
 @pytest.mark.parametrize("how", ["./{}", "../images/{}", "{root}/images/{}"])
 def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
     write_colmap(tmp_path)
     path = tmp_path / "sparse" / "0" / "images.txt"
     path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
     assert len(read_sequence(tmp_path, require_poses=False)) == N
+
+
+def as_binary(folder):
+    """The model of a folder, written as COLMAP writes it, in the place of the text; images have 0, 1, 2, ... points."""
+    place = folder / "sparse" / "0"
+    rows = [line.split() for line in (place / "cameras.txt").read_text().splitlines() if line[:1].strip("#")]
+    names = [name for name, _ in _MODELS]
+    cameras = struct.pack("<Q", len(rows))
+    for camera, model, width, height, *values in rows:
+        cameras += struct.pack("<iiQQ", int(camera), names.index(model), int(width), int(height))
+        cameras += struct.pack(f"<{len(values)}d", *map(float, values))
+    rows = [line.split() for line in (place / "images.txt").read_text().splitlines() if line.endswith(".png")]
+    images = struct.pack("<Q", len(rows))
+    for k, (number, *pose, camera, name) in enumerate(rows):
+        images += struct.pack("<i7di", int(number), *map(float, pose), int(camera)) + name.encode() + b"\0"
+        images += struct.pack("<Q", k) + struct.pack("<ddq", 1.5, 2.5, -1) * k
+    for name, content in (("cameras", cameras), ("images", images)):
+        (place / f"{name}.txt").unlink()
+        (place / f"{name}.bin").write_bytes(content)
+    return folder
+
+
+@pytest.fixture
+def binary(tmp_path):
+    write_colmap(tmp_path)
+    return as_binary(tmp_path)
+
+
+def test_a_binary_model_is_the_text_model(tmp_path, binary):
+    write_colmap(tmp_path / "text")
+    text, found = read_colmap(tmp_path / "text"), read_colmap(binary)
+    assert recognise(binary) is Layout.COLMAP
+    assert [path.name for path in found.image_paths] == [path.name for path in text.image_paths]
+    np.testing.assert_array_equal(found.truth.poses_se3, text.truth.poses_se3)
+    assert asdict(found.camera) == asdict(text.camera)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images"])
+def test_damaged_files_are_named(binary, name):
+    path = binary / "sparse" / "0" / f"{name}.bin"
+    whole = path.read_bytes()
+    for cut in (*range(0, min(len(whole), 200), 7), len(whole) - 1):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(DatasetError, match=rf"{name}\.bin: is no binary model"):
+            read_colmap(binary)
+    path.write_bytes(whole + b"more")
+    with pytest.raises(DatasetError, match=r"4 bytes follow"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<Q", 2**63))
+    with pytest.raises(DatasetError, match="is no binary model"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(DatasetError, match="holds no"):
+        read_colmap(binary)
+
+
+def test_other_cameras_are_refused_as_those_of_text_are(binary):
+    path = binary / "sparse" / "0" / "cameras.bin"
+    head, values = struct.unpack("<QiiQQ", path.read_bytes()[:32]), path.read_bytes()[32:]
+    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 10, *head[3:]) + values + bytes(32))
+    with pytest.raises(DatasetError, match=r"record 1: camera model THIN_PRISM_FISHEYE is none of"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 99, *head[3:]) + values)
+    with pytest.raises(DatasetError, match="has the model 99"):
+        read_colmap(binary)
+
+
+def test_an_image_is_named_once(binary):
+    path = binary / "sparse" / "0" / "images.bin"
+    content = path.read_bytes()
+    first = content[8 : content.index(b"\0", 8 + 64) + 1 + 8]
+    path.write_bytes(struct.pack("<Q", 2) + first + first)
+    with pytest.raises(DatasetError, match="a second time"):
+        read_colmap(binary)
 
 
 def test_pictures_without_a_camera_are_named(tmp_path):

@@ -1,4 +1,3 @@
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -6,8 +5,6 @@ import pytest
 from PIL import Image
 
 from conformodal.datasets import DatasetError, ImageError, read_sevenscenes
-from conformodal.datasets.sevenscenes import pose_path
-from conformodal.poses import PoseError
 
 
 def write_recording(folder, n=4, suffix="png", size=(32, 24)):
@@ -21,16 +18,6 @@ def write_recording(folder, n=4, suffix="png", size=(32, 24)):
     return folder
 
 
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_reads_frames_poses_and_camera(tmp_path, suffix):
-    sequence = read_sevenscenes(write_recording(tmp_path / "seq-01", suffix=suffix))
-    assert len(sequence) == 4
-    assert sequence.camera.fx == 30
-    assert sequence.image(2).shape == (24, 32, 3)
-    np.testing.assert_allclose(sequence.require_truth().positions_xyz[3], [3, 6, 9])
-    np.testing.assert_allclose(np.diff(sequence.timestamps_s), 1 / 30)
-
-
 def test_scene_of_several_recordings_is_kept_apart(tmp_path):
     write_recording(tmp_path / "seq-01")
     write_recording(tmp_path / "seq-02", n=3)
@@ -41,34 +28,7 @@ def test_scene_of_several_recordings_is_kept_apart(tmp_path):
     assert (np.diff(sequence.timestamps_s) > 0).all()
 
 
-def test_frames_without_poses_can_be_run_on(tmp_path):
-    folder = write_recording(tmp_path / "seq-01")
-    for path in folder.glob("*.pose.txt"):
-        path.unlink()
-    sequence = read_sevenscenes(folder, require_poses=False)
-    assert sequence.truth is None
-    with pytest.raises(PoseError, match="no poses"):
-        sequence.require_truth()
-    with pytest.raises(DatasetError, match=r"frame-000000\.pose\.txt: pose is missing \(4 of 4"):
-        read_sevenscenes(folder)
-
-
 IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
-
-
-@pytest.mark.parametrize(
-    ("damage", "match"),
-    [
-        (lambda f: (f / "camera-intrinsics.txt").unlink(), "no camera is known for 32x24.*camera-intrinsics"),
-        (shutil.rmtree, "no such folder"),
-        (lambda f: [p.unlink() for p in f.glob("frame-0*")], "holds no frame"),
-    ],
-)
-def test_what_is_missing_is_told_by_file(tmp_path, damage, match):
-    folder = write_recording(tmp_path / "seq-01")
-    damage(folder)
-    with pytest.raises(DatasetError, match=match):
-        read_sevenscenes(folder)
 
 
 def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
@@ -93,27 +53,12 @@ def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
         sequence.image(3)
 
 
-def test_real_recording(redkitchen):
-    sequence = read_sevenscenes(redkitchen)
-    assert len(sequence) == 1000
-    assert sequence.camera.fx == 585
-    assert sequence.image(999).shape == (480, 640, 3)
-    first = np.loadtxt(pose_path(sequence.image_paths[0]))
-    np.testing.assert_allclose(sequence.require_truth().poses_se3[0], first, atol=1e-4)
-
-
-def test_a_lens_with_distortion_is_read_and_a_wrong_one_named(tmp_path):
+def test_a_lens_with_distortion_is_read(tmp_path):
     folder = write_recording(tmp_path / "seq-01")
     lens = folder / "camera-distortion.txt"
     assert read_sevenscenes(folder).camera.distortion == ()
     lens.write_text("-0.28 0.07 2e-4 0\n")
     assert read_sevenscenes(folder).camera.distortion == (-0.28, 0.07, 2e-4, 0.0)
-    lens.write_text("-0.28 0.07\n")
-    with pytest.raises(DatasetError, match=r"camera-distortion\.txt: distortion must be k1"):
-        read_sevenscenes(folder)
-    lens.write_text("wide\n")
-    with pytest.raises(DatasetError, match=r"camera-distortion\.txt: cannot be read as numbers"):
-        read_sevenscenes(folder)
 
 
 def write_scene(folder, train="sequence1\n", test="sequence2\nsequence3\n"):
@@ -167,15 +112,15 @@ def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(t
         read_sevenscenes(write_scene(tmp_path, train, test))
 
 
+def test_given_test_must_fit_the_frames(tmp_path):
+    sequence = read_sevenscenes(write_scene(tmp_path))
+    with pytest.raises(DatasetError, match=r"6 images, but given_test has shape \(2,\)"):
+        replace(sequence, given_test=np.zeros(2, bool))
+
+
 @pytest.mark.parametrize(("gone", "there"), [("TrainSplit.txt", "TestSplit.txt"), ("TestSplit.txt", "TrainSplit.txt")])
 def test_one_list_without_the_other_is_refused(tmp_path, gone, there):
     scene = write_scene(tmp_path)
     (scene / gone).unlink()
     with pytest.raises(DatasetError, match=rf"{gone}: is missing; {there} beside it"):
         read_sevenscenes(scene)
-
-
-def test_given_test_must_fit_the_frames(tmp_path):
-    sequence = read_sevenscenes(write_scene(tmp_path))
-    with pytest.raises(DatasetError, match=r"6 images, but given_test has shape \(2,\)"):
-        replace(sequence, given_test=np.zeros(2, bool))

@@ -8,9 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 HOOKS = runpy.run_path(str(ROOT / "docs" / "hooks.py"))
-PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks" / "results").glob("*.md")],
-)
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks" / "results").glob("*.md")])
 ADDED = HOOKS["added_pages"]()
 SITE = {*ADDED, *(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md"))}
 FILES = SITE | {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*") if path.is_file()}
@@ -54,21 +52,6 @@ def test_links_of_a_page_lead_to_pages(site):
             assert name in HOOKS["exported"](HOOKS["SOURCE"] / package), target
         elif anchor:
             assert anchor in anchors_of(markdown_of(found)), target
-
-
-def test_files_that_no_page_shows_become_text():
-    rewritten = HOOKS["rewritten"]
-    assert rewritten("[the command](src/conformodal/cli/run.py)", "index.md") == "the command"
-    assert rewritten("```\n[a](docs/data.md)\n```", "index.md") == "```\n[a](docs/data.md)\n```"
-    assert rewritten("[a](docs/data.md)", "index.md") == "[a](data.md)"
-    assert rewritten("[a](nowhere.md)", "index.md") == "[a](nowhere.md)"
-    assert rewritten("[a](../notebooks/table.ipynb)", "tutorial.md") == "[a](notebooks/table.md)"
-    assert (
-        rewritten("[a](../docs/data.md), [b](camera.ipynb)", "notebooks/table.md") == "[a](../data.md), [b](camera.md)"
-    )
-    assert rewritten("[a](../examples/custom_score.py)", "tutorial.md") == "[a](examples.md#custom_score)"
-    rank = "reference/conformal.md#conformodal.conformal.conformal_rank"
-    assert rewritten("[a](../src/conformodal/conformal/rank.py)", "tutorial.md") == f"[a]({rank})"
 
 
 @pytest.mark.parametrize("name", HOOKS["NOTEBOOKS"]["notebooks"]())

@@ -32,10 +32,6 @@ def drawn(outputs):
     return [kind for output in outputs for kind in PAGES["PICTURES"] if kind in output.get("data", {})]
 
 
-def test_there_are_notebooks():
-    assert {"table", "camera", "unseen"} <= set(NOTEBOOKS)
-
-
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_is_small_and_was_run_from_top_to_bottom(name):
     assert (PAGES["FOLDER"] / f"{name}.ipynb").stat().st_size < MOST_BYTES

@@ -1,10 +1,15 @@
 """Facts about the pages: what a decision rests on, where numbers come from, how long pages are."""
 
 import re
+import runpy
 import subprocess
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
+
+from conformodal.ros.conventions import IMAGE, TOPICS, TRUTH, Conventions
+from conformodal.ros.node import Parameters
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -110,3 +115,47 @@ def test_pages_are_short():
     assert not {name: n for name, n in lines.items() if n > 150}
     words = sum(len(path.read_text(encoding="utf-8").split()) for path in DOCS.rglob("*.md"))
     assert words <= 14_000
+
+
+@pytest.fixture(scope="module")
+def packages():
+    return runpy.run_path(str(ROOT / "docs" / "layers.py"))["read_packages"]()
+
+
+def test_the_picture_has_the_packages_of_the_source(packages):
+    source = {path.parent.name for path in (ROOT / "src" / "conformodal").glob("*/__init__.py")}
+    assert len(packages) == len(source)
+    assert {package.name for package in packages} == source
+
+
+def test_packages_import_from_lower_layers_only(packages):
+    layer = {package.name: package.layer for package in packages}
+    assert all(layer[name] < package.layer for package in packages for name in package.imports)
+    assert {package.name for package in packages if not package.imports} == {"core"}
+
+
+ROBOTS = (ROOT / "docs" / "robots.md").read_text(encoding="utf-8")
+
+
+def rows(first):
+    """Cells of the table whose first heading it is, without backticks."""
+    table = re.search(rf"^\| {first} \|.*\n\|[- |]+\|\n((?:\|.*\n)+)", ROBOTS, re.MULTILINE)
+    return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in table[1].splitlines()]
+
+
+def test_topics_and_their_types_are_those_that_are_written():
+    known = {**TOPICS, **TRUTH, **IMAGE}
+    assert {name: kind for name, kind, _ in rows("topic")} == known
+    assert f"`{Conventions().namespace}/`" in ROBOTS
+
+
+def test_parameters_and_their_defaults_are_the_nodes():
+    said = {name: default for name, default, _ in rows("parameter")}
+    assert list(said) == [field.name for field in fields(Parameters)]
+    for name, value in vars(Parameters()).items():
+        assert said[name] == ("must be given" if name == "model" else str(value).lower())
+
+
+def test_the_committed_picture_names_all_packages(packages):
+    picture = (ROOT / "docs" / "images" / "layers.svg").read_text(encoding="utf-8")
+    assert not [package.name for package in packages if f">{package.name}</text>" not in picture]

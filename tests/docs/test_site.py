@@ -4,7 +4,6 @@ import ast
 import os
 import re
 import runpy
-import shutil
 import subprocess
 import sys
 from html import unescape
@@ -13,12 +12,13 @@ from urllib.parse import unquote
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("mkdocs")
 pytest.importorskip("material")
 pytest.importorskip("mkdocstrings_handlers.python")
 
 ROOT = Path(__file__).parents[2]
-CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 LOOKED_AT = ("index", "examples", "gallery", "robots", "notebooks/table", "reference/conformal")
 HOOKS = runpy.run_path(str(ROOT / "docs" / "hooks.py"))
 
@@ -34,7 +34,6 @@ def site(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
 def test_no_link_is_dead(site):
     pages = {path: path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
     places = {path: set(re.findall(r'\b(?:id|name)="?([^"\s>]+)', html)) for path, html in pages.items()}
@@ -54,7 +53,6 @@ def test_no_link_is_dead(site):
     assert not dead
 
 
-@pytest.mark.slow
 def test_references_of_docstrings_are_resolved(site):
     for page in (site / "reference").glob("*.html"):
         html = page.read_text(encoding="utf-8")
@@ -68,7 +66,6 @@ def defined(folder):
     return {node.name for tree in trees for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("package", HOOKS["packages"]())
 def test_every_public_class_and_function_is_in_the_reference(site, package):
     html = (site / "reference" / f"{package}.html").read_text(encoding="utf-8")
@@ -78,18 +75,6 @@ def test_every_public_class_and_function_is_in_the_reference(site, package):
     assert names & defined(folder) <= places
 
 
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield opened
-        opened.close()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", LOOKED_AT)
 def test_texts_stand_out_and_pictures_have_words(site, browser, scheme, name):
@@ -106,7 +91,6 @@ def test_texts_stand_out_and_pictures_have_words(site, browser, scheme, name):
     page.close()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_runs_out_of_the_page(site, browser, width):
     page = browser.new_page(viewport={"width": width, "height": 900})
@@ -122,7 +106,6 @@ def test_nothing_runs_out_of_the_page(site, browser, width):
     page.close()
 
 
-@pytest.mark.slow
 def test_search_needs_no_network(site, browser):
     context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
     page = context.new_page()
@@ -133,7 +116,6 @@ def test_search_needs_no_network(site, browser):
     context.close()
 
 
-@pytest.mark.slow
 def test_the_first_key_leads_past_the_navigation(site, browser):
     page = browser.new_page()
     page.goto((site / "start.html").as_uri())

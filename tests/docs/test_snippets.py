@@ -18,7 +18,7 @@ from typer.main import get_command
 
 from conformodal.cli.main import app
 from conformodal.conformal import QuantileBins
-from tests.helpers import invoke
+from tests.helpers import run_ok
 
 ROOT = Path(__file__).parents[2]
 HOW_TO = [
@@ -103,6 +103,14 @@ def test_a_snippet_runs_and_prints_what_the_page_says(given, code, said, tmp_pat
     check(code, GIVEN[given](), said)
 
 
+def test_the_tutorial_runs_from_top_to_bottom():
+    blocks = re.findall(r"```(python|text)\n(.*?)```", (ROOT / "docs" / "tutorial.md").read_text("utf-8"), re.DOTALL)
+    code, said = ("".join(block for kind, block in blocks if kind == which) for which in ("python", "text"))
+    names = {}
+    check(code, names, said)
+    assert names["figure"].axes
+
+
 @pytest.fixture(scope="module")
 def in_world(small_world, tmp_path_factory):
     """A folder in which the names that the pages use are: model, recording, scene, and what a short run has written."""
@@ -116,8 +124,7 @@ def in_world(small_world, tmp_path_factory):
         (folder / name).symlink_to(target, target_is_directory=True)
     arguments = ["run", folder / "model", folder / "recording", "--out", folder / "out", "--limit", 20]
     arguments += ["--save", folder / "out.mcap"] if find_spec("rosbags") else []
-    result = invoke(*arguments)
-    assert result.exit_code == 0, result.output
+    run_ok(*arguments)
     return folder
 
 

@@ -1,7 +1,6 @@
 """Arguments that stand for a member of an enumeration: text is read as the member, anything else is refused."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -9,9 +8,8 @@ import pytest
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import Split, SplitKind, make_split, read_sequence
 from conformodal.datasets.splits import held_out_together
-from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.opening import open_stream
-from conformodal.datasets.streams.prefetch import Pace, prefetch
+from conformodal.datasets.streams.prefetch import prefetch
 from conformodal.datasets.writing import write_layout
 from conformodal.localization.source_data import SourceData
 from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
@@ -20,7 +18,7 @@ from conformodal.model.radius import Guarantee, PoseRadius, fit_pose_radius
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import RelativeMotion, Trajectory, align
 from conformodal.poses.relative import MotionStatus
-from conformodal.ros.conventions import Conventions, Covariance, is_lost
+from conformodal.ros.conventions import Conventions, Covariance
 from conformodal.ros.conversion import pose_covariance
 from conformodal.running.estimates import Estimate
 from conformodal.running.results.records import region_record
@@ -97,43 +95,3 @@ FIELDS = [
 def test_text_becomes_the_member_that_code_compares_with(thing, name, member):
     assert getattr(thing, name) is member
     assert getattr(dataclasses.replace(thing), name) is member
-
-
-def test_the_papers_method_by_name_is_checked_as_the_papers():
-    with pytest.raises(ConformodalError, match="no settings"):
-        ModelConfig(method="paper")
-
-
-def test_an_estimate_without_a_known_place_is_lost_whatever_number_says_so():
-    assert is_lost(Estimate(0.0, STILL[:1], *(None,) * 3, False, evidence=3))
-
-
-def test_functions_take_text_as_the_member():
-    recording = np.repeat([0, 1, 2], 4)
-    found, expected = held_out_together(recording, "recordings"), held_out_together(recording, SplitKind.RECORDINGS)
-    np.testing.assert_array_equal(found, expected)
-    assert region_record("a", 0.0, None, [np.empty((0, 2))] * 7, kind=3)["reliable"] is False
-    every = [([0.1, 9.0], [0.1, 9.0])] * 20
-    assert fit_pose_radius(every, 0.1, "recording", "online").radius_rad == 9.0
-
-
-def test_the_pace_of_a_camera_by_name_loses_frames_that_nobody_takes():
-    class Stored:
-        live, n_frames, name, camera = False, 20, "stored", None
-
-        def __iter__(self):
-            return (Frame(str(i), i / 1000, None) for i in range(20))
-
-    def taken(pace):
-        frames = prefetch(Stored(), 2, pace)
-        found = [next(frames)]
-        time.sleep(0.2)
-        return len(found + list(frames))
-
-    assert taken("camera") == taken(Pace.CAMERA) < taken("fast") == 20
-
-
-def test_a_video_is_taken_for_one_where_the_layout_is_auto_by_name(tmp_path):
-    (tmp_path / "clip.mp4").write_bytes(b"")
-    with pytest.raises(SourceError, match="as a video"):
-        open_stream(tmp_path / "clip.mp4", "auto")

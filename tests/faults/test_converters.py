@@ -1,8 +1,6 @@
 """Conversions lose nothing in silence, and leave nothing by halves."""
 
 import os
-import shutil
-import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -14,10 +12,6 @@ from PIL import Image
 
 from conformodal.cli.sources import open_source
 from conformodal.datasets import DatasetError, Layout, read_sequence
-from conformodal.datasets.corridor.path import drone_path
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.world import CorridorWorld
-from conformodal.datasets.corridor.writer import write_flight
 from conformodal.datasets.staging import staged
 from conformodal.datasets.streams.frames import Frame
 from conformodal.datasets.streams.stored import SequenceStream
@@ -25,7 +19,7 @@ from conformodal.datasets.writing import WRITABLE, write_layout
 from conformodal.model.identity import identify
 from conformodal.poses import PinholeCamera, Trajectory
 from tests.datasets.test_layouts import PLACES, WRITERS, N
-from tests.helpers import contents, fill, invoke
+from tests.helpers import contents, fill, invoke, run_ok
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
 
@@ -43,13 +37,12 @@ def lose(layout, root, lost):
 
 @pytest.mark.parametrize("layout", [Layout.TUM, Layout.IMAGES, Layout.SEVENSCENES])
 @pytest.mark.parametrize("to", WRITABLE)
-@pytest.mark.parametrize("lost", [(0, 1), (4,), (2,)])
-def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, to, lost):
+def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, to):
+    lost = (0, 1, 3)
     folder = WRITERS[layout](tmp_path / "a")
     names = [path.name for path in read_sequence(folder).image_paths]
     lose(layout, tmp_path / "a", lost)
-    result = invoke("data", "convert", folder, "--to", to, "--out", tmp_path / "b")
-    assert result.exit_code == 0, result.output
+    result = run_ok("data", "convert", folder, "--to", to, "--out", tmp_path / "b")
     for i in lost:
         assert names[i] in result.output
     kept = [i for i in range(N) if i not in lost]
@@ -72,8 +65,7 @@ def test_poses_of_neighbours_are_not_lent(tmp_path):
     rows = ["1 0 0 0 0 1 0 0 0 0 1 0"] * 6
     rows[2] = " ".join(["nan"] * 12)
     (folder / "poses.txt").write_text("\n".join(rows))
-    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
-    assert result.exit_code == 0, result.output
+    result = run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert "kept 1 frame without a pose: 2.png" in result.output
     assert len(read_sequence(tmp_path / "b")) == 5
     whole = read_sequence(tmp_path / "b", require_poses=False)
@@ -116,9 +108,9 @@ def poses_for(n=9):
 
 @pytest.mark.parametrize("layout", WRITABLE)
 @pytest.mark.parametrize(
-    "error", [OSError(28, "No space left on device"), KeyboardInterrupt(), DatasetError("x: breaks off"), MemoryError()]
+    ("error", "there"),
+    [(OSError(28, "No space left on device"), False), (KeyboardInterrupt(), True), (DatasetError("breaks off"), True)],
 )
-@pytest.mark.parametrize("there", [False, True])
 def test_a_failure_leaves_nothing(tmp_path, layout, error, there):
     out = tmp_path / "out"
     if there:
@@ -140,13 +132,6 @@ def test_a_frame_whose_time_goes_back_is_left_out_and_named(tmp_path, layout, ti
     assert done.n_frames == 2
     assert any("f2" in note for note in done.notes)
     assert len(read_sequence(tmp_path / "out", layout)) == 2
-
-
-def test_images_of_another_size_are_left_out_and_named(tmp_path):
-    stream = Failing(None)
-    with pytest.raises(DatasetError, match="nothing to write: 3 unreadable"):
-        write_layout(tmp_path / "out", Layout.TUM, stream, PinholeCamera(40, 40, 32, 24, 48, 64), poses_for())
-    assert list(tmp_path.iterdir()) == []
 
 
 KNOWABLE = {
@@ -185,24 +170,6 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
     assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before
 
 
-@pytest.mark.parametrize("to", [layout for layout in WRITABLE if layout is not Layout.SEVENSCENES])
-def test_several_recordings_where_one_has_a_place_are_refused_before_the_first_file(tmp_path, to):
-    scene = WRITERS[Layout.SEVENSCENES](tmp_path / "a")
-    shutil.copytree(scene / "seq-01", scene / "seq-02")
-    result = invoke("data", "convert", scene, "--to", to, "--out", tmp_path / "b")
-    assert result.exit_code == 2
-    assert "several recordings" in result.output
-    assert not (tmp_path / "b").exists()
-
-
-@pytest.mark.parametrize("layout", WRITABLE)
-def test_a_lens_of_five_numbers_is_kept(tmp_path, layout):
-    sequence = read_sequence(WRITERS[Layout.TUM](tmp_path / "a"))
-    camera = replace(sequence.camera, distortion=(-0.1, 0.02, 0.001, 0.002, 0.003))
-    write_layout(tmp_path / "b", layout, SequenceStream(sequence), camera, sequence.truth)
-    assert read_sequence(tmp_path / "b", layout).camera == camera
-
-
 @pytest.mark.parametrize("content", ["", "lost\n", "nan 0 0 0 0 0 0 1\n", None])
 def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content):
     folder = WRITERS[Layout.TUM](tmp_path / "a")
@@ -213,14 +180,6 @@ def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content
     assert "p.tum" in result.output
     assert "error:" in result.output
     assert not (tmp_path / "b").exists()
-
-
-def test_an_unlikely_camera_is_told_by_convert_too(tmp_path):
-    folder = WRITERS[Layout.IMAGES](tmp_path / "a")
-    (folder / "camera-intrinsics.txt").write_text("400 0 320\n0 400 240\n0 0 1\n")
-    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
-    assert result.exit_code == 0
-    assert "camera is unlikely" in result.output
 
 
 SCRIPT = """
@@ -237,46 +196,21 @@ write_layout(Path(sys.argv[2]), "tum", SequenceStream(sequence), sequence.camera
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path, how):
+def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path):
     folder = WRITERS[Layout.TUM](tmp_path / "a")
     process = subprocess.Popen(
         [sys.executable, "-c", SCRIPT, str(folder), str(tmp_path / "b")],
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - a background shell ignores it
     )
     assert process.stdout.readline().strip() == b"1"
-    process.send_signal(how)
+    process.kill()
     process.wait(timeout=20)
     process.stdout.close()
     assert not (tmp_path / "b").exists()
-    result = invoke("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
-    assert result.exit_code == 0, result.output
+    run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
     assert len(read_sequence(tmp_path / "b")) == N
-
-
-def flight():
-    world = CorridorWorld(2, seed=1)
-    return Renderer(world), drone_path(world, 1, seed=1).poses_se3[:3]
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device"), RuntimeError("x")])
-def test_a_flight_that_fails_leaves_nothing(tmp_path, error):
-    renderer, poses = flight()
-
-    def fail(done, total):
-        raise error
-
-    with pytest.raises(DatasetError if isinstance(error, OSError) else type(error)):
-        write_flight(tmp_path / "w" / "seq-01", renderer, poses, progress=fail)
-    assert [p.name for p in tmp_path.rglob("*")] == ["w"]
-    write_flight(tmp_path / "w" / "seq-01", renderer, poses)
-    assert len(read_sequence(tmp_path / "w")) == 3
-    with pytest.raises(DatasetError, match="not empty"):
-        write_flight(tmp_path / "w" / "seq-01", renderer, poses)
 
 
 def test_two_that_write_one_folder_do_not_mix(tmp_path):
@@ -293,3 +227,10 @@ def test_two_that_write_one_folder_do_not_mix(tmp_path):
                 pool.submit(second).result()
     assert [p.read_text() for p in out.iterdir()] == ["first"]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
+
+
+def test_images_of_another_size_are_left_out_and_named(tmp_path):
+    stream = Failing(None)
+    with pytest.raises(DatasetError, match="nothing to write: 3 unreadable"):
+        write_layout(tmp_path / "out", Layout.TUM, stream, PinholeCamera(40, 40, 32, 24, 48, 64), poses_for())
+    assert list(tmp_path.iterdir()) == []

@@ -7,12 +7,10 @@ import warnings
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
-from conformodal.datasets import DatasetError, DatasetWarning, ImageError, Layout, read_image, read_sequence
+from conformodal.datasets import DatasetWarning, ImageError, Layout, read_image, read_sequence
 from conformodal.datasets.decoding import decode, image_fault, image_size, natural_key
-from tests.datasets import test_layouts
-from tests.datasets.test_layouts import LEVEL, SIZE, WRITERS, N, matrices, picture
+from tests.datasets.test_layouts import SIZE, WRITERS, N, matrices, picture
 
 RAMP = (np.arange(64 * 48, dtype=np.int64).reshape(48, 64) * 65535 // (64 * 48 - 1)).astype(np.uint16)
 GREY = ((RAMP.astype(np.int64) * 255 + 32767) // 65535).astype(np.uint8)
@@ -42,24 +40,15 @@ RIGHT = {
     "8-bit grey png": (lambda: saved(Image.fromarray(GREY), ".png"), THREE, 0),
     "16-bit grey png": (lambda: saved(Image.fromarray(RAMP), ".png"), THREE, 0),
     "16-bit grey tiff": (lambda: saved(Image.fromarray(RAMP), ".tif"), THREE, 0),
-    "16-bit big-endian tiff": (lambda: saved(Image.fromarray(RAMP.astype(">u2")), ".tif"), THREE, 0),
     "16-bit pgm": (lambda: b"P5\n64 48\n65535\n" + RAMP.astype(">u2").tobytes(), THREE, 1),
     "rgb png": (lambda: saved(Image.fromarray(COLOURS), ".png"), COLOURS, 0),
-    "rgb bmp": (lambda: saved(Image.fromarray(COLOURS), ".bmp"), COLOURS, 0),
-    "rgb tiff": (lambda: saved(Image.fromarray(COLOURS), ".tif"), COLOURS, 0),
     "rgb webp": (lambda: saved(Image.fromarray(COLOURS), ".webp", lossless=True), COLOURS, 0),
     "opaque rgba png": (lambda: saved(with_alpha(255), ".png"), COLOURS, 0),
     "half transparent rgba png": (lambda: saved(with_alpha(HALF), ".png"), ON_BLACK, 0),
-    "opaque grey with alpha": (lambda: saved(Image.fromarray(GREY).convert("LA"), ".png"), THREE, 0),
     "transparent rgb png": (lambda: saved(Image.new("RGB", SIZE, (9, 8, 7)), ".png", transparency=(9, 8, 7)), 0, 0),
     "palette png": (lambda: saved(palette(), ".png"), THREE, 2),
-    "palette png with one transparent": (
-        lambda: saved(Image.new("P", SIZE, 3), ".png", transparency=3),
-        0,
-        0,
-    ),
+    "palette png with one transparent": (lambda: saved(Image.new("P", SIZE, 3), ".png", transparency=3), 0, 0),
     "1-bit png": (lambda: saved(Image.fromarray(GREY > 127), ".png"), np.where(THREE > 127, 255, 0), 0),
-    "1-bit tiff": (lambda: saved(Image.fromarray(GREY > 127), ".tif"), np.where(THREE > 127, 255, 0), 0),
     "cmyk jpeg": (lambda: saved(Image.new("RGB", SIZE, (200, 100, 50)).convert("CMYK"), ".jpg"), (200, 100, 50), 4),
     "grey jpeg": (lambda: saved(Image.new("L", SIZE, 77), ".jpg"), 77, 1),
 }
@@ -97,12 +86,10 @@ WRONG = {
     "png without its last byte of pixels": (WHOLE[:-40], "cannot be decoded"),
     "half a jpeg": (JPEG[: len(JPEG) // 2], "cannot be decoded"),
     "other size": (saved(Image.new("RGB", (48, 64)), ".png"), "48x64 pixels, the camera's are 64x48"),
-    "one pixel": (saved(Image.new("RGB", (1, 1)), ".png"), "1x1 pixels"),
     "float tiff": (saved(Image.fromarray(GREY / np.float32(255)), ".tif"), "floating point"),
     "32-bit tiff": (saved(Image.fromarray(RAMP.astype(np.int32)), ".tif"), "32-bit"),
     "animated png": (animated(".png"), "holds 2 pictures"),
     "tiff of two pages": (animated(".tif"), "holds 2 pictures"),
-    "animated webp": (animated(".webp"), "holds 2 pictures"),
     "postscript": (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\nshowpage\n", "cannot be decoded"),
 }
 
@@ -163,11 +150,6 @@ def test_images_of_16_bits_are_scaled_by_the_bits_that_the_data_set_uses(tmp_pat
         np.testing.assert_allclose(sequence.image(i)[..., 0], RAMP * (255 / 65535 * share), atol=1.1)
 
 
-def test_an_exif_that_is_damaged_says_nothing(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(saved(Image.fromarray(COLOURS), ".jpg", exif=b"Exif\0\0MM\0*\xff\xff\xff\xff"))
-    assert read_image(tmp_path / "a.jpg").shape == (48, 64, 3)
-
-
 @pytest.mark.parametrize(
     "names",
     [
@@ -185,54 +167,12 @@ def test_names_are_in_the_order_of_their_numbers(names):
     assert sorted(backwards, key=natural_key) == list(names)
 
 
-ELEVEN = 11
-
-
-@pytest.fixture
-def long_scene(monkeypatch, tmp_path):
-    """Writes eleven frames whose names have no leading zeros."""
-    turns = Rotation.from_euler("z", 10.0 * np.arange(ELEVEN)[:, None], degrees=True) * LEVEL
-    places = np.column_stack((np.arange(ELEVEN), np.zeros((ELEVEN, 2))))
-    changed = {"N": ELEVEN, "TURNS": turns, "PLACES": places, "QUATS": turns.as_quat(scalar_first=True)}
-    for name, value in changed.items():
-        monkeypatch.setattr(test_layouts, name, value)
-
-    def bare(text):
-        return re.sub(r"(?<![\d.])0+(?=\d+(\.|-color|\"))", "", text)
-
-    def write(layout):
-        folder = WRITERS[layout](tmp_path)
-        for path in [p for p in tmp_path.rglob("*") if p.suffix == ".png" or p.name.endswith("pose.txt")]:
-            path.rename(path.with_name(bare(path.name)))
-        for path in [*tmp_path.rglob("images.txt"), *tmp_path.rglob("transforms.json")]:
-            path.write_text(
-                re.sub(r"[^ /\"]*(?=\.png$|\",)", lambda name: bare(name[0] + ".")[:-1], path.read_text(), flags=re.M)
-            )
-        if layout is Layout.IMAGES:
-            for i, path in enumerate(sorted(folder.glob("*.png"), key=lambda p: float(p.stem))):
-                path.rename(folder / f"frame{i}.png")
-            rows = np.loadtxt(folder / "poses.tum")
-            (folder / "times.txt").write_text("\n".join(map(str, rows[:, 0])))
-        return folder
-
-    return write
-
-
 BY_NAME = (Layout.IMAGES, Layout.KITTI, Layout.NERF, Layout.COLMAP, Layout.SEVENSCENES, Layout.RGBD_SCENES)
 
 
 def values(sequence):
     """The red of every frame, which is ten times its number."""
     return [int(sequence.image(i)[0, 0, 0]) for i in range(len(sequence))]
-
-
-@pytest.mark.parametrize("layout", BY_NAME)
-def test_frame_10_comes_after_frame_2_and_keeps_its_pose(long_scene, layout):
-    sequence = read_sequence(long_scene(layout))
-    assert "10" in sequence.image_paths[10].name
-    assert "02" not in sequence.image_paths[2].name
-    np.testing.assert_allclose(sequence.require_truth().positions_xyz[:, 0], np.arange(ELEVEN), atol=1e-9)
-    assert values(sequence) == [10 * i for i in range(ELEVEN)]
 
 
 @pytest.mark.parametrize("layout", BY_NAME)
@@ -253,15 +193,6 @@ def test_recordings_and_scenes_are_in_the_order_of_their_numbers(tmp_path):
         np.savetxt(tmp_path / f"seq-{number}" / "frame-000000.pose.txt", np.eye(4))
     (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
     assert [p.parent.name for p in read_sequence(tmp_path).image_paths] == ["seq-1", "seq-2", "seq-10"]
-
-
-def test_names_that_are_times_are_in_the_order_of_time(tmp_path):
-    for i, name in enumerate(("9.5", "10.25", "10.5", "100.0")):
-        picture(tmp_path / f"{name}.png", i)
-    (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
-    sequence = read_sequence(tmp_path, require_poses=False)
-    assert sequence.timestamps_s.tolist() == [9.5, 10.25, 10.5, 100.0]
-    assert values(sequence) == [0, 10, 20, 30]
 
 
 def other_points(make):
@@ -292,38 +223,14 @@ def test_colmap_images_with_and_without_points_are_all_read(tmp_path, what):
         np.testing.assert_allclose(read_sequence(tmp_path).require_truth().poses_se3, matrices(), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        (lambda t: t.replace("10.5 11.5 -1 12.0 13.0 44\n", "", 1), "has no line of points"),
-        (lambda t: t.replace("10.5 11.5 -1 12.0 13.0 44\n", "10.5 11.5\n", 1), "expected 'id qw"),
-        (lambda t: t.replace(" 0003.png", ""), "expected 'id qw"),
-        (lambda t: without_points(t).replace(" 0003.png", ""), "has no line of points"),
-        (lambda t: without_points(t).replace(" 3 0003.png", ""), "expected 'id qw"),
-        (lambda t: t.replace("0003.png", "0002.png"), "a second time"),
-        (lambda t: t.replace("44\n", "44\n1 2 3 4 5 6 7 8 9 10 11 12\n", 1), "expected 'id qw"),
-        (lambda t: t.replace(" 3 0003", " 3_0 0003"), "expected 'id qw"),
-    ],
-)
-def test_colmap_images_that_cannot_be_told_apart_from_points_are_refused(tmp_path, change, match):
-    WRITERS[Layout.COLMAP](tmp_path)
-    path = next(tmp_path.rglob("images.txt"))
-    path.write_text(change(path.read_text()))
-    with pytest.raises(DatasetError, match=rf"images\.txt.*{match}"):
-        read_sequence(tmp_path)
-
-
 STRANGERS = {
     "old-frame-000003.color.png": 0,
-    "frame-000003.color.png.bak": 0,
     "frame-000003.color.png~": 0,
     "frame-000003.color (1).png": 0,
     "._frame-000003.color.png": 0,
-    "xframe-000003.color.png": 0,
     "frame-000003.colour.png": 0,
     "frame--00003.color.png": 0,
     "frame-\u0663.color.png": 0,
-    "frame-000003.depth.png": 0,
     "frame-000003.color.jpg": 1,
     "frame-000003.color.JPEG": 1,
     "frame-3.color.png": 1,
@@ -346,17 +253,6 @@ def test_files_that_look_like_a_7_scenes_frame_do_not_replace_it(tmp_path, name)
     assert all(name in where for _, where in sequence.notes)
 
 
-@pytest.mark.parametrize("name", ["00003-color.PNG", "3-color.png", "000003-color.png", "x00003-color.png"])
-def test_files_that_look_like_an_rgbd_scenes_frame_do_not_replace_it(tmp_path, name):
-    folder = WRITERS[Layout.RGBD_SCENES](tmp_path)
-    (folder / name).write_bytes(saved(Image.new("RGB", SIZE, (255, 255, 255)), ".png"))
-    sequence = read_sequence(folder)
-    assert len(sequence) == N
-    if name != "00003-color.PNG":  # which of the two it is, nobody knows; one of them is told
-        assert values(sequence) == [10 * i for i in range(N)]
-    assert len(sequence.notes) == (0 if name.startswith("x") else 1)
-
-
 @pytest.mark.parametrize("name", ["seq-01-old", "seq-01 (copy)", "seq-bad", "seq-01.bak"])
 def test_folders_that_look_like_a_recording_are_told(tmp_path, name):
     folder = WRITERS[Layout.SEVENSCENES](tmp_path)
@@ -365,38 +261,12 @@ def test_folders_that_look_like_a_recording_are_told(tmp_path, name):
         assert len(read_sequence(folder)) == N
 
 
-def test_two_folders_of_one_recording_are_refused(tmp_path):
-    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
-    picture(tmp_path / "seq-1" / "frame-000000.color.png", 25)
-    with pytest.raises(DatasetError, match=r"seq-0?1: another folder has its number"):
-        read_sequence(folder)
-
-
 def test_one_name_with_two_suffixes_is_one_frame(tmp_path):
     folder = WRITERS[Layout.KITTI](tmp_path)
     (folder / "image_0" / "000003.JPG").write_bytes(JPEG)
     with pytest.warns(DatasetWarning, match="another file has its name"):
         sequence = read_sequence(folder)
     assert values(sequence) == [10 * i for i in range(N)]
-
-
-@pytest.mark.parametrize("count", [N - 1, N + 1])
-def test_poses_paired_by_order_must_be_as_many_as_images(tmp_path, count):
-    folder = WRITERS[Layout.IMAGES](tmp_path)
-    (folder / "poses.tum").unlink()
-    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * count)
-    with pytest.raises(DatasetError, match=rf"poses\.txt: .*{count} poses, .*{N} images"):
-        read_sequence(folder)
-
-
-@pytest.mark.parametrize(("layout", "name"), [(Layout.KITTI, "07.txt"), (Layout.RGBD_SCENES, "02.pose")])
-def test_a_blank_line_among_poses_paired_by_line_is_refused(tmp_path, layout, name):
-    folder = WRITERS[layout](tmp_path)
-    path = next(tmp_path.rglob(name))
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:3], "", *lines[3:]]) + "\n")
-    with pytest.raises(DatasetError, match=rf"{name}.*line 4"):
-        read_sequence(folder)
 
 
 @pytest.mark.parametrize("times", [0.1, 0.5])

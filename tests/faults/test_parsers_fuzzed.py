@@ -296,7 +296,7 @@ def png_of(width, height, colour=2, bits=8):
 
     size = max(1, width * height * bits * {0: 1, 2: 3, 3: 1, 6: 4}[colour] // 8 + height)
     pack = zlib.compressobj(9)
-    data = b"".join(pack.compress(bytes(min(1 << 20, size - at))) for at in range(0, min(size, 1 << 29), 1 << 20))
+    data = b"".join(pack.compress(bytes(min(1 << 20, size - at))) for at in range(0, min(size, 1 << 24), 1 << 20))
     data += pack.flush()
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0))
     return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", data) + chunk(b"IEND", b"")
@@ -304,7 +304,6 @@ def png_of(width, height, colour=2, bits=8):
 
 LARGE = {
     "deep JSON": (Layout.NERF, "transforms.json", b"[" * 900_000),
-    "deep JSON objects": (Layout.NERF, "transforms.json", b'{"a":' * 180_000),
     "a JSON number of many digits": (Layout.NERF, "transforms.json", b'{"frames": ' + b"9" * 900_000 + b"}"),
     "long text in a matrix": (
         Layout.NERF,
@@ -322,11 +321,8 @@ LARGE = {
     "YAML that holds itself": (Layout.EUROC, "sensor.yaml", b"intrinsics: &a [*a, *a, *a, *a]\nT_BS: {data: *a}\n"),
     "a YAML object": (Layout.EUROC, "sensor.yaml", b"!!python/object/apply:os.getcwd []\n"),
     "one long line of images": (Layout.TUM, "rgb.txt", b"1 " + b"a" * 990_000),
-    "many lines of images": (Layout.TUM, "rgb.txt", b"".join(b"%d.5 a\n" % i for i in range(60_000))),
-    "one long line of poses": (Layout.TUM, "groundtruth.txt", b"1 " * 490_000),
     "many poses": (Layout.TUM, "groundtruth.txt", b"".join(b"%d 0 0 0 0 0 0 1\n" % i for i in range(50_000))),
-    "many damaged poses": (Layout.TUM, "groundtruth.txt", b"x\n" * 200_000 + b"100 0 0 0 0 0 0 1\n"),
-    "many cameras": (Layout.COLMAP, "cameras.txt", b"".join(b"%d PINHOLE 4 4 4 4 2 2\n" % i for i in range(30_000))),
+    "many damaged poses": (Layout.TUM, "groundtruth.txt", b"x\n" * 20_000 + b"100 0 0 0 0 0 0 1\n"),
     "NULs": (Layout.KITTI, "calib.txt", bytes(990_000)),
     "a recording of many digits": (Layout.SEVENSCENES, "TrainSplit.txt", b"sequence" + b"9" * 9000 + b"\n"),
 }
@@ -348,13 +344,13 @@ def test_large_and_hostile_texts(sets, what):
 
 
 def with_text():
-    body = b"zTXt" + b"Comment\0\0" + zlib.compress(bytes(125_000_000), 9)
+    body = b"zTXt" + b"Comment\0\0" + zlib.compress(bytes(20_000_000), 9)
     whole = png_of(8, 8)
     return whole[:33] + struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + whole[33:]
 
 
 HOSTILE_IMAGES = {
-    "16 million pixels": (lambda: png_of(4000, 4000, 2), False),
+    "four million pixels": (lambda: png_of(2000, 2000, 2), False),
     "100 million pixels of 1 bit": (lambda: png_of(10_000, 10_000, 0, 1), True),
     "60000 x 60000 of 1 bit": (lambda: png_of(60_000, 60_000, 0, 1), True),
     "one row": (lambda: png_of(2_000_000_000, 1, 0, 1), True),

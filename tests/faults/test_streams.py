@@ -81,10 +81,7 @@ class Broken:
 
 NO_IMAGE = {
     "none": (None, "no image"),
-    "a list": ([[1, 2], [3, 4]], "int64 .2, 2."),
     "a text": ("frame.png", "image is <U9"),
-    "bytes": (b"\x00" * 20, "image is .S"),
-    "a number": (3, "int64 ..,"),
     "an empty array": (np.zeros((0, 0, 3), np.uint8), r"uint8 .0, 0, 3."),
     "grey": (np.zeros((H, W), np.uint8), r"uint8 .120, 160."),
     "with alpha": (np.zeros((H, W, 4), np.uint8), "160, 4"),
@@ -92,8 +89,6 @@ NO_IMAGE = {
     "half the size": (np.zeros((H // 2, W // 2, 3), np.uint8), "60, 80"),
     "floats": (np.zeros((H, W, 3)), "float64"),
     "16 bits": (np.zeros((H, W, 3), np.uint16), "uint16"),
-    "boolean": (np.zeros((H, W, 3), bool), "bool"),
-    "objects": (np.full((H, W, 3), None), "object"),
     "masked": (np.ma.masked_equal(np.zeros((H, W, 3), np.uint8), 0), "masked"),
     "what raises": (Broken(), "the camera is gone"),
     "a Pillow image with a palette": (Image.new("P", (W, H)), r"120, 160\)"),
@@ -114,27 +109,18 @@ def test_what_is_no_image_costs_one_frame(model, images, plain, what):
     same(odometry.step(images[1], 0.1), plain[1])
 
 
-TIMES = {
-    "NaN": np.nan,
-    "infinite": np.inf,
-    "minus infinity": -np.inf,
-    "none": None,
-    "a text": "soon",
-    "complex": 1j,
-    "two": np.array([1.0, 2.0]),
-    "a list": [1.0],
-    "too large for a float": 10**400,
-    "not a time": np.datetime64("NaT"),
-    "a signalling NaN": Decimal("sNaN"),
-}
+TIMES = [
+    np.nan, np.inf, -np.inf, None, "soon", 1j, np.array([1.0, 2.0]), [1.0], 10**400, np.datetime64("NaT"),
+    Decimal("sNaN"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("what", TIMES)
-def test_a_time_that_is_none_is_an_error_and_changes_nothing(model, images, plain, what):
+def test_a_time_that_is_not_one_is_an_error_and_changes_nothing(model, images, plain):
     odometry = VisualOdometry(model)
     for k in (0, 1):
-        with pytest.raises(OdometryError, match="timestamp"):
-            odometry.step(images[k], TIMES[what])
+        for time in TIMES:
+            with pytest.raises(OdometryError, match="timestamp"):
+                odometry.step(images[k], time)
         same(odometry.step(images[k], 0.1 * k), plain[k])
 
 
@@ -171,15 +157,6 @@ def test_a_blank_first_frame_is_like_no_known_place(model, images, what):
     assert first.evidence is EvidenceType.UNKNOWN
     assert "no place that is known" in first.problem
     assert odometry.step(images[0], 0.1).pose is not None
-
-
-@pytest.mark.parametrize("what", [name for name in BLANK if name != "covered"])  # noise has corners
-def test_a_blank_first_frame_is_not_reliable_without_the_test_of_novelty(small_world, what):
-    model = load_model(small_world.model)
-    model.set_novelty_level(0.0)
-    first = VisualOdometry(model).step(BLANK[what], 0.0)
-    assert not first.reliable
-    assert first.problem.startswith("too_few_corners")
 
 
 FRAMES = [[-1, 2], [0, 10**6], [3, 2], [2, 2], np.ones(5, bool), [0.5, 1.5], [[0, 1]], ["a"], 3]

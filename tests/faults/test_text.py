@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from conformodal.cli.console import PlainConsole, plain, print_errors
+from conformodal.cli.console import PlainConsole, plain
 from conformodal.core.files import write_whole
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
-from conformodal.report.viewer import json_in_script, make_viewer
+from conformodal.report.viewer import make_viewer
 from conformodal.running.results.parquet import read_region_parquet, write_region_parquet
 from conformodal.running.results.records import read_region_records, region_record
 from conformodal.running.results.writer import ResultsWriter
@@ -65,17 +65,6 @@ def test_the_terminal_shows_names_as_they_are(name):
         assert name in said
 
 
-def test_tables_show_names_as_they_are(name, monkeypatch):
-    file = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
-    monkeypatch.setattr("conformodal.cli.console.console", PlainConsole(file=file, width=9000))
-    print_errors({name: dict.fromkeys(("rmse_m", "rmse_deg", "median_m", "median_deg"), 1.0)}, f"against {name}")
-    file.flush()
-    said = file.buffer.getvalue().decode()
-    assert f"errors, against {plain(name)}".rstrip() in said
-    assert plain(name) in said
-    assert "\x1b" not in said
-
-
 def test_an_error_is_one_line_whatever_it_names(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     argument = name.replace("/", "_") or "x"
@@ -117,13 +106,6 @@ def test_frames_of_any_name_go_into_parquet(name, tmp_path):
     write_region_parquet(tmp_path)
     found = [r["frame"] for r in read_region_parquet(tmp_path / "regions.parquet")]
     assert found == [f"{name}{i}".encode("utf-8", "backslashreplace").decode() for i in range(3)]
-
-
-def test_json_in_a_page_is_ascii_and_comes_back(name):
-    text = json_in_script({name: [name]})
-    assert text.isascii()
-    assert not set("<>&") & set(text)
-    assert json.loads(text) == {name: [name]}
 
 
 def test_text_of_any_kind_can_be_written(name, tmp_path):

@@ -1,12 +1,14 @@
 """The small corridor, and frames whose features tell their poses: as cheap to learn from as it gets."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from conformodal.datasets import Sequence
+from conformodal.localization.source import SourceAnswer, SourceState
 from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, normalise_quat
 from conformodal.vision.settings import TrainingConfig
@@ -64,6 +66,31 @@ def spoil(data, kept, value):
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Says of every image what it was told."""
+
+    name: ClassVar[str] = "told"
+    local: ClassVar[bool] = False
+
+    frames: np.ndarray
+    answers: SourceAnswer = field(default_factory=SourceAnswer)
+
+    @classmethod
+    def fit(cls, data: SourceData, frames):
+        return cls(frames)
+
+    def answer(self, evidence):
+        return self.answers
+
+    def state(self):
+        return SourceState({"frames": self.frames})
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(state.arrays["frames"])
+
+
 @pytest.fixture(scope="session")
 def data_of():
     return make_data
@@ -72,9 +99,3 @@ def data_of():
 @pytest.fixture(scope="session")
 def spoilt():
     return spoil
-
-
-@pytest.fixture(scope="session")
-def world_of_numbers():
-    """Numbers to features, and to poses."""
-    return features_of, poses_of

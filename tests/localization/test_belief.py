@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.localization.belief import Beliefs, belief_cells, cells_per_bin, on_cells, recognised_only
-from conformodal.localization.fusion import Mixture, fuse
+from conformodal.localization.fusion import fuse
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.settings import BELIEF
 from conformodal.poses import fix_sign
@@ -152,45 +152,6 @@ def test_of_several_estimates_of_one_source_at_most_one_is_right(bins):
     without = [plain[np.abs(centers - x) < 0.3].sum() / 6 for x in (0.5, 3.0)]
     # Student's tails reach beyond 300 standard deviations with a probability of 1e-7
     assert shares == pytest.approx([4 / 6 + without[0], 1 / 6 + without[1]], abs=1e-6)
-
-
-def test_hypotheses_next_to_impossible_count_to_the_softmax(bins):
-    proba = softmaxes(bins, 1)
-
-    def believed(log_mass):
-        pair = Candidates(
-            np.array([[0.5, 1, 1], [1.0, 1, 1]]),
-            np.full((2, 3), 1e-3),
-            np.tile(SIGN, (2, 1)),
-            np.full(2, 0.01),
-            log_mass,
-        )
-        return marginals(bins, proba, Mixture(pair, np.array([False, True])))[0][0]
-
-    plain = marginals(bins, proba, mixture())[0][0]
-    np.testing.assert_array_equal(believed(np.log([0.9995, 0.0005])), plain)
-    assert np.abs(believed(np.log([0.995, 0.005])) - plain).max() > 0.001
-
-
-def test_only_ratios_of_masses_matter(bins):
-    proba, its = softmaxes(bins, 1), mixture([estimate([1.0, 1, 1], probability=0.4)])
-    heavier = Candidates(
-        its.candidates.positions_xyz,
-        its.candidates.position_spreads,
-        its.candidates.orientations_quat_wxyz,
-        its.candidates.orientation_spreads_rad,
-        its.candidates.log_mass + 3.0,
-    )
-    for one, other in zip(
-        marginals(bins, proba, its), marginals(bins, proba, Mixture(heavier, its.measured)), strict=True
-    ):
-        np.testing.assert_allclose(one, other, rtol=1e-12)
-
-
-def test_no_images_have_no_rows(bins):
-    cells = belief_cells(bins)
-    assert [p.shape for p in marginals(bins, softmaxes(bins, 0))] == [(0, k) for k in cells.sizes]
-    assert beliefs(softmaxes(bins, 0)).recognised.shape == (0,)
 
 
 def test_parts_are_believed_as_the_whole(bins):

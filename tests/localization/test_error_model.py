@@ -1,12 +1,9 @@
 """Standard deviations and inlier probabilities, learnt from errors that are drawn with known laws."""
 
-import json
-from dataclasses import asdict, fields, replace
-
 import numpy as np
 import pytest
 
-from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
+from conformodal.localization.error_model import HeldOutErrors, fit_error_model
 from conformodal.localization.measurement import PoseMeasurement
 
 ANYWHERE = 1e9  # metres: every estimate is of the same place
@@ -71,11 +68,6 @@ def test_errors_of_zero_have_no_slope_and_spoil_none():
     assert nothing.position > 0  # no estimate is exact
 
 
-def test_nothing_is_nearer_than_the_least_distance():
-    values = np.geomspace(1e-6, 1e-3, 40)  # all below it
-    assert fit_error_model(held_out(values, distance=values), ANYWHERE).position_distance == 0
-
-
 @pytest.mark.parametrize(("heavy", "by_tail"), [(0.0, False), (0.1, True)])
 def test_the_standard_deviation_fits_the_median_or_the_tail_whichever_asks_for_more(heavy, by_tail):
     errors = 0.1 * lengths(4000, 3) * np.where(np.random.default_rng(4).random(4000) < heavy, 6, 1)
@@ -138,22 +130,13 @@ def test_support_never_makes_an_inlier_less_probable():
     assert alone.apply(estimate(), 5.0).inlier_probability == pytest.approx((inlier.sum() + 1) / 2002)
 
 
+def test_nothing_is_nearer_than_the_least_distance():
+    values = np.geomspace(1e-6, 1e-3, 40)  # all below it
+    assert fit_error_model(held_out(values, distance=values), ANYWHERE).position_distance == 0
+
+
 def test_cases_count_by_their_weights():
     errors = np.concatenate((0.1 * lengths(100, 10), np.full(100, 30.0)))
     weights = np.concatenate((np.ones(100), np.full(100, 0.05)))
     found = fit_error_model(held_out(errors, weights=weights), 2.0)
     assert found.apply(estimate(), 1.0).inlier_probability == pytest.approx(101 / (101 + 6), rel=1e-3)
-
-
-def test_an_estimate_keeps_all_else():
-    one = replace(estimate(), n_inliers=77, inlier_share=0.4, image_share=0.3, distance_to_known=0.2)
-    applied = ErrorModel(2.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, (0.0,)).apply(one, 1.0)
-    assert (applied.sigma_m, applied.sigma_rad, applied.inlier_probability) == (2.0, 3.0, 0.5)
-    changed = {"sigma_m", "sigma_rad", "inlier_probability"}
-    for name in {field.name for field in fields(one)} - changed:
-        assert getattr(applied, name) is getattr(one, name)
-
-
-def test_it_goes_through_json():
-    model = ErrorModel(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, -0.7, (0.8, 0.9))
-    assert ErrorModel.from_json(json.loads(json.dumps(asdict(model)))) == model

@@ -68,15 +68,6 @@ def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(positio
     assert unmeasured_mass(found) == pytest.approx(1 - probability, rel=1e-12)
 
 
-def test_modes_are_not_moved_and_the_estimate_keeps_its_own_spread():
-    own, its = modes([[0, 0, 0]], spread=0.2, turn=0.3), estimate([0.1, 0, 0], 0.05, 0.1, 0.02, 0.6)
-    found = fuse(own, [[its]], VOLUME).candidates
-    np.testing.assert_array_equal(found.positions_xyz, [[0.1, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(found.position_spreads, [[0.05] * 3, [0.2] * 3])
-    np.testing.assert_array_equal(found.orientation_spreads_rad, [0.02, 0.3])
-    np.testing.assert_array_equal(found.orientations_quat_wxyz, quats(0.1, 0.0))
-
-
 @pytest.mark.parametrize(("probability", "counted"), [(1.0, 0.99), (0.0, 0.01)])
 def test_no_estimate_is_right_or_wrong_for_sure(probability, counted):
     found = fuse(modes([[0, 0, 0]]), [[estimate([4, 0, 0], probability=probability)]], VOLUME)
@@ -165,12 +156,6 @@ def test_masses_add_up_to_one_most_probable_first(seed):
     assert (np.diff(found.candidates.log_mass) <= 0).all()
     np.testing.assert_allclose(unmeasured_mass(found), np.exp(sum(inlier_odds(its)[0] for its in answers)), rtol=2e-3)
     np.testing.assert_allclose(np.linalg.norm(found.candidates.orientations_quat_wxyz, axis=1), 1)
-
-
-def test_the_order_of_sources_decides_whose_inlier_takes_precedence():
-    here, there = estimate([0, 0, 0], probability=0.8), estimate([4, 0, 0], probability=0.8)
-    for answers, first in (([[here], [there]], 4.0), ([[there], [here]], 0.0)):
-        assert fuse(modes([[9, 0, 0]]), answers, VOLUME).candidates.positions_xyz[0, 0] == first
 
 
 def test_two_signs_of_a_quaternion_are_one_rotation():

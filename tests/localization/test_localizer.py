@@ -1,6 +1,5 @@
 """Sources of one belief, on stand-ins that say what they are told."""
 
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -8,43 +7,17 @@ import pytest
 
 from conformodal.conformal import QuantileBins
 from conformodal.localization import source as registry
-from conformodal.localization.belief import belief_cells
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.fusion import fuse
 from conformodal.localization.local_features import LocalFeatures
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.measurement import PoseMeasurement
-from conformodal.localization.source import SourceAnswer, SourceState, register_source
-from conformodal.localization.source_data import SourceData
+from conformodal.localization.source import SourceAnswer, register_source
 from conformodal.reasoning.candidates import mode_candidates
+from tests.localization.conftest import Told
 
 SIGN = np.array([1.0, 0, 0, 0])
-
-
-@dataclass(frozen=True, eq=False)
-class Told:
-    """Says of every image what it was told."""
-
-    name: ClassVar[str] = "told"
-    local: ClassVar[bool] = False
-
-    frames: np.ndarray
-    answers: SourceAnswer = field(default_factory=SourceAnswer)
-
-    @classmethod
-    def fit(cls, data: SourceData, frames):
-        return cls(frames)
-
-    def answer(self, evidence):
-        return self.answers
-
-    def state(self):
-        return SourceState({"frames": self.frames})
-
-    @classmethod
-    def from_state(cls, state):
-        return cls(state.arrays["frames"])
 
 
 class Other(Told):
@@ -127,15 +100,6 @@ def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
         Localizer.fit(data, frames, ("unable",))
 
 
-def test_sources_are_found_by_their_kind(bins):
-    one, two = told(), told(Local)
-    both = Localizer((one, two), bins, SIGN)
-    assert both.find(Local) is two
-    assert both.find(Unable) is None
-    assert both.local
-    assert not Localizer((one,), bins, SIGN).local
-
-
 def test_without_a_softmax_the_training_frames_own_distribution_stands_in(bins):
     """Bins of equal mass: each is as probable as any other."""
     source = told(measurements=[[], [estimate(3.0)]])
@@ -180,25 +144,6 @@ def test_only_sources_that_look_at_local_features_recognise_places(bins):
     found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
     assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
     assert found.recognised.tolist() == [False, True]
-
-
-def test_no_images_have_no_beliefs(bins):
-    source = told(proba=softmax(bins, 0), measurements=[])
-    found = Localizer((source,), bins, SIGN).beliefs(images(0))
-    assert len(found) == 0
-    assert [p.shape[0] for p in found.marginals(bins, belief_cells(bins), SIGN)] == [0] * 7
-
-
-def test_a_place_that_was_recognised_is_added_to_candidates_from_elsewhere(bins):
-    localizer = Localizer((told(),), bins, SIGN)
-    modes = mode_candidates(softmax(bins, 1), bins)[0]
-    found = localizer.update(modes, [[estimate(3.0, 0.8)]])
-    assert found.candidates.positions_xyz[0, 0] == 3.0
-    masses = np.exp(found.candidates.log_mass)
-    assert masses[~found.measured].sum() / masses.sum() == pytest.approx(
-        0.2, abs=1e-3
-    )  # but for modes that are too improbable to keep
-    assert localizer.update(modes, [[]]).candidates is modes
 
 
 def test_evidence_has_local_features_of_all_images_or_of_none():

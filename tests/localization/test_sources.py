@@ -11,7 +11,6 @@ from conformodal.localization import source as registry
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.head_source import HeadSource
-from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.neighbours.source import NeighbourSource
@@ -49,12 +48,6 @@ def stored(source):
     return type(source).from_state(SourceState(arrays, json.loads(json.dumps(state.settings))))
 
 
-@pytest.mark.parametrize("kind", [HeadSource, NeighbourSource, LandmarkSource])
-def test_sources_are_known_by_name(kind):
-    assert find_source(kind.name) is kind
-    assert kind.local == (kind is LandmarkSource)
-
-
 def test_a_name_belongs_to_one_kind(monkeypatch):
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
     assert register_source(HeadSource) is HeadSource  # the same class again is no other
@@ -68,6 +61,9 @@ def test_a_name_belongs_to_one_kind(monkeypatch):
     assert find_source("head") is HeadSource
     with pytest.raises(LocalizationError, match="one of head, landmarks, neighbours, got 'Head'"):
         find_source("Head")
+    for name in ("", "head.x", "a b", "1", "a/b"):  # which could name another source's arrays
+        with pytest.raises(LocalizationError, match="must be of letters"):
+            register_source(type("Odd", (HeadSource,), {"name": name}))
 
 
 @pytest.mark.parametrize("wrong", [np.nan, 1e9])
@@ -83,17 +79,6 @@ def test_a_source_looks_at_its_own_frames_and_at_no_other(data_of, spoilt, kind,
     # and the frames are not the same by chance: others say something else
     fewer = kind.fit(data, frames[:-20])
     assert any(not np.array_equal(v, fewer.state().arrays[k]) for k, v in clean.state().arrays.items() if k != "frames")
-
-
-def test_a_localizer_looks_at_its_own_frames_and_at_no_other(data_of, spoilt):
-    data, names = data_of(), [kind.name for kind in GLOBAL]
-    frames = np.flatnonzero(np.arange(240) % 3 != 0)
-    clean, poisoned = (Localizer.fit(its, frames, names) for its in (data, spoilt(data, frames, np.nan)))
-    queries = FrameEvidence(data.features[::7])
-    for one, other in zip(
-        clean.marginals(clean.beliefs(queries)), poisoned.marginals(poisoned.beliefs(queries)), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("kind", GLOBAL)
@@ -114,7 +99,8 @@ def test_a_stored_source_answers_the_same(data_of, kind):
     same_states(source.state(), back.state())
     queries = FrameEvidence(data.features[160:])
     found = source.answer(queries)
-    assert found.proba or any(found.measurements)
+    assert bool(found.proba) == (kind is HeadSource)
+    assert any(found.measurements) == (kind is NeighbourSource)
     same_answers(found, back.answer(queries))
 
 
@@ -132,13 +118,6 @@ def test_answers_do_not_depend_on_what_else_is_asked(data_of, kind):
             np.testing.assert_allclose(a.position_xyz, b.position_xyz, atol=1e-4)
 
 
-def test_a_head_has_the_softmax_of_its_bins(data_of):
-    data, frames = data_of(), np.arange(160)
-    found = HeadSource.fit(data, frames).answer(FrameEvidence(data.features[160:]))
-    assert [p.shape for p in found.proba] == [(80, k) for k in data.bins_of(frames).sizes]
-    assert not found.measurements
-
-
 @pytest.mark.parametrize("spread", [0.7, 0.0])
 def test_a_head_learns_from_order_aware_labels_or_from_one_hot_ones(data_of, monkeypatch, spread):
     labels = []
@@ -152,16 +131,6 @@ def test_a_head_learns_from_order_aware_labels_or_from_one_hot_ones(data_of, mon
     with pytest.raises(KeyboardInterrupt):
         HeadSource.fit(data, np.arange(60))
     assert ((labels[0] == 0) | (labels[0] == 1)).all() == (spread == 0)
-
-
-def test_progress_is_told_by_the_name_of_the_stage(data_of):
-    told = []
-    data = data_of(120, progress=lambda *now: told.append(now))
-    Localizer.fit(data, np.arange(120), [kind.name for kind in GLOBAL])
-    assert {stage for stage, _, _ in told} == {"training", "neighbours"}
-    for stage in ("training", "neighbours"):
-        _, done, total = [now for now in told if now[0] == stage][-1]
-        assert done == total
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,18 +188,3 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small
     monkeypatch.delitem(registry._KINDS, MeanSource.name)
     with pytest.raises(ModelFileError, match=f"got '{MeanSource.name}'"):
         load_model(tmp_path)
-
-
-def test_every_source_of_a_model_is_stored_whole(small_world):
-    """On a corridor: with local features, by all three sources."""
-    sources = load_model(small_world.model).localizer.sources
-    assert [source.name for source in sources] == ["head", "neighbours", "landmarks"]
-    for source in sources:
-        same_states(source.state(), stored(source).state())
-
-
-@pytest.mark.parametrize("name", ["", "head.x", "a b", "1", "a/b"])
-def test_a_name_that_could_name_another_sources_arrays_is_refused(name):
-    kind = type("Odd", (HeadSource,), {"name": name})
-    with pytest.raises(LocalizationError, match="must be of letters"):
-        register_source(kind)

@@ -11,15 +11,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from conformodal.cli.outcome import Part, part_frames
-from conformodal.datasets import Layout, PixelNoise, Sequence, make_split, read_sequence, read_sevenscenes
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.datasets.writing import write_layout
+from conformodal.datasets import PixelNoise, Sequence, read_sevenscenes
 from conformodal.model.errors import OdometryError
 from conformodal.model.identity import data_digest, identify
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import PinholeCamera, Trajectory
 from conformodal.running.selection import calibrate_selection
-from tests.helpers import invoke
 
 CAMERA = PinholeCamera(10.0, 10.0, 4.0, 3.0, 8, 6)
 
@@ -168,17 +165,6 @@ def test_a_part_is_found_whatever_the_frames_are_called(model, copy):
         assert part_frames(model, here, part).tolist() == (n - 1 - model.split.part(str(part)))[::-1].tolist()
 
 
-def test_frames_that_are_missing_are_left_out_and_counted(model, copy, capsys):
-    test = model.split.test
-    for i in test[:3]:
-        for path in (copy / "seq-01").glob(f"frame-{i:06d}*"):
-            path.unlink()
-    found = part_frames(model, read_sevenscenes(copy), Part.TEST)
-    assert f"3 of {len(test)} frames of the test part are not in copy" in " ".join(capsys.readouterr().out.split())
-    before = np.array([np.sum(test[:3] < i) for i in test[3:]])
-    assert found.tolist() == (test[3:] - before).tolist()
-
-
 def test_other_images_under_the_same_names_have_no_part(model, copy):
     for path in (copy / "seq-01").glob("*.png"):
         with Image.open(path) as image:
@@ -219,13 +205,6 @@ def test_a_part_with_another_camera_is_refused(model, sequence):
     assert len(part_frames(model, same, Part.TEST)) == len(model.split.test)
 
 
-@pytest.mark.parametrize("layout", [Layout.TUM, Layout.COLMAP, Layout.IMAGES])
-def test_a_part_is_found_in_another_layout(model, sequence, tmp_path, layout):
-    write_layout(tmp_path / "there", layout, SequenceStream(sequence), sequence.camera, sequence.truth)
-    here = read_sequence(tmp_path / "there", layout)
-    assert part_frames(model, here, Part.TEST).tolist() == model.split.test.tolist()
-
-
 def test_calibrate_refuses_data_of_which_it_knows_a_frame(model, copy, flight):
     last = sorted((copy / "seq-01").glob("*.png"))[-1]
     for path in (last, last.with_name(last.name.replace("color.png", "pose.txt"))):
@@ -251,40 +230,3 @@ def flight(tmp_path):
     world = CorridorWorld(3, seed=3)
     write_flight(tmp_path / "flight", Renderer(world), drone_path(world, 1, seed=50).poses_se3[:4], noise_seed=9)
     return tmp_path / "flight"
-
-
-def test_a_part_of_data_whose_first_and_middle_frames_have_no_pose_is_answered(model, sequence, tmp_path):
-    """They were left out of training, and of the frames that `run` counts without poses."""
-    there = tmp_path / "tum"
-    n = 60
-    stream = SequenceStream(sequence, np.arange(n))
-    write_layout(there, Layout.TUM, stream, sequence.camera, sequence.truth)
-    lines = (there / "groundtruth.txt").read_text().splitlines()
-    (there / "groundtruth.txt").write_text("\n".join([lines[0], *lines[3:30], *lines[31:]]) + "\n")
-    assert read_sequence(there, require_poses=False).truth is None
-    posed = read_sequence(there)
-    assert len(posed) == n - 3
-    split = make_split(posed.recording, "interleaved", seed=0)
-    save_model(replace(model, known_frames=identify(posed), split=split), tmp_path / "model")
-    arguments = ["run", tmp_path / "model", there, "--out", tmp_path / "out", "--part", "test"]
-    result = invoke(*arguments)
-    assert result.exit_code == 0, result.output
-    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert metrics["n_answered"] == len(split.test)
-    assert metrics["errors"]["smoothed"]["rmse_m"] < 1
-    assert metrics["coverage"]["joint_band_99"] is not None
-    assert "are not in" not in result.output
-
-
-def test_some_frames_of_the_test_part_promise_nothing(small_world, model, copy, tmp_path):
-    kept = set(model.split.test[1:].tolist())
-    for path in (copy / "seq-01").glob("frame-*"):
-        if int(path.name[6:12]) not in kept:
-            path.unlink()
-    arguments = ["run", small_world.model, copy, "--out", tmp_path / "out", "--part", "test"]
-    result = invoke(*arguments)
-    assert result.exit_code == 0, result.output
-    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert metrics["n_answered"] == len(kept)
-    assert "no guarantee" in metrics["coverage"]["assumption"]
-    assert metrics["coverage"]["joint_band_99"] is None

@@ -1,6 +1,5 @@
 import hashlib
 import json
-import re
 from dataclasses import replace
 from fractions import Fraction
 
@@ -17,7 +16,6 @@ from conformodal.model.radius import Guarantee, PoseRadius
 from conformodal.model.region_rules import EvidenceType, RegionRules
 from conformodal.model.store import load_model, save_model
 from conformodal.networks.torch_backbone import TorchBackbone
-from conformodal.poses import PinholeCamera
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.results.evaluation import coverage_table
 from conformodal.running.results.statistics import RegionStatistics
@@ -150,26 +148,6 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
         load_model(tmp_path)
 
 
-def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp_path):
-    """Scores per unit of a target have scales of their own, and both calibrations have the stretches' labels."""
-    rng, cells = np.random.default_rng(0), model.calibration.bins
-    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
-
-    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
-    overall, matched = (SplitConformal(cells, 0.2, "linear_density", "max") for _ in range(2))
-    for rule in (overall, matched):
-        rule.rule.loc_, rule.rule.scale_ = shift, scale
-        rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
-    rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
-    save_model(replace(model, rules=rules), tmp_path)
-    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
-    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
-    assert np.isfinite(rules.thresholds(kinds[:3])).all()
-    for one, other in ((back.overall, overall), (back.matched, matched)):
-        np.testing.assert_array_equal(one.groups_, groups)
-        np.testing.assert_array_equal(one.thresholds_, other.thresholds_)
-
-
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
 def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
     data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
@@ -196,46 +174,6 @@ def test_recalibration_nests_regions(model, sequence, small_world):
     assert narrow.length.sum() < wide.length.sum()
 
 
-def test_a_stream_gives_the_regions_of_the_whole_run(sequence, small_world):
-    odometry = VisualOdometry.load(small_world.model)
-    frames = np.arange(40, 60)
-    run = odometry.process(sequence, frames)
-    estimates = [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames]
-    same = []
-    for i, estimate in enumerate(estimates):
-        same += [np.array_equal(a[i], b[0]) for a, b in zip(run.regions.masks, estimate.region.masks, strict=True)]
-        assert (estimate.relative_motion is None) == (i == 0)
-        assert estimate.reliable == run.reliable[i]
-    # the network sees one image or sixteen at a time: its last digits differ, which may tip a bin that is on the edge
-    assert np.mean(same) > 0.9
-    assert len(run.trajectory) == 20
-    np.testing.assert_allclose(estimates[5].pose.timestamps_s, sequence.timestamps_s[45])
-
-
-# rooms of the corridor look alike: the place of a sound frame may be one of several
-AMBIGUOUS = re.compile(r"the most probable place has p = 0\.\d+")
-
-
-def test_bad_frames_do_not_end_a_stream(sequence, small_world):
-    odometry = VisualOdometry.load(small_world.model)
-    first = odometry.step(sequence.image(10), 1.0)
-    assert first.reliable or AMBIGUOUS.fullmatch(first.problem)
-    missing = odometry.step(None, 1.1)
-    assert (missing.pose, missing.region, missing.reliable) == (None, None, False)
-    wrong = odometry.step(np.zeros((5, 5, 3), np.uint8), 1.2)
-    assert not wrong.reliable
-    assert "(120, 160, 3)" in wrong.problem
-    black = odometry.step(np.zeros((120, 160, 3), np.uint8), 1.3)
-    assert not black.reliable
-    assert black.region is not None  # the network's region alone
-    assert black.problem
-    odometry.step(sequence.image(11), 1.4)
-    again = odometry.step(sequence.image(12), 1.5)
-    assert again.reliable or AMBIGUOUS.fullmatch(again.problem)
-    with pytest.raises(OdometryError, match="must increase"):
-        odometry.step(sequence.image(12), 1.5)
-
-
 def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path):
     import shutil
 
@@ -251,24 +189,21 @@ def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path)
         VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
 
 
-def test_another_camera_is_refused(model):
-    with pytest.raises(OdometryError, match="trained with"):
-        model.check_camera(PinholeCamera(120, 100, 79.5, 59.5, 160, 120))
+def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp_path):
+    """Scores per unit of a target have scales of their own, and both calibrations have the stretches' labels."""
+    rng, cells = np.random.default_rng(0), model.calibration.bins
+    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
 
-
-def test_recordings_are_not_linked(small_world, two_recordings):
-    both = two_recordings
-    n = len(both) // 2
-    odometry = VisualOdometry.load(small_world.model)
-    run = odometry.process(both, np.array([n - 2, n - 1, n, n + 1]), cache=FeatureCache(small_world.cache))
-    assert run.motions[0] is None
-    assert run.motions[2] is None
-
-
-def test_too_few_calibration_frames_give_the_whole_space(sequence, small_world):
-    config = ModelConfig(calibration=0.01, sources=("head",), training=TrainingConfig(epochs=1))
-    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
-    model = train_model(data, config)
-    run = VisualOdometry(model).process(sequence, model.split.test[:5], cache=FeatureCache(small_world.cache))
-    assert run.regions.unbounded.all()
-    assert np.isfinite(run.trajectory.positions_xyz).all()
+    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
+    overall, matched = (SplitConformal(cells, 0.2, "linear_density", "max") for _ in range(2))
+    for rule in (overall, matched):
+        rule.rule.loc_, rule.rule.scale_ = shift, scale
+        rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
+    rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
+    save_model(replace(model, rules=rules), tmp_path)
+    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
+    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
+    assert np.isfinite(rules.thresholds(kinds[:3])).all()
+    for one, other in ((back.overall, overall), (back.matched, matched)):
+        np.testing.assert_array_equal(one.groups_, groups)
+        np.testing.assert_array_equal(one.thresholds_, other.thresholds_)

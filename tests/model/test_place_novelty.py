@@ -85,25 +85,6 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
     assert not again.region.unbounded.all()
 
 
-def test_unknown_first_frames_of_a_stream_have_their_own_candidates(model):
-    lost = VisualOdometry(model).step(SOMETHING_ELSE["noise"], 0.0)
-    assert lost.evidence is EvidenceType.UNKNOWN
-    assert np.isfinite(lost.pose.positions_xyz).all()
-
-
-def test_a_saved_model_knows_the_same(model, features, tmp_path):
-    save_model(model, tmp_path)
-    back = load_model(tmp_path)
-    for x in (features, seen(model, SOMETHING_ELSE["noise"])):
-        p = model.novelty.p_values(x)
-        np.testing.assert_array_equal(back.novelty.p_values(x), p)
-        np.testing.assert_array_equal(kinds_of(back, p), kinds_of(model, p))
-    kinds = np.array(list(EvidenceType))
-    np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
-    np.testing.assert_array_equal(back.rules.known_p, model.rules.known_p)
-    assert back.rules.level == model.rules.level
-
-
 def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     p, strict = model.novelty.p_values(features), replace(model)
     strict.set_novelty_level(0.2)
@@ -127,20 +108,6 @@ def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
     np.testing.assert_array_equal(found.known_p, np.nan)
     assert found.known.all()
     assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64), model.novelty.grid) is None
-
-
-def test_images_that_are_not_known_have_the_whole_space(model, features):
-    both = np.concatenate((features[:1], seen(model, SOMETHING_ELSE["noise"])))
-    found = model.localize(FrameEvidence(both))
-    assert found.kinds.tolist()[1] == EvidenceType.UNKNOWN
-    assert found.regions.unbounded[1].all()
-    assert not found.regions.unbounded[0].all()
-
-
-def test_descriptors_are_means_of_four_cells_each(model, features):
-    found = coarse_features(features[:3], model.backbone.config.grid)
-    network = features[:3, : found.shape[1] * 4]
-    np.testing.assert_allclose(found.mean(axis=1), network.mean(axis=1), rtol=1e-4)
 
 
 GRID = (6, 8)

@@ -56,19 +56,6 @@ def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     assert rules.overall.alpha == rules.matched.alpha == alpha
 
 
-def test_a_higher_level_moves_frames_to_the_unknown(bins, rules):
-    def at(level):
-        return RegionRules(rules.overall, rules.matched, rules.recognised, rules.known_p, level)
-
-    known_p = np.linspace(0.01, 1, 100)
-    counts = [
-        (at(level).kinds(known_p, *np.zeros((2, 100), dtype=bool)) == UNKNOWN).sum() for level in (0.0, 0.01, 0.05, 0.5)
-    ]
-    assert counts == [0, 1, 5, 50]
-    sizes = [sum(rule.n_units for kind, rule in at(level).of.items() if kind != GLOBAL) for level in (0.0, 0.05, 0.5)]
-    assert sizes == [80, (rules.known_p > 0.05).sum(), (rules.known_p > 0.5).sum()]
-
-
 @pytest.mark.parametrize(
     ("n_matched", "sharing"), [(0, Sharing.SHARED), (8, Sharing.SHARED), (9, Sharing.WIDER), (10, Sharing.OWN)]
 )
@@ -154,14 +141,6 @@ def test_thresholds_of_stretches_keep_their_groups(bins, joint):
         assert rules.own[kind].n_units == 20
 
 
-def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
-    whole = SplitConformal(bins, 0.2, "density", "max")
-    whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
-    scores = np.random.default_rng(0).normal(size=(60, 7))
-    rules = RegionRules(whole.calibrate_scores(scores), None, np.zeros(60, bool), np.ones(60), 0.0)
-    np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)
-
-
 @pytest.mark.parametrize(
     ("n_recognised", "n_new", "law"), [(20, 30, [(60, 70), (20, 30)]), (4, 3, [(80, 100)]), (4, 30, None), (9, 3, None)]
 )
@@ -184,3 +163,11 @@ def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins,
     table = coverage_table(statistics, model, exchangeable=True)
     assert table["joint_band_99"] == (None if law is None else list(grouped_coverage_band(law, 0.1)))
     assert table["by_evidence"]["landmarks"]["thresholds"] == str(rules.sharing)
+
+
+def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
+    whole = SplitConformal(bins, 0.2, "density", "max")
+    whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
+    scores = np.random.default_rng(0).normal(size=(60, 7))
+    rules = RegionRules(whole.calibrate_scores(scores), None, np.zeros(60, bool), np.ones(60), 0.0)
+    np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)

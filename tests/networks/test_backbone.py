@@ -6,7 +6,7 @@ import torch
 
 from conformodal.core.extras import MissingPackageError
 from conformodal.networks.lite import NETWORKS, LiteNetwork
-from conformodal.networks.torch_backbone import TorchBackbone, backbone_config, pick_device
+from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
 from conformodal.vision.backbone import BackboneConfig
 from conformodal.vision.settings import VisionError
 
@@ -62,23 +62,13 @@ def test_features_know_where_things_are(backbone):
     assert np.abs(a - b[:, :, ::-1]).mean() < 0.5 * np.abs(a - b).mean()
 
 
-@pytest.mark.parametrize("config", [BackboneConfig(name="vgg"), BackboneConfig(block=99)])
-def test_unknown_networks_are_refused(config):
-    with pytest.raises(VisionError, match=r"backbone must be|block must be"):
-        TorchBackbone(config)
-
-
 def test_without_the_networks_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite_pytorch", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[train\]'"):
         TorchBackbone(backbone_config(64, 48))
 
 
-def test_devices_by_name():
-    assert pick_device("cpu").type == "cpu"
-    assert pick_device("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
-    with pytest.raises(VisionError, match="tpu"):
-        pick_device("tpu")
-    if not torch.cuda.is_available():
-        with pytest.raises(VisionError, match="no graphics card"):
-            pick_device("cuda")
+@pytest.mark.parametrize("config", [BackboneConfig(name="vgg"), BackboneConfig(block=99)])
+def test_unknown_networks_are_refused(config):
+    with pytest.raises(VisionError, match=r"backbone must be|block must be"):
+        TorchBackbone(config)

@@ -3,7 +3,6 @@ import onnxruntime
 import pytest
 from PIL import Image
 
-from conformodal.datasets import ImageError
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.networks import exporting
 from conformodal.networks.exporting import exported, quantised, with_head
@@ -53,12 +52,6 @@ def test_a_network_is_quantised_once_for_the_same_images(onnx, files, tmp_path, 
     monkeypatch.setattr(exporting, "_quantise", lambda *_: onnx.content)
     assert quantised(onnx, files, cache).content == first.content
     assert quantised(onnx, files[:5], cache).content == onnx.content  # other images: made anew
-
-
-def test_an_unreadable_image_is_named(onnx, files, tmp_path):
-    missing = tmp_path / "missing.png"
-    with pytest.raises(ImageError, match=r"missing\.png"):
-        quantised(onnx, [*files, missing], FeatureCache(None))
 
 
 @pytest.mark.parametrize("components", [4, None])

@@ -1,14 +1,11 @@
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scipy.stats import binomtest
 
 from conformodal.networks.heads import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
-from conformodal.vision.projection import Projection, fit_projection
+from conformodal.vision.projection import fit_projection
 from conformodal.vision.settings import TrainingConfig, VisionError
 
 
@@ -43,24 +40,6 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes(
         assert float(soft_cross_entropy(head, raw, labels)) == pytest.approx(float(sum(each) / 2))
 
 
-def test_dropout_drops_its_share_keeps_the_mean_and_rests_outside_training():
-    through = Projection(np.zeros(4, np.float32), np.ones(4, np.float32))
-    head = Head(through, [1], hidden=8, dropout=0.25, input_dropout=0.4)
-    x = torch.ones(500, 200)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        for layer, share in ((head.trunk[0], 0.4), (head.trunk[4], 0.25)):
-            dropped = layer(x)
-            n_zero = int((dropped == 0).sum())
-            assert binomtest(n_zero, x.numel(), share).pvalue > 1e-3
-            np.testing.assert_allclose(dropped[dropped != 0].numpy(), 1 / (1 - share), rtol=1e-6)
-    head.eval()
-    assert (head.trunk[0](x) == x).all()
-    for share in (-0.1, 1.0, float("nan")):
-        with pytest.raises(VisionError, match="dropout must be at least 0 and less than 1"):
-            Head(through, [1], dropout=share)
-
-
 def test_regression_shares_the_trunk():
     x, _ = toy()
     y = x[:, :2] * 0.5
@@ -68,27 +47,6 @@ def test_regression_shares_the_trunk():
         x, y, [1, 1], mean_squared_error, TrainingConfig(epochs=60, hidden=32, dropout=0.0, learning_rate=1e-2)
     )
     assert np.sqrt(np.mean((predict_values(head, x) - y) ** 2)) < 0.15
-
-
-def test_state_of_other_data_is_not_taken_up(tmp_path):
-    x, y = toy()
-    config = TrainingConfig(epochs=11, hidden=16)
-
-    def stop(done, _):
-        if done == 10:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_head(x, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=stop)
-    seen = []
-    fit_head(x + 1, y, [2], soft_cross_entropy, config, checkpoint_dir=tmp_path, progress=lambda d, _: seen.append(d))
-    assert seen[0] == 1
-
-
-def test_head_splits_its_outputs_by_target():
-    head = Head(Projection(np.zeros(4, np.float32), np.ones(4, np.float32)), [2, 3])
-    blocks = head.split(head(torch.zeros(5, 4)))
-    assert [b.shape for b in blocks] == [(5, 2), (5, 3)]
 
 
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11])
@@ -134,18 +92,3 @@ def test_a_head_is_trained_on_one_thread_and_the_others_are_there_again():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
-
-
-WITHOUT = """
-import sys
-sys.modules["lightning"] = sys.modules["pytorch_lightning"] = None
-import numpy as np
-from conformodal.networks.heads import fit_head, soft_cross_entropy
-from conformodal.vision.settings import TrainingConfig
-fit_head(np.eye(4, dtype=np.float32), np.eye(4), [4], soft_cross_entropy, TrainingConfig(epochs=1, components=None))
-"""
-
-
-def test_a_head_is_trained_by_torch_alone():
-    found = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stderr

@@ -47,11 +47,6 @@ def test_from_the_least_alpha_on_thresholds_are_finite(what):
     assert np.isinf(made.at(least - A_BIT).thresholds_).any()
 
 
-def test_nothing_to_calibrate_on_allows_no_alpha():
-    assert least_alpha(rule(0)) == 1
-    assert least_alpha(rule(4, infinite=4)) == 1
-
-
 def model(split, **how):
     made = rule(60, joint="max", **how)
     recognised = np.arange(60) < 20
@@ -86,15 +81,6 @@ def test_no_band_is_stated_where_no_law_is_exact(split, groups):
     for one in guarantees(model(split, groups=groups)):
         assert one.band is None
         assert "band" not in describe_guarantee(one)
-
-
-def test_too_few_are_said_to_give_the_whole_space():
-    few = rule(5, joint="max")
-    rules = RegionRules(few, None, np.zeros(5, dtype=bool), np.ones(5), 0.0)
-    (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
-    assert not one.finite
-    assert one.n_needed == 9
-    assert describe_guarantee(one).endswith("5 frames, unbounded at alpha = 0.1, bounded from alpha = 0.1667")
 
 
 SHARED = {
@@ -153,3 +139,8 @@ def test_more_of_the_same_is_not_advised_where_too_many_frames_lie_beyond_the_ra
     assert not one.finite
     assert one.n_needed is None
     assert "beyond the training range" in _more_units(one)
+
+
+def test_nothing_to_calibrate_on_allows_no_alpha():
+    assert least_alpha(rule(0)) == 1
+    assert least_alpha(rule(4, infinite=4)) == 1

@@ -9,6 +9,7 @@ from conformodal.conformal import QuantileBins
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.quality.advice import describe_quality, record_next
+from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.place_ambiguity import ambiguity
 from conformodal.quality.view_coverage import ViewScale
@@ -94,12 +95,6 @@ def test_stretches_that_look_alike_are_named_by_known_frames():
     assert (first, last) == (50, 69)
 
 
-def test_where_regions_hold_one_place_nothing_is_ambiguous():
-    found = judged([[(1, 2)]] * 8, [1.5] * 8)
-    assert found.stretches == []
-    assert (found.n_places == 1).all()
-
-
 @pytest.mark.parametrize(("n", "frames"), [(5, "frames 20 to 28"), (1, "frame 20")])
 def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
@@ -118,3 +113,9 @@ def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other(
     (advice,) = record_next(of_a_recording(found, np.arange(80) - 40))
     assert (one.first, one.last) == (20, 28)
     assert advice.startswith("Places look alike: frames 20 to 28 (around x=1.5, y=0.0). Record")
+
+
+def test_the_share_of_places_that_look_the_same_counts_all_frames():
+    places, held = [np.zeros((3, 3)), np.zeros((1, 3)), np.empty((0, 3))], [[True, False, True], [True], []]
+    found = AmbiguityCheck(places, [np.array(one, dtype=bool) for one in held]).record()
+    assert found == {"n_frames": 2, "n_places": 4, "share_held": 0.75}

@@ -66,12 +66,6 @@ def test_softmax_mean_is_unbiased_in_bin_coordinates():
     np.testing.assert_allclose(mean[0, 0], np.interp(8.25, np.arange(K + 1), bins.edges_[0]), rtol=1e-3)
 
 
-def test_components_that_cancel_give_an_orientation_of_no_weight():
-    centre = bumps((10.0, 1.0))  # 0 in every component
-    found = mode_candidates([centre] * 7, pose_bins())[0]
-    assert np.isfinite(found.orientations_quat_wxyz).all()
-
-
 @pytest.mark.parametrize(("apart", "n_modes"), [(1, 1), (3, 1), (5, 2), (9, 2)])
 def test_peaks_are_modes_where_little_lies_between(apart, n_modes):
     proba = [bumps((5.5, 0.6), (5.5 + apart, 0.4)), *[bumps((10.0, 1))] * 2, *identity_quat()]
@@ -88,3 +82,9 @@ def test_candidates_are_taken_joined_and_normalised():
     share = joined.normalised(np.log(0.3))
     assert np.exp(share.log_mass).sum() == pytest.approx(0.3)
     np.testing.assert_allclose(np.diff(share.log_mass), np.diff(joined.log_mass))
+
+
+def test_components_that_cancel_give_an_orientation_of_no_weight():
+    centre = bumps((10.0, 1.0))  # 0 in every component
+    found = mode_candidates([centre] * 7, pose_bins())[0]
+    assert np.isfinite(found.orientations_quat_wxyz).all()

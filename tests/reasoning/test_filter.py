@@ -11,14 +11,7 @@ from scipy.stats import multivariate_normal
 from conformodal.poses import angle_between_quats
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.errors import ReasoningError
-from conformodal.reasoning.filter import (
-    PoseFilter,
-    Posterior,
-    filter_posteriors,
-    hindsight_posteriors,
-    predict,
-    update,
-)
+from conformodal.reasoning.filter import PoseFilter, Posterior, filter_posteriors, hindsight_posteriors, predict, update
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, find_places
 from conformodal.reasoning.settings import FILTER

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import QuantileBins, Regions
 from conformodal.poses import MotionStatus, RelativeMotion
-from conformodal.reasoning.candidates import BinRuns, interval_runs
+from conformodal.reasoning.candidates import BinRuns
 from conformodal.reasoning.errors import ReasoningError
 from conformodal.reasoning.greedy import greedy
 
@@ -91,14 +90,6 @@ def test_the_most_probable_is_taken_where_motion_is_unknown(motion):
     np.testing.assert_allclose(found.orientations_quat_wxyz, expected)
 
 
-def test_without_a_direction_the_place_is_the_most_probable():
-    rng = np.random.default_rng(2)
-    intervals = [some_intervals(rng, [4] * 7) for _ in range(2)]
-    found = greedy(intervals, [None, RelativeMotion(MotionStatus.LOW_PARALLAX, np.eye(3))], [0, 1])
-    best = [intervals[1][j].mean[np.argmax(intervals[1][j].log_mass)] for j in range(3)]
-    np.testing.assert_array_equal(found.positions_xyz[1], best)
-
-
 def test_components_that_cancel_leave_the_orientation_before():
     there, nothing = (
         [BinRuns(np.array([v]), np.ones(1), np.zeros(1)) for v in (0.0, 0.0, 0.0, 0.0, q_x, 0.0, 0.0)]
@@ -108,18 +99,6 @@ def test_components_that_cancel_leave_the_orientation_before():
     np.testing.assert_array_equal(found.orientations_quat_wxyz, [[0, 1, 0, 0]] * 2)
 
 
-def test_intervals_stand_at_their_means_and_an_empty_set_at_its_best_bin():
-    bins = QuantileBins.from_edges([np.arange(11.0)] * 7)
-    p = np.full((1, 10), 0.01)
-    p[0, [2, 3, 7]] = 0.31
-    masks = [np.zeros((1, 10), bool) for _ in range(7)]
-    masks[0][0, [2, 3, 7]] = True
-    (found,) = interval_runs([p] * 7, Regions(bins, masks, np.zeros((1, 7), bool)))
-    np.testing.assert_allclose(found[0].mean, [3.0, 7.5])
-    np.testing.assert_allclose(np.exp(found[0].log_mass), [0.62, 0.31])
-    np.testing.assert_allclose(found[1].mean, [2.5])
-
-
 @pytest.mark.parametrize(("n_motions", "n_times"), [(1, 2), (2, 1), (3, 3)])
 def test_lengths_that_differ_are_refused(n_motions, n_times):
     intervals = [some_intervals(np.random.default_rng(0), [2] * 7) for _ in range(2)]
@@ -127,6 +106,9 @@ def test_lengths_that_differ_are_refused(n_motions, n_times):
         greedy(intervals, [None] * n_motions, np.arange(n_times))
 
 
-def test_no_frames_are_refused():
-    with pytest.raises(ReasoningError, match="at least one"):
-        greedy([], [], [])
+def test_without_a_direction_the_place_is_the_most_probable():
+    rng = np.random.default_rng(2)
+    intervals = [some_intervals(rng, [4] * 7) for _ in range(2)]
+    found = greedy(intervals, [None, RelativeMotion(MotionStatus.LOW_PARALLAX, np.eye(3))], [0, 1])
+    best = [intervals[1][j].mean[np.argmax(intervals[1][j].log_mass)] for j in range(3)]
+    np.testing.assert_array_equal(found.positions_xyz[1], best)

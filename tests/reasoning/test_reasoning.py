@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.poses import Trajectory, angle_between_quats
+from conformodal.poses import Submap, Trajectory, angle_between_quats
+from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.errors import ReasoningError
-from conformodal.reasoning.observations import Observations, PosePath
+from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.orientations import smooth_orientations
 from conformodal.reasoning.prior import fit_motion_prior
-from conformodal.reasoning.smoother import smooth, smooth_positions
+from conformodal.reasoning.smoother import smooth_positions
 from tests.reasoning.flights import PRIOR, ambiguous, exact_motions, path
 
 
@@ -72,20 +73,6 @@ def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
     assert abs(found[40, 0] - positions[40, 0]) < 0.01
 
 
-def test_a_path_is_smoothed_orientations_first():
-    rng = np.random.default_rng(2)
-    t, positions, rotations = path(50)
-    motions = exact_motions(positions, rotations)
-    seen = Observations(ambiguous(positions, rotations), motions, t)
-    quats = (Rotation.from_rotvec(rng.normal(size=(50, 3)) * 0.03) * rotations).as_quat(scalar_first=True)
-    own = PosePath(t, positions + rng.normal(size=(50, 3)) * 0.1, np.full((50, 3), 0.1), quats, np.full(50, 0.03))
-    found = smooth(own, seen, PRIOR)
-    turned = smooth_orientations(quats, own.orientation_spreads_rad, motions, t, PRIOR)
-    np.testing.assert_array_equal(found.orientations_quat_wxyz, turned)
-    moved = smooth_positions(own.positions_xyz, own.position_spreads, turned, t, PRIOR)
-    np.testing.assert_array_equal(found.positions_xyz, moved)
-
-
 def test_prior_learns_speeds_and_turns():
     t = np.arange(400) * 0.1
     circle = np.column_stack((2 * np.cos(0.5 * t), 2 * np.sin(0.5 * t), 0 * t))
@@ -96,3 +83,95 @@ def test_prior_learns_speeds_and_turns():
     assert (np.diff(prior.intervals_s) > 0).all()
     with pytest.raises(ReasoningError, match="three frames"):
         fit_motion_prior(Trajectory(t[:2], circle[:2], quats[:2]), np.zeros(2, int))
+
+
+DEPTH = 2.0
+DEEP = replace(PRIOR, depth_m=DEPTH, depth_spread=0.2)
+
+
+def exact_submaps(positions, rotations, span=15, hop=7, depth=DEPTH, sigma=0.01):
+    """Submaps of the exact path, each in a unit of its own."""
+    found = []
+    for k, start in enumerate(range(0, len(positions) - span + 1, hop)):
+        frames = np.arange(start, start + span, 2)
+        unit = 0.3 + 0.1 * k
+        relative = rotations[start].inv() * rotations[frames]
+        places = rotations[start].inv().apply(positions[frames] - positions[start]) / unit
+        found.append(Submap(frames, relative.as_matrix(), places, depth / unit, sigma, np.radians(0.5)))
+    return found
+
+
+def rms(error):
+    return np.sqrt(np.mean(np.sum(error**2, axis=1)))
+
+
+def test_submaps_carry_a_path_through_answers_that_err_for_long():
+    t, positions, rotations = path(43)
+    quats = rotations.as_quat(scalar_first=True)
+    noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.02
+    noisy[12:24] += [0.3, -0.2, 0.1]  # twelve frames that are all off the same way
+    spreads = np.full(noisy.shape, 0.03)
+    alone = smooth_positions(noisy, spreads, quats, t, DEEP)
+    together = smooth_positions(noisy, spreads, quats, t, DEEP, exact_submaps(positions, rotations))
+    assert rms(alone - positions) > 0.15
+    assert rms(together - positions) < 0.35 * rms(alone - positions)
+
+
+def test_exact_answers_stay_and_tell_the_length():
+    t, positions, rotations = path(29)
+    quats = rotations.as_quat(scalar_first=True)
+    submaps = exact_submaps(positions, rotations, depth=1.2 * DEPTH)  # depths lead to expect a longer path
+    found = smooth_positions(positions, np.full((29, 3), 0.001), quats, t, DEEP, submaps)
+    assert rms(found - positions) < 0.005
+
+
+@pytest.mark.parametrize("depth", [0.5 * DEPTH, DEPTH])
+def test_where_answers_say_nothing_depths_tell_the_length(depth):
+    """All frames are answered with one place, so only the depths to expect keep the path from shrinking to it."""
+    t, positions, rotations = path(15)
+    quats = rotations.as_quat(scalar_first=True)
+    lost = np.tile(positions.mean(axis=0), (15, 1))
+    submaps = exact_submaps(positions, rotations, depth=depth, sigma=0.001)
+    found = smooth_positions(lost, np.full((15, 3), 5.0), quats, t, DEEP, submaps)
+    extent, truth = (np.linalg.norm(p[-1] - p[0]) for p in (found, positions))
+    assert extent / truth == pytest.approx(DEPTH / depth, rel=0.1)
+
+
+def test_an_orientation_that_is_off_does_not_bend_what_answers_say():
+    t, positions, rotations = path(29)
+    off = Rotation.from_rotvec([0, 0, np.radians(8)]) * rotations
+    submaps = exact_submaps(positions, rotations)
+    found = smooth_positions(positions, np.full((29, 3), 0.002), off.as_quat(scalar_first=True), t, DEEP, submaps)
+    assert rms(found - positions) < 0.01
+
+
+def test_without_depths_to_expect_submaps_turn_but_do_not_place():
+    t, positions, rotations = path(29)
+    quats = rotations.as_quat(scalar_first=True)
+    unknown = replace(DEEP, depth_m=np.nan, depth_spread=np.nan)
+    noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.05
+    submaps = exact_submaps(positions, rotations)
+    arguments = noisy, np.full(noisy.shape, 0.05), quats, t
+    np.testing.assert_array_equal(smooth_positions(*arguments, unknown, submaps), smooth_positions(*arguments, unknown))
+    assert np.abs(smooth_positions(*arguments, DEEP, submaps) - smooth_positions(*arguments, DEEP)).max() > 1e-3
+
+
+def test_submaps_turn_orientations_that_err_for_long():
+    t, positions, rotations = path(43)
+    truth = rotations.as_quat(scalar_first=True)
+    turned = Rotation.from_rotvec(np.where((np.arange(43) // 9 == 2)[:, None], [0.0, 0.3, 0.0], 0.0)) * rotations
+    quats, spreads = turned.as_quat(scalar_first=True), np.full(43, 0.05)
+    submaps = exact_submaps(positions, rotations)
+    alone = smooth_orientations(quats, spreads, [None] * 43, t, DEEP)
+    together = smooth_orientations(quats, spreads, [None] * 43, t, DEEP, submaps)
+    error = [np.sqrt(np.mean(angle_between_quats(q, truth) ** 2)) for q in (alone, together)]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_submaps_of_other_frames_are_refused():
+    t, positions, rotations = path(15)
+    (submap,) = exact_submaps(positions, rotations)
+    one = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1), np.zeros(1))
+    Observations([one] * 15, [None] * 15, t, [submap])
+    with pytest.raises(ReasoningError, match="not one of 14 frames"):
+        Observations([one] * 14, [None] * 14, t[:14], [submap])

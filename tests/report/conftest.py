@@ -1,6 +1,5 @@
 """A real browser, pages of made-up runs, and what has to hold of every page."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,26 +11,7 @@ from conformodal.report.thumbnails import Thumbnails
 from conformodal.running.results.records import region_record
 from conformodal.running.results.writer import ResultsWriter
 
-CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="session")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as started:
-        quiet = ["--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", *quiet])
-        yield opened
-        opened.close()
-
-
-@pytest.fixture(scope="session")
-def checks():
-    """The script that adds the checks to a page."""
-    return CHECKS
 
 
 @pytest.fixture

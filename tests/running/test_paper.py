@@ -7,12 +7,10 @@ import pytest
 
 from conformodal.conformal import SplitConformal
 from conformodal.localization.head_source import HeadSource
-from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Calibration, Method, ModelConfig
 from conformodal.model.errors import OdometryError
 from conformodal.model.store import load_model, save_model
-from conformodal.motion.frontend import EssentialFrontEnd
-from conformodal.poses import MotionStatus, angle_between_quats
+from conformodal.poses import angle_between_quats
 from conformodal.running.estimator import VisualOdometry
 from conformodal.running.paper_odometry import PaperOdometry, odometry_of
 from conformodal.training.training import prepare_training_data, train_model
@@ -55,14 +53,6 @@ def proba_of(model, features):
     return head_of(model).predict_proba(features)
 
 
-def test_it_is_what_section_2_and_3_say():
-    config = ModelConfig.paper()
-    assert (config.n_bins, config.margin, config.sigma_bins) == (50, 0, 0)
-    assert (config.score, config.joint, config.alpha) == ("lac", "none", 0.1)
-    assert (config.sources, config.training.components) == (("head",), None)
-    assert ModelConfig.paper(n_bins=10, seed=3).n_bins == 10
-
-
 @pytest.mark.parametrize(
     "settings",
     [
@@ -84,13 +74,6 @@ def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
     assert data.features.shape == (len(data.sequence), 1280 + 32 * 24)
     assert not head_of(model).projection.components[1280:].any()  # the thumbnail counts nothing
     assert head_of(model).projection.components.ndim == 1  # no projection: standardised features
-
-
-def test_nothing_else_is_in_the_model(model):
-    assert model.method is Method.PAPER
-    assert [source.name for source in model.localizer.sources] == ["head"]
-    assert model.novelty is model.rules.matched is None
-    assert model.rules.overall.bins.sizes == model.bins.sizes
 
 
 def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data, model):
@@ -119,12 +102,6 @@ def test_a_stream_has_the_answers_of_a_sequence(model, sequence, small_world):
     assert set(run.trajectories) == {"greedy"}
 
 
-def test_poses_are_means_of_intervals_of_the_region(model, sequence, small_world):
-    run = PaperOdometry(model).process(sequence, np.arange(20, 30), cache=FeatureCache(small_world.cache))
-    inside = run.regions.contains(pose_targets(run.trajectory, model.sign_reference))
-    assert inside[:, :3].all()
-
-
 def test_it_is_saved_and_loaded(model, data, tmp_path):
     save_model(model, tmp_path)
     back = load_model(tmp_path)
@@ -141,25 +118,3 @@ def test_neither_system_runs_the_others_models(model, small_world):
         VisualOdometry(model)
     with pytest.raises(OdometryError, match="VisualOdometry runs it"):
         PaperOdometry(load_model(small_world.model))
-
-
-def test_an_essential_matrix_turns_as_the_camera_does(sequence):
-    front_end, truth = EssentialFrontEnd(sequence.camera), sequence.require_truth()
-    off = []
-    for i in range(30, 45):
-        motion = front_end.measure(sequence.image(i))
-        if motion is None:
-            continue
-        before, here = truth.poses_se3[i - 1], truth.poses_se3[i]
-        turned = (before[:3, :3] @ motion.R_prev_next).T @ here[:3, :3]
-        off.append(np.degrees(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))))
-        assert np.linalg.norm(motion.direction_prev) == pytest.approx(1)
-    assert len(off) == 14
-    assert np.median(off) < 1.0
-
-
-def test_an_image_without_corners_has_no_motion(sequence):
-    front_end = EssentialFrontEnd(sequence.camera)
-    black = np.zeros((sequence.camera.height, sequence.camera.width, 3), np.uint8)
-    assert front_end.measure(black) is None
-    assert front_end.measure(black).status is MotionStatus.TOO_FEW

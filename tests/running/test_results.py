@@ -1,8 +1,14 @@
+import shutil
+import subprocess
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import conformodal
 from conformodal.model.errors import ResultsError
 from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
+from conformodal.running.results.provenance import provenance, source_revision
 from conformodal.running.results.records import read_region_records, records_contain, records_hold
 from conformodal.running.results.runs import read_metrics
 
@@ -35,14 +41,6 @@ def test_a_region_of_places_holds_a_pose_in_one_of_its_boxes():
     assert records_hold(unbounded, truth, reference).all()
 
 
-@pytest.mark.parametrize("line", ["", "{}", '{"intervals": {}, "timestamp_s": 1}', "nonsense"])
-def test_damaged_records_are_named(tmp_path, line):
-    path = tmp_path / "regions.jsonl"
-    path.write_text(line + "\n")
-    with pytest.raises(ResultsError, match=r"regions\.jsonl, line 1"):
-        read_region_records(path)
-
-
 def test_missing_results_are_named(tmp_path):
     with pytest.raises(ResultsError, match=r"regions\.jsonl"):
         read_region_records(tmp_path / "regions.jsonl")
@@ -51,3 +49,35 @@ def test_missing_results_are_named(tmp_path):
         read_metrics(tmp_path)
     with pytest.raises(TrajectoryFileError, match=r"trajectory\.tum"):
         read_tum(tmp_path / "trajectory.tum")
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_path):
+    def git(*arguments):
+        name = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+        return subprocess.run(
+            ["git", *name, *arguments], cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout
+
+    assert source_revision(tmp_path) is None
+    source, result = tmp_path / "source.py", tmp_path / "benchmarks" / "results" / "table.md"
+    result.parent.mkdir(parents=True)
+    source.write_text("1")
+    result.write_text("1")
+    git("init", "-q")
+    assert source_revision(tmp_path) is None  # nothing committed yet
+    git("add", ".")
+    git("commit", "-qm", "first")
+    commit = git("rev-parse", "HEAD")[:12]
+    assert source_revision(tmp_path) == commit
+    result.write_text("2")
+    assert source_revision(tmp_path) == commit
+    source.write_text("2")
+    assert source_revision(tmp_path) == f"{commit}-dirty"
+
+
+def test_the_revision_is_that_of_the_checkout_which_the_package_lies_in():
+    root = Path(__file__).resolve().parents[2]
+    assert (root / "src" / "conformodal" / "__init__.py").samefile(conformodal.__file__)
+    assert provenance()["source_revision"] == source_revision(root)
+    assert (source_revision(root) is None) == (shutil.which("git") is None or not (root / ".git").exists())

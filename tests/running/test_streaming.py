@@ -183,13 +183,3 @@ def test_recordings_are_answered_apart(world, tmp_path):
     assert [i for i, r in enumerate(records) if r["motion"] == "first"] == [0, 10]
     times = read_trajectories(tmp_path)["smoothed"].timestamps_s
     np.testing.assert_allclose(times, [f.timestamp_s for f in frames], atol=1e-6)
-
-
-def test_results_of_an_earlier_run_do_not_stay(world, tmp_path):
-    (tmp_path / "methods").mkdir()
-    (tmp_path / "methods" / "old.tum").write_text("1 2 3 4 0 0 0 1\n")
-    (tmp_path / "truth.tum").write_text("1 2 3 4 0 0 0 1\n")
-    (tmp_path / "metrics.json").write_text('{"command": "run"}')
-    with ResultsWriter(tmp_path):
-        pass
-    assert not list(tmp_path.rglob("*.tum"))

@@ -1,4 +1,3 @@
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -9,7 +8,7 @@ from scipy.stats import norm
 from conformodal.conformal import QuantileBins
 from conformodal.localization import source as registry
 from conformodal.localization.regions import Support
-from conformodal.localization.source import SourceAnswer, SourceState, register_source
+from conformodal.localization.source import SourceAnswer, register_source
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.errors import OdometryError
 from conformodal.model.region_rules import EvidenceType
@@ -17,17 +16,15 @@ from conformodal.training.calibrating import calibrate_regions, compare_sources
 from conformodal.training.folds import Fold, Folds
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
+from tests.localization.conftest import Told
 
 BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)
 
 
-@dataclass(frozen=True, eq=False)
-class SeesAll:
+class SeesAll(Told):
     """A source that looks at every frame that has a pose, whatever it is given."""
 
     name: ClassVar[str] = "sees-all"
-    local: ClassVar[bool] = False
-    frames: np.ndarray
 
     @classmethod
     def fit(cls, data, frames):
@@ -35,13 +32,6 @@ class SeesAll:
 
     def answer(self, evidence):
         return SourceAnswer(measurements=[[]] * len(evidence))
-
-    def state(self):
-        return SourceState({"frames": self.frames})
-
-    @classmethod
-    def from_state(cls, state):
-        return cls(state.arrays["frames"])
 
 
 @pytest.mark.parametrize("calibrate_on", [Calibration.FRAMES, Calibration.STRETCHES])

@@ -1,3 +1,4 @@
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -41,17 +42,15 @@ def test_few_frames_say_nothing(redkitchen):
         assert np.isnan(measure_depths(sequence, frames)).all()
 
 
-def test_bad_sequences_are_told(small_corridor, tmp_path):
-    import shutil
-
-    sequence = read_sevenscenes(small_corridor)
+def test_bad_sequences_are_told(redkitchen, tmp_path):
+    for path in sorted(redkitchen.glob("frame-00000*")):
+        shutil.copy(path, tmp_path)
+    sequence = read_sevenscenes(tmp_path)
     with pytest.raises(PoseError):
-        measure_depths(replace(sequence, truth=None), np.arange(50))
-    shutil.copytree(small_corridor, tmp_path / "copy")
-    copy = read_sevenscenes(tmp_path / "copy")
-    copy.image_paths[3].write_bytes(b"no image")
+        measure_depths(replace(sequence, truth=None), np.arange(10))
+    sequence.image_paths[3].write_bytes(b"no image")
     with pytest.raises(ImageError, match="frame-000003"):
-        measure_depths(copy, np.arange(12))
+        measure_depths(sequence, np.arange(10))
 
 
 def test_a_model_that_knows_no_depths_is_saved_and_answers(small_world, tmp_path):

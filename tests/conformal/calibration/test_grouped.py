@@ -4,13 +4,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
-from conformodal.conformal import ConformalError, conformal_quantile, grouped_maximum_quantile, grouped_quantile
+from conformodal.conformal import (
+    ConformalError,
+    conformal_quantile,
+    conformal_rank,
+    coverage_band,
+    grouped_coverage_band,
+    grouped_maximum_quantile,
+    grouped_quantile,
+)
 
 GROUPS = st.lists(st.lists(st.integers(0, 12), min_size=1, max_size=6), min_size=2, max_size=9)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 @given(GROUPS, st.integers(1, 99))
 def test_the_guarantee_holds_exactly_for_exchangeable_groups(groups, percent):
     """Given the groups, each is the new one with the same probability: the law is a finite sum, compared exactly."""
@@ -58,13 +67,7 @@ def test_sums_are_exact_where_floats_are_not():
     assert grouped_quantile(groups, "0.1") == 82  # all the weight of nine groups of ten, to the last third
 
 
-@pytest.mark.parametrize(("group", "message"), [([], "group 1"), ([[1.0]], "group 1"), ([np.nan], "NaN")])
-def test_groups_that_are_none_are_refused(group, message):
-    with pytest.raises(ConformalError, match=message):
-        grouped_quantile([[1.0], group], 0.1)
-
-
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_members_of_a_category_have_the_guarantee_of_whole_groups(seed):
     """Every group in turn is the new one: its members of a category miss with their share of alpha at most, exactly."""
     rng = np.random.default_rng(seed)
@@ -90,3 +93,32 @@ def test_all_members_of_a_group_weigh_as_much_as_without_sizes():
     assert grouped_quantile(groups, 0.3, [8, 6, 4]) == float("inf")  # half of each: too little weight for this rate
     with pytest.raises(ConformalError, match="sizes"):
         grouped_quantile(groups, 0.4, [3, 3, 2])
+
+
+@pytest.mark.parametrize("alpha", [0.1, 0.25])
+@pytest.mark.parametrize("level", [0.9, 0.99])
+def test_one_group_is_the_plain_band(alpha, level):
+    for n, m in ((9, 1), (20, 7), (200, 80)):
+        assert grouped_coverage_band([(n, m)], alpha, level) == coverage_band(n, m, alpha, level)
+
+
+def test_two_groups_are_the_sum_over_all_pairs_of_counts():
+    groups, alpha, level = [(12, 8), (31, 5)], 0.1, 0.95
+    ranks = [conformal_rank(n, alpha) for n, _ in groups]
+    laws = [stats.betabinom(m, k, n + 1 - k) for (n, m), k in zip(groups, ranks, strict=True)]
+    law = np.zeros(14)
+    for a in range(9):
+        for b in range(6):
+            law[a + b] += laws[0].pmf(a) * laws[1].pmf(b)
+    below = np.cumsum(law)
+    low = next(c for c in range(14) if below[c] >= 0.025)
+    high = next(c for c in range(14) if below[c] >= 0.975)
+    assert grouped_coverage_band(groups, alpha, level) == (low / 13, high / 13)
+
+
+def test_groups_without_a_threshold_are_always_covered():
+    assert grouped_coverage_band([(0, 3), (8, 4)], 0.1) == (1.0, 1.0)
+    low, high = coverage_band(50, 10, 0.1)
+    found = grouped_coverage_band([(50, 10), (8, 30)], 0.1)
+    np.testing.assert_allclose(found, ((10 * low + 30) / 40, (10 * high + 30) / 40))
+    assert grouped_coverage_band([(50, 10), (8, 0), (60, 0)], 0.1) == (low, high)  # nobody in them

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from conformodal.conformal import ConformalError, QuantileBins, Regions, SplitConformal, diagnose
+from conformodal.conformal import QuantileBins, Regions, SplitConformal, diagnose
 from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
 from conformodal.conformal.diagnostics.diagnosis import summarise_sizes
 from conformodal.conformal.diagnostics.slab import lowest_run, worst_slab
@@ -36,13 +36,13 @@ def test_a_slab_that_is_missed_is_found_and_checked_on_the_other_half():
 def test_uniformity_has_the_exact_law_of_exchangeable_samples_ties_included():
     rng = np.random.default_rng(1)
     for draw in (lambda size: rng.normal(size=size), lambda size: rng.integers(0, 3, size) * 1.0):
-        p = [check_uniformity(draw(30), draw(60), repeats=99, random_state=i).p_value for i in range(400)]
+        p = [check_uniformity(draw(30), draw(60), repeats=99, random_state=i).p_value for i in range(200)]
         # p is uniform on 1/100, ..., 1: counts in ten equal cells are multinomial
         assert stats.chisquare(np.histogram(p, np.arange(11) / 10 + 1e-9)[0]).pvalue > 0.001
     shifted = check_uniformity(rng.normal(size=300), rng.normal(0.5, 1, 300))
     assert shifted.p_value == 0.001
     # p-values are dependent: a test for independent ones rejects far too often
-    naive = [stats.kstest(check_uniformity(rng.random(30), rng.random(300), 1).p_values, "uniform") for _ in range(200)]
+    naive = [stats.kstest(check_uniformity(rng.random(30), rng.random(300), 1).p_values, "uniform") for _ in range(100)]
     assert np.mean([t.pvalue < 0.05 for t in naive]) > 0.2
 
 
@@ -97,42 +97,6 @@ def test_a_diagnosis_reports_a_broken_guarantee():
     assert "BELOW" in str(diagnose(cal, proba, y))
 
 
-def test_errors_name_the_argument():
-    cal, proba, y, X = problem("none")
-    inside = np.ones(5, bool)
-    for bad, match in (
-        (lambda: diagnose(cal, proba, y, names=["a"]), "names"),
-        (lambda: diagnose(cal, proba, y, X[:7]), "X must"),
-        (lambda: diagnose(cal, proba, y, groups=[1]), "groups"),
-        (lambda: diagnose(cal, proba[:0], y[:0]), "at least one"),
-        (lambda: coverage_by_size(inside, [1.0], 9, 0.1), "sizes must have"),
-        (lambda: coverage_by_size(inside, np.full(5, np.nan), 9, 0.1), "NaN"),
-        (lambda: coverage_by_size(inside, np.ones(5), 9, 0.1, strata=0), "strata"),
-        (lambda: worst_slab(inside, np.ones((5, 1)), 9, 0.1, mass=0), "mass"),
-        (lambda: worst_slab(inside[:1], np.ones((1, 1)), 9, 0.1), "at least 2"),
-        (lambda: check_uniformity([], [1.0]), "calibration_scores"),
-        (lambda: check_uniformity([1.0], [np.nan]), "test_scores"),
-        (lambda: check_uniformity([1.0], [1.0], repeats=0), "repeats"),
-        (lambda: summarise_sizes(cal.predict(proba[:0])), "at least one"),
-    ):
-        with pytest.raises(ConformalError, match=match):
-            bad()
-
-
-@pytest.mark.parametrize(("level", "chance"), [(0.99, 0.01), (0.995, 0.005), (0.8, 0.2)])
-def test_the_text_says_how_often_honest_splits_lie_outside(level, chance):
-    cal, proba, y, _ = problem("none")
-    found = diagnose(cal, proba, y, level=level)
-    text = " ".join(str(found).split())
-    assert f"with probability up to {chance:g} (one of 2: up to {2 * chance:g})" in text
-    assert f"{100 * level:g} % band" in text
-    # what the text says is true: the band holds all but so much of the law
-    check = found.columns[0].coverage
-    law = stats.betabinom(check.n_test, check.rank, check.n_calibration + 1 - check.rank)
-    low, high = round(check.low * check.n_test), round(check.high * check.n_test)
-    assert law.cdf(low - 1) + law.sf(high) <= chance
-
-
 def test_many_samples_are_tested_by_a_random_part():
     rng = np.random.default_rng(0)
     known, new = rng.random(20_000), rng.random(6000)
@@ -142,10 +106,3 @@ def test_many_samples_are_tested_by_a_random_part():
     few = check_uniformity(known[:900], new, repeats=99)
     assert (few.n_calibration, few.n_test) == (900, 2000)
     assert check_uniformity(np.sort(known), np.sort(new) + 0.1, repeats=99).p_value == 0.01  # drawn, not the first
-
-
-def test_of_many_samples_two_thousand_choose_the_slab_and_all_others_check_it():
-    rng = np.random.default_rng(0)
-    X, inside = rng.random((20_000, 1)), rng.random(20_000) < 0.9
-    assert worst_slab(inside, X, 2000, 0.1, mass=1.0).coverage.n_test >= 17_900
-    assert worst_slab(inside[:3000], X[:3000], 2000, 0.1, mass=1.0).coverage.n_test <= 1500

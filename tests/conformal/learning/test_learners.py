@@ -7,7 +7,7 @@ from sklearn.naive_bayes import GaussianNB
 from sklearn.neighbors import KNeighborsClassifier
 
 from conformodal.conformal import ConformalError, ConformalRegressor, QuickDensity, SlowFitWarning, StackedDensity
-from conformodal.conformal.learning.learners import announce, as_learner, on_stderr
+from conformodal.conformal.learning.learners import announce, as_learner
 
 
 class Slow:
@@ -71,11 +71,6 @@ def test_expected_seconds_grow_with_the_table():
         assert not announce(GaussianNB(), 10**9, 10, 1)
     with pytest.warns(SlowFitWarning, match="minutes"):
         assert announce(QuickDensity(), 30_000, 2000, 1)
-
-
-def test_lines_of_progress(capsys):
-    on_stderr(1, 3)(2, 5)
-    assert capsys.readouterr().err == "target 2 of 3: 2 of 5 parts, 0 s\n"
 
 
 def test_weights_reach_a_classifier():

@@ -1,9 +1,16 @@
 import numpy as np
 import pytest
+from scipy.optimize import check_grad
 from scipy.stats import norm
-from sklearn.exceptions import NotFittedError
+from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import Matern
 
-from conformodal.conformal import ConformalError, ConformalRegressor, QuickDensity, check_coverage
+from conformodal.conformal import QuickDensity
+from conformodal.conformal.learning import process
+from conformodal.conformal.learning.forest import LeafForest, group_values, rank_cosines
+from conformodal.conformal.learning.location import folds_of
+from conformodal.conformal.learning.process import SparseProcess
 
 EDGES = np.linspace(-3, 3, 61)
 
@@ -46,27 +53,7 @@ def test_it_integrates_to_one_wherever_it_is_asked(fitted):
         np.testing.assert_allclose(found.sum(axis=1), 1)
 
 
-def test_a_location_beside_the_truth_is_followed():
-    rng = np.random.default_rng(3)
-    X = rng.uniform(-1, 1, (600, 3))
-    y = np.sin(3 * X[:, 0]) + X[:, 1] + 0.05 * rng.standard_normal(600)
-    proba = QuickDensity(random_state=0).fit_bins(X[:500], y[:500], EDGES).predict_proba(X[500:])
-    mean = proba @ ((EDGES[1:] + EDGES[:-1]) / 2)
-    truth = np.sin(3 * X[500:, 0]) + X[500:, 1]
-    assert np.sqrt(np.mean((mean - truth) ** 2)) < 0.1
-
-
-def test_coverage_of_the_default_lies_in_its_exact_band():
-    X, y = two_branches(1400, 4)
-    reg = (
-        ConformalRegressor(random_state=0, calibration_size=0)
-        .fit(X[:500], y[:500])
-        .conformalize(X[500:800], y[500:800])
-    )
-    inside = reg.predict_region(X[800:]).contains(y[800:])[:, 0]
-    assert check_coverage(inside, 300, 0.1, 0.999).inside
-
-
+@pytest.mark.slow
 def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
     X, y = two_branches(120, 5)
     weight = np.random.default_rng(0).integers(0, 3, 120).astype(float)
@@ -79,13 +66,14 @@ def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
     np.testing.assert_array_equal(plain, same)
 
 
+@pytest.mark.slow
 def test_weights_move_the_density():
     X, y = two_branches(400, 6)
     upper = QuickDensity(random_state=0).fit_bins(X, y, EDGES, np.where(y > 0, 9.0, 1.0)).predict_proba(X)
     assert abs(upper[:, EDGES[1:] > 0].sum(axis=1).mean() - 0.9) < 0.04
 
 
-@pytest.mark.parametrize("n", [2, 3, 7])
+@pytest.mark.parametrize("n", [2, 7])
 def test_few_rows_and_constant_columns(n):
     X, y = np.ones((n, 1)), np.arange(n, dtype=float)
     for values in (y, 0 * y):
@@ -99,20 +87,78 @@ def test_rows_beyond_the_most_are_drawn_from():
     assert model.location_.out_of_fold_.shape[0] == 50
 
 
-def test_errors():
-    X, y = two_branches(20, 0)
-    with pytest.raises(NotFittedError):
-        QuickDensity().predict_proba(X)
-    for weight, what in (
-        (np.ones(3), "shape"),
-        (-np.ones(20), "Negative"),
-        (np.full(20, np.nan), "NaN"),
-        (np.zeros(20), "zero"),
-        (np.eye(20)[0], "at least 2 rows"),
-    ):
-        with pytest.raises(ConformalError, match=what):
-            QuickDensity().fit_bins(X, y, EDGES, weight)
-    with pytest.raises(ConformalError, match="max_rows"):
-        QuickDensity(max_rows=1).fit_bins(X, y, EDGES)
-    with pytest.raises(ConformalError, match="one value per row"):
-        QuickDensity().fit_bins(X, y[:3], EDGES)
+def table(n, seed=0):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 3))
+    return X, np.sin(3 * X[:, 0]) + X[:, 1] ** 2 + 0.1 * rng.standard_normal(n)
+
+
+@pytest.mark.parametrize("lengths", [1, 3])
+def test_the_gradient_is_that_of_the_likelihood(lengths):
+    X, y = table(40)
+    weight = np.random.default_rng(1).uniform(0.5, 2, 40)
+    at = np.append(np.linspace(-0.5, 0.5, lengths), (0.3, -2.0))
+    args = (X, y, weight, 0.7)
+    apart = check_grad(lambda t: process._unlikelihood(t, *args)[0], lambda t: process._unlikelihood(t, *args)[1], at)
+    assert apart < 1e-4 * np.linalg.norm(process._unlikelihood(at, *args)[1])
+
+
+def test_predictions_in_and_out_of_fold_are_those_of_scikit_learn():
+    X, y = table(80)
+    folds = folds_of(80, 0)
+    found = SparseProcess(0).fit(X, y, np.ones(80), folds)
+    features = found._features(X) * found._inverse
+    oracle = GaussianProcessRegressor(Matern(1.0, "fixed", nu=1.5), alpha=found._noise + 1e-8, optimizer=None)
+    other = np.random.default_rng(2).uniform(-1, 1, (20, 3))
+    oracle.fit(features, y - y.mean())
+    expected = oracle.predict(found._features(other) * found._inverse) + y.mean()
+    np.testing.assert_allclose(found.predict(other), expected, atol=1e-8)
+    seen, left_out = folds[0]
+    expected = oracle.fit(features[seen], y[seen] - y.mean()).predict(features[left_out]) + y.mean()
+    np.testing.assert_allclose(found.out_of_fold_[left_out], expected, atol=1e-8)
+
+
+def test_many_rows_are_answered_from_few(monkeypatch):
+    monkeypatch.setattr(process, "_EXACT_ROWS", 100)
+    monkeypatch.setattr(process, "_INDUCING", 80)
+    X, y = table(400)
+    found = SparseProcess(0).fit(X, y, np.ones(400), folds_of(400, 0))
+    truth = np.sin(3 * X[:, 0]) + X[:, 1] ** 2
+    assert found._points.shape == (80, 3)
+    assert np.sqrt(np.mean((found.predict(X) - truth) ** 2)) < 0.08
+    assert np.sqrt(np.mean((found.out_of_fold_ - truth) ** 2)) < 0.1
+
+
+def grown(weight):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (300, 2))
+    y = X[:, 0] + 0.1 * rng.standard_normal(300)
+    groups, at = group_values(y)
+    forest = LeafForest(ExtraTreesRegressor, 20, 5, 0, None)
+    rows = np.arange(0, 300, 3)
+    return forest.fit(X, rank_cosines(y, 4), y, weight, [(groups, at)], rows), X, y, groups, rows
+
+
+def test_weights_are_those_of_the_leaves_one_by_one():
+    weight = np.random.default_rng(1).uniform(0.5, 2, 300)
+    forest, X, _, groups, _ = grown(weight)
+    asked = X[:10] * 0.9
+    leaves = [tree.apply(asked.astype(np.float32)) for tree in forest.forest.estimators_]
+    known = [tree.apply(X.astype(np.float32)) for tree in forest.forest.estimators_]
+    expected = np.zeros((10, groups.max() + 1))
+    for to, of, drawn in zip(leaves, known, forest.forest.estimators_samples_, strict=True):
+        count = np.bincount(drawn, minlength=300) * weight
+        for i, leaf in enumerate(to):
+            share = np.bincount(groups, count * (of == leaf), minlength=expected.shape[1])
+            expected[i] += share / share.sum() / len(known)
+    np.testing.assert_allclose(forest.weights(forest.apply(asked))[0], expected, atol=1e-12)
+
+
+def test_out_of_bag_rows_sum_to_one_and_follow_the_values():
+    forest, _, y, groups, rows = grown(np.ones(300))
+    (found,) = forest.out_of_bag_
+    assert found.shape == (100, groups.max() + 1)
+    np.testing.assert_allclose(found.sum(axis=1), 1)
+    assert np.corrcoef(forest.out_of_bag_mean_, y)[0, 1] > 0.9
+    at = np.array([y[groups == g].mean() for g in range(found.shape[1])])
+    np.testing.assert_allclose(found @ at, forest.out_of_bag_mean_[rows], atol=0.05)

@@ -55,14 +55,6 @@ def test_a_share_of_zeros_in_a_continuous_target_stays_where_it_is():
     assert found[:, beside].mean() < 0.05  # each holds about a thirtieth of what is not zero
 
 
-def test_values_on_a_grid_are_smoothed_though_bins_hold_one_of_them():
-    y = np.round(np.random.default_rng(0).standard_normal(5000), 1)
-    edges = QuantileBins(40, margin=0.02).fit(y).edges_[0]
-    smoothing = BinSmoothing(bin_codes(y, edges), y, None, edges.size - 1)
-    smoothing.weights = np.eye(smoothing.weights.size)[3]
-    assert smoothing(np.eye(edges.size - 1)).max() < 0.5
-
-
 def test_components_are_distributions_whatever_the_bins_hold():
     rng = np.random.default_rng(0)
     for y in (rng.poisson(2.0, 300) * 1.0, np.repeat([0.0, 9.0], 150), rng.standard_normal(5), np.zeros(9)):

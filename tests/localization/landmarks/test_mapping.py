@@ -6,10 +6,24 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.localization import local_features
 from conformodal.localization.landmarks.camera_fit import Matches, fit_camera
-from conformodal.localization.landmarks.mapping import build_map
+from conformodal.localization.landmarks.mapping import build_map, view_overlap
+from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.landmarks.triangulation import Rays, triangulate
 from conformodal.localization.local_features import Matcher, match
 from conformodal.localization.settings import MAPPING, PNP
+from conformodal.poses import Trajectory
+from tests.localization.landmarks.conftest import CAMERA, DEPTH, make_world
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """A world and its map; an image near the middle of the way."""
+    world = make_world()
+    return (
+        world,
+        build_map(world.local_features(), world.poses_se3, CAMERA, DEPTH),
+        world.see(world.poses_se3[30], seed=3),
+    )
 
 
 def errors(estimate, pose):
@@ -54,15 +68,8 @@ def test_few_matches_leave_the_camera_as_it_was(stated_camera):
     np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
 
 
-def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
-    world = world_of(factor=2.2)
-    assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
-
-
-def test_hidden_keyframes_do_not_help(world_of, stated_camera, depth_m):
-    world = world_of()
-    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
-    image = world.see(world.poses_se3[20], seed=1000)
+def test_hidden_keyframes_do_not_help(mapped):
+    _, landmarks, image = mapped
     assert landmarks.localize(image)
     assert landmarks.localize(image, np.ones(60, dtype=bool)) == []
     only = np.ones(60, dtype=bool)
@@ -84,10 +91,8 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
     assert near[1] - near[0] == pytest.approx(100, abs=0.05)
 
 
-def test_corrections_take_off_what_neighbours_are_off_by(world_of, stated_camera, depth_m):
-    world = world_of()
-    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
-    image = world.see(world.poses_se3[30], seed=3)
+def test_corrections_take_off_what_neighbours_are_off_by(mapped):
+    _, plain, image = mapped
     (before,) = plain.localize(image)
     off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
     (after,) = replace(plain, corrections=np.tile(off, (60, 1))).localize(image)
@@ -97,35 +102,10 @@ def test_corrections_take_off_what_neighbours_are_off_by(world_of, stated_camera
     assert (after.sigma_m, after.sigma_rad) == (before.sigma_m, before.sigma_rad)  # all are off alike
 
 
-def test_claims_grow_as_neighbours_are_off_in_other_ways(world_of, stated_camera, depth_m):
-    world = world_of()
-    plain = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
-    image = world.see(world.poses_se3[30], seed=3)
-    (before,) = plain.localize(image)
-    signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
-    (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
-    mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
-    assert abs(mean) < 0.04
-    assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)
-    turned = (0.05**2 - mean**2) * (0.01 / 0.05) ** 2 / 3
-    assert after.sigma_rad**2 - before.sigma_rad**2 == pytest.approx(turned, rel=1e-6)
-
-
-def test_an_image_of_something_else_gives_no_estimate(world_of, stated_camera, depth_m):
-    world, other = world_of(), world_of(seed=9)
-    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
-    estimates = landmarks.localize(other.see(other.poses_se3[3]))
+def test_an_image_of_something_else_gives_no_estimate(mapped):
+    other = make_world(seed=9)
+    estimates = mapped[1].localize(other.see(other.poses_se3[3]))
     assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
-
-
-def test_claims_grow_as_corners_get_fewer(world_of, stated_camera, depth_m):
-    world = world_of()
-    landmarks = build_map(world.local_features(), world.poses_se3, stated_camera, depth_m)
-    image = world.see(world.poses_se3[30], seed=3)
-    few = image._replace(pixels=image.pixels[:60], descriptors=image.descriptors[:60])
-    (of_many,), (of_few,) = landmarks.localize(image), landmarks.localize(few)
-    assert of_few.sigma_m > 1.5 * of_many.sigma_m
-    assert of_few.sigma_rad > 1.5 * of_many.sigma_rad
 
 
 def rays_to(points, centres, off=0.0):
@@ -186,3 +166,80 @@ def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, 
     asked.clear()
     build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
     assert second < 0.9 * len(asked)
+
+
+def test_a_corner_counts_once_although_several_keyframes_match_it(mapped):
+    _, landmarks, image = mapped
+    (near,) = landmarks._retrieve(image.global_descriptor, np.ones(60, dtype=bool))
+    matches = {}
+    landmarks.localize(image, matches=matches)
+    assert sorted(matches) == sorted(near)
+    corners = np.concatenate([pairs[:, 0] for pairs in matches.values()])
+    assert len(corners) > 1.5 * len(np.unique(corners))  # most were matched more than once
+    (found,) = landmarks.localize(image)
+    assert found.n_inliers <= len(np.unique(corners)) <= len(image.pixels)
+    assert 0.9 < found.inlier_share <= 1
+    assert 0.5 < found.image_share < 1.5  # points are all over the image
+    half = image.pixels[:, 0] < 320
+    (found,) = landmarks.localize(image._replace(pixels=image.pixels[half], descriptors=image.descriptors[half]))
+    assert found.image_share < 0.7
+
+
+def test_an_estimate_says_how_far_the_nearest_keyframe_is(mapped):
+    _, plain, image = mapped
+    landmarks = replace(plain, corrections=np.zeros((60, 6)))
+    (at,) = landmarks.localize(image)
+    (off,) = landmarks.localize(image, np.abs(np.arange(60) - 30) < 8)
+    assert at.distance_to_known < 0.02 < off.distance_to_known
+
+
+def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m):
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[1, :3, :3] = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
+    poses[2, 0, 3] = 0.5
+    poses[3, 0, 3] = 1.5
+    shares = view_overlap(poses, 0, stated_camera, depth_m)
+    assert shares[0] == 1
+    assert shares[1] == 0
+    assert 1 > shares[2] > shares[3] > 0
+
+
+@pytest.mark.slow
+def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
+    world_of, stated_camera, depth_m, monkeypatch
+):
+    monkeypatch.setattr(
+        "conformodal.localization.landmarks.source.MAPPING", replace(MAPPING, left_out=40)
+    )  # of 80: half the time
+    world = world_of(n=80)
+    times = np.arange(80) / 10
+    quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
+    truth = Trajectory(times, world.poses_se3[:, :3, 3], quats)
+    groups = [np.arange(80), np.arange(80) // 4]
+    frames = np.arange(100, 180)
+    source = LandmarkSource.of(world.local_features(wrong=0.3), truth, groups, stated_camera, depth_m, frames)
+    np.testing.assert_array_equal(source.frames, frames)
+    shown = [
+        one for i in range(5, 75, 7) for one in source.localize(world.see(world.poses_se3[i], seed=900 + i, wrong=0.3))
+    ]
+    assert len(shown) == 10
+    assert min(one.inlier_probability for one in shown) > 0.5
+    other = world_of(n=80, seed=9)  # a place that is not in the map
+    assert [one for i in range(5, 75, 7) for one in source.localize(other.see(other.poses_se3[i], seed=900 + i))] == []
+
+
+def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
+    world = world_of(factor=2.2)
+    assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
+
+
+def test_claims_grow_as_neighbours_are_off_in_other_ways(mapped):
+    _, plain, image = mapped
+    (before,) = plain.localize(image)
+    signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
+    (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
+    mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
+    assert abs(mean) < 0.04
+    assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)
+    turned = (0.05**2 - mean**2) * (0.01 / 0.05) ** 2 / 3
+    assert after.sigma_rad**2 - before.sigma_rad**2 == pytest.approx(turned, rel=1e-6)

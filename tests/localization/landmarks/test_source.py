@@ -1,17 +1,13 @@
 """Landmarks as a pose source: estimates, their errors, what they add to a region, and streams that match seldom."""
 
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 import pytest
 
 from conformodal.datasets import make_split
-from conformodal.localization.error_model import ErrorModel
-from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.local_features import extract_local_features
-from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.source_data import SourceData
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
@@ -25,7 +21,7 @@ from conformodal.running.results.statistics import RegionStatistics
 from conformodal.training.calibrating import score_beliefs
 from conformodal.training.depths import measure_depths
 from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.features import FeatureCache
 from conformodal.vision.settings import TrainingConfig
 
 pytestmark = pytest.mark.slow  # maps a corridor
@@ -86,35 +82,6 @@ def test_errors_of_held_out_frames_are_about_as_large_as_the_standard_deviations
     assert np.mean(np.array(off) < 2.7955 / 1.538 * np.array(sigmas)) > 0.85
 
 
-def test_it_knows_the_frames_that_it_was_fitted_on_alone(sequence, split, source):
-    np.testing.assert_array_equal(source.frames, split.train)
-    np.testing.assert_allclose(source.map.poses_se3, sequence.truth[split.train].poses_se3, atol=1e-12)
-
-
-def test_a_stored_source_gives_the_same_estimates(sequence, split, source):
-    back = LandmarkSource.from_state(source.state())
-    assert back.errors == source.errors
-    assert back.map.camera == source.map.camera
-    evidence = FrameEvidence(np.zeros((3, 1), np.float32), images(sequence, split.test[:3]))
-    there, here = back.answer(evidence).measurements, source.answer(evidence).measurements
-    assert any(here)
-    for one, other in zip(chain(*there), chain(*here), strict=True):
-        np.testing.assert_array_equal(one.position_xyz, other.position_xyz)
-        assert (one.sigma_m, one.sigma_rad, one.inlier_probability) == (
-            other.sigma_m,
-            other.sigma_rad,
-            other.inlier_probability,
-        )
-
-
-def test_images_without_local_features_have_no_estimates(sequence, split, source):
-    (image,) = images(sequence, split.test[:1])
-    found = source.answer(FrameEvidence(np.zeros((2, 1), np.float32), [None, image])).measurements
-    assert found[0] == []
-    assert found[1]
-    assert source.answer(FrameEvidence(np.zeros((2, 1), np.float32))).measurements == [[], []]
-
-
 def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, blind, sequence, small_world):
     test = model.split.test
     truth = sequence.truth[test].positions_xyz
@@ -152,39 +119,17 @@ def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):
     assert LandmarkSource.of(blank, truth, [np.arange(30)], camera, 3.0, np.arange(30)) is None
 
 
-def test_poses_of_something_else_give_no_landmarks_or_wide_ones(sequence):
-    """Poses that do not belong to the images: no other image may have an estimate that is probable and narrow."""
-    seen = images(sequence, range(90))
-    true = sequence.truth[:60]
+def test_poses_of_something_else_give_wide_estimates(sequence):
+    """Poses that do not belong to the images: no estimate of another image may be narrow."""
+    seen, true = images(sequence, range(90)), sequence.truth[:60]
     shuffled = np.random.default_rng(0).permutation(60)
     wrong = Trajectory(true.timestamps_s, true.positions_xyz[shuffled], true.orientations_quat_wxyz[shuffled])
-    found = LandmarkSource.of(seen[:60], wrong, [np.arange(60)], sequence.camera, 3.0, np.arange(60))
-    assert found is None or all(
-        one.inlier_probability < 0.5 or one.sigma_m > 0.1 for image in seen[60:] for one in found.localize(image)
-    )
-
-
-def test_standard_deviations_and_probabilities_follow_the_prediction_the_distance_and_the_support():
-    errors = ErrorModel(2.0, 0.5, 1.0, 3.0, 1.0, 0.0, -3.0, (1.0, 2.0))
-
-    def scaled(sigma, *support, distance=0.1):
-        one = PoseMeasurement(np.zeros(3), np.array([1.0, 0, 0, 0]), sigma, sigma, 50, distance_to_known=distance)
-        return errors.apply(one, *support)
-
-    small, large, far = scaled(0.01, 400, 0.5), scaled(0.04, 20, 0.1), scaled(0.01, 400, 0.5, distance=0.4)
-    assert (small.sigma_m, large.sigma_m, far.sigma_m) == pytest.approx((0.02, 0.04, 0.08))
-    assert (small.sigma_rad, large.sigma_rad, far.sigma_rad) == pytest.approx((0.03, 0.12, 0.03))
-    assert small.inlier_probability == far.inlier_probability == pytest.approx(1 / (1 + np.exp(3) / (400 * 0.5**2)))
-    assert large.inlier_probability == pytest.approx(1 / (1 + np.exp(3) / (20 * 0.1**2)))
-    near = scaled(0.01, 400, 0.5, distance=0.0)  # nothing is nearer than the least
-    assert 0 < near.sigma_m == scaled(0.01, 400, 0.5, distance=0.001).sigma_m
-
-
-def test_estimates_with_a_standard_deviation_of_half_the_depth_are_dropped(source, sequence, split):
-    seen = images(sequence, split.test[:20])
-    unsure = replace(source, errors=replace(source.errors, position=1e9))
-    assert any(source.localize(image) for image in seen)
-    assert not any(unsure.localize(image) for image in seen)
+    sigmas_m = []
+    for poses in (true, wrong):
+        found = LandmarkSource.of(seen[:60], poses, [np.arange(60)], sequence.camera, 3.0, np.arange(60))
+        sigmas_m.append([one.sigma_m for image in seen[60:] for one in found.localize(image)])
+    assert np.median(sigmas_m[0]) < 0.05
+    assert min(sigmas_m[1], default=np.inf) > 0.1
 
 
 def test_regions_with_landmarks_are_smaller_and_as_sure(model, blind, sequence, small_world):
@@ -234,38 +179,3 @@ def test_frames_that_are_not_matched_have_the_regions_of_the_image_as_a_whole(mo
     table = coverage_table(statistics, model, exchangeable=True, matched_all=False)
     assert "two calibrations" in table["assumption"]
     assert all("band_99" not in row for row in table["targets"].values())
-
-
-def test_recalibration_reaches_both_kinds_of_regions(model):
-    other = replace(model)
-    other.recalibrate(0.5)
-    assert (other.calibration.thresholds_ <= model.calibration.thresholds_).all()
-    kind = np.array([EvidenceType.UNMATCHED])
-    assert (other.rules.thresholds(kind) < model.rules.thresholds(kind)).any()
-
-
-def test_regions_do_not_depend_on_how_many_are_worked_out_at_a_time(model, sequence, small_world, monkeypatch):
-    frames = model.split.test[:20]
-    paths = [sequence.image_paths[i] for i in frames]
-    features = extract_features(paths, model.backbone, FeatureCache(small_world.cache))
-    evidence = FrameEvidence(features, images(sequence, frames))
-    targets = pose_targets(sequence.truth[frames], model.sign_reference)
-
-    def answered():
-        found = model.localize(evidence)
-        return found.regions, score_beliefs(model.rules.matched, model.localizer, found.beliefs, targets)
-
-    at_once = answered()
-    monkeypatch.setattr("conformodal.localization.localizer._IMAGES_AT_A_TIME", 7)
-    in_parts = answered()
-    for one, other in zip(at_once[0].masks, in_parts[0].masks, strict=True):
-        np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(at_once[1], in_parts[1])
-
-
-def test_a_lone_training_recording_has_landmarks(sequence):
-    n = len(sequence)
-    apart = replace(sequence, recording=3 * np.arange(n) // n)
-    split = make_split(apart.recording, "recordings")
-    assert len(np.unique(apart.recording[split.train])) == 1
-    assert LandmarkSource.fit(data_of(apart, split), split.train) is not None
