@@ -16,8 +16,7 @@ from conformodal.datasets.lenses import as_camera
 from conformodal.datasets.nerf import OPENGL_AXES
 from conformodal.poses import PinholeCamera, Trajectory
 
-from .test_colmap_binary import as_binary
-from .test_layouts import PLACES, QUATS, WRITERS, Layout, N, matrices, picture
+from .test_layouts import PLACES, QUATS, WRITERS, Layout, N, as_binary, matrices, picture
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
 
