@@ -143,6 +143,8 @@ def test_hypotheses_beyond_the_cells_support_nothing():
     its = Candidates(np.array([[5.0, 5, 5]]), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
     support = Support.of(its, BINS, SIGN)
     assert not len(support.levels)
+    assert support.out_of_range
+    assert not Support.of(hypotheses(np.random.default_rng(0), 3), BINS, SIGN).out_of_range
     proba = [np.full((1, CELLS), 1 / CELLS)] * 7
     targets = np.full((1, 7), 0.5)
     assert np.isinf(pose_scores(rule_of(), proba, [support], targets).max())

@@ -34,11 +34,19 @@ class Support:
         (m, 7) cell of each target.
     levels
         (m,) level of the region from which each counts: the probability of all that are more probable.
+    within
+        Probability of the cells: the rest lies where no training frame was, or is turned as none was.
     """
 
     candidates: Candidates
     cells: IntArray
     levels: FloatArray
+    within: float = 1.0
+
+    @property
+    def out_of_range(self) -> bool:
+        """Whether the image is most probably from beyond the cells."""
+        return self.within < 0.5
 
     @classmethod
     def of(cls, candidates: Candidates, cells: QuantileBins, sign_reference: FloatArray) -> Self:
@@ -50,7 +58,7 @@ class Support:
         mass = np.exp(its.log_mass)
         within = np.flatnonzero((codes >= 0).all(axis=1))
         levels = np.concatenate(([0.0], np.cumsum(mass)[:-1]))
-        return cls(its.take(within), codes[within], levels[within])
+        return cls(its.take(within), codes[within], levels[within], float(mass[within].sum()))
 
 
 class PoseRegions(Regions):

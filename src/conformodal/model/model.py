@@ -183,6 +183,7 @@ class PoseModel:
         if novelty is not None:
             p = novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
         kinds = self.rules.kinds(p, looked, beliefs.recognised)
+        kinds[[its.out_of_range for its in self.localizer.supports(beliefs)]] = EvidenceType.UNKNOWN
         return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
 
     def regions(self, beliefs: Beliefs, thresholds: RealArray) -> PoseRegions:

@@ -20,7 +20,7 @@ class EvidenceType(IntEnum):
     GLOBAL = 0  # the image as a whole: local features were not matched
     UNMATCHED = 1  # local features were matched, and no place was recognised
     LANDMARKS = 2  # a place was recognised
-    UNKNOWN = 3  # the image is novel: the region is unbounded
+    UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
 
 
 _MATCHED = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)

@@ -76,15 +76,18 @@ def calibrate_regions(
     overall: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     matched: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
+    beyond: dict[bool, list[bool]] = {False: [], True: []}  # by whether local features were matched
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
         targets, own_rules = data.targets[frames], {joint: rule(localizer.cells, joint) for joint in joints}
         images = FrameEvidence(data.features[frames])
         beliefs = localizer.beliefs(images)
+        beyond[False] += [its.out_of_range for its in localizer.supports(beliefs)]
         for joint, own in own_rules.items():
             overall[joint].append(score_beliefs(own, localizer, beliefs, targets))
         if localizer.local:
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
+            beyond[True] += [its.out_of_range for its in localizer.supports(beliefs)]
             for joint, own in own_rules.items():
                 matched[joint].append(score_beliefs(own, localizer, beliefs, targets))
         found.append(beliefs)
@@ -100,6 +103,9 @@ def calibrate_regions(
             novelty = novelty.calibrated(distances, recognition, np.arange(len(held_out)) if units is None else units)
             assert novelty.matched is not None
             matched_p = novelty.matched.left_out_p_values()
+    # of the evidence type of unknown places, as such images will be
+    known_p = np.where(beyond[False], 0.0, known_p)
+    matched_p = np.where(beyond[True], 0.0, matched_p) if local else matched_p
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
 
     def calibrated(joint: Joint) -> RegionRules:
