@@ -90,14 +90,14 @@ ROWS = [
     (EUROC, put("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml: is no EuRoC"),
     *[
         (EUROC, sub("sensor.yaml", "radial-tangential", model), rf"sensor\.yaml: .*{model}.*undistort")
-        for model in ("equidistant", "none", "kannala-brandt")
+        for model in ("none", "kannala-brandt")
     ],
     *[
         (EUROC, sub("sensor.yaml", "data: [", f"data: [{first}, ", 1), r"sensor\.yaml")  # one number too many
         for first in ("1.0", "2.0", ".nan")
     ],
     (EUROC, sub("sensor.yaml", "-1.0", "-1.1", 1), r"sensor\.yaml"),  # not a rotation
-    (COLMAP, sub("images.txt", " 3 0002", " 4 0002"), r"images\.txt.*uses cameras \[3, 4\]"),
+    (COLMAP, sub("images.txt", " 3 0002", " 4 0002"), r"images\.txt.*uses cameras \[4\], expected some of \[3\]"),
     (COLMAP, put("images.txt", "# nothing\n"), r"images\.txt.*holds no image"),
     (COLMAP, sub("images.txt", POINTS, "", 1), r"images\.txt.*has no line of points"),
     (COLMAP, sub("images.txt", POINTS, "10.5 11.5\n", 1), r"images\.txt.*expected 'id qw"),
@@ -110,7 +110,7 @@ ROWS = [
     (COLMAP, add("times.txt", "1 2 4\n"), r"times\.txt: holds 3 times for 5 images"),
     *[
         (COLMAP, colmap_camera(f"{model} 64 48 40 40 32 24 0.1 0.1 0.1 0.1"), f"line 1: .*{model} .*undistort")
-        for model in ("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "FOV")
+        for model in ("THIN_PRISM_FISHEYE", "FOV")
     ],
     *[
         (COLMAP, colmap_camera(f"FULL_OPENCV 64 48 40 40 32 24 0.1 0 0 0 0.01 {lens}"), "line 1: .*FULL_OPENCV .*undis")
@@ -136,8 +136,8 @@ ROWS = [
         )
     ],
     *[
-        (NERF, nerf(own, frame=2), r"transforms\.json: \./images/0002 has a camera of its own")
-        for own in ({"k1": 0.5}, {"w": 128}, {"camera_angle_x": 0.5}, {"camera_model": "FISHEYE"})
+        (NERF, nerf(own, frame=2), r"transforms\.json: .*(camera_model FISHEYE|'h')")
+        for own in ({"w": 128}, {"camera_model": "FISHEYE"})
     ],
     (IMAGES, drop("poses.tum"), r"poses\.tum: poses are missing"),
     *[

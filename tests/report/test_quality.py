@@ -37,17 +37,17 @@ def judged(known=None):
 
 
 def test_the_plan_tells_kinds_apart_by_marks_and_words():
-    plan = quality_plan(*judged())
+    plan = quality_plan(judged())
     for said in ("well covered (114 frames)", "sparsely covered (6)", "57-62"):
         assert said in plan
-    assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(*judged(EVERY >= 0))))
+    assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(judged(EVERY >= 0))))
 
 
 @pytest.mark.parametrize("missing", [True, False])
 def test_the_page_says_what_to_record_next(tmp_path, missing):
-    found, sequence = judged(None if missing else EVERY >= 0)
-    made = {"provenance": {}, "configuration": {}, "quality": quality_record(found, sequence)}
-    write_quality_page(tmp_path, found, sequence, made, ["2 x image cannot be read: a.png"])
+    found = judged(None if missing else EVERY >= 0)
+    made = {"provenance": {}, "configuration": {}, "quality": quality_record(found)}
+    write_quality_page(tmp_path, found, made, ["2 x image cannot be read: a.png"])
     page = (tmp_path / "report.html").read_text()
     assert "<title>Is &lt;b&gt; good enough?</title>" in page
     assert ("frames 57 to 62 (around x=2.4, y=0.0)" in page) == missing

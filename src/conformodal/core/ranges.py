@@ -65,6 +65,7 @@ RANGES = {
     "limit": _whole(1),
     "match_every": _whole(1),
     "metres_per_radian": _POSITIVE,
+    "max_gap": Range(0),
 }
 
 

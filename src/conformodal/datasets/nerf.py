@@ -67,7 +67,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     names = [str(frame["file_path"]) for frame in frames]
     place = PathGuard(folder, path, follow_outside=follow_outside)
     images = [_image(place, name) for name in names]
-    if not any(image.is_file() for image in images):
+    if not any(map(os.path.isfile, images)):  # False for names that are too long, too
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
     first: dict[str, str] = {}
     for name, image in zip(names, images, strict=True):
@@ -100,7 +100,7 @@ def _cameras(path: Path, stated: list[dict[str, Any]], images: list[Path], notes
     made: dict[str, AnyCamera] = {}
     for key, camera in zip(keys, stated, strict=True):
         if key not in made:
-            there = [image for image, other in zip(images, keys, strict=True) if other == key and image.is_file()]
+            there = [image for image, other in zip(images, keys, strict=True) if other == key and os.path.isfile(image)]
             size = common_size(there or [image for image in images if image.is_file()])
             made[key] = _camera(path, camera, size, notes)
     return [made[key] for key in keys]

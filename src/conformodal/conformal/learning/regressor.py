@@ -214,7 +214,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
-        return PredictiveDensity(self.bins_, self.predict_bins(X))
+        proba = self.predict_bins(X)
+        return PredictiveDensity(self.bins_, proba)
 
     @overload
     def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
@@ -275,7 +276,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if is_frame(y):
             names = [str(name) for name in names_of(y)]
             y = np.column_stack([as_doubles(as_column(column_of(y, j), n), f"y, {n},") for j, n in enumerate(names)])
-        elif hasattr(y, "name") and hasattr(y, "__array__"):  # a series
+        elif hasattr(y, "to_frame"):  # a series
             names, y = [str(y.name)] if y.name else None, as_doubles(as_column(y, y.name), f"y, {y.name},")
         if isinstance(y, np.ndarray) and y.dtype.kind == "f" and y.ndim and np.isnan(y).any():
             gaps = np.flatnonzero(np.isnan(y.reshape(len(y), -1)).any(axis=1))
