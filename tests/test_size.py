@@ -7,21 +7,21 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2630,
+    "cli": 2670,
     "conformal": 5030,
     "core": 430,
-    "datasets": 4740,
-    "localization": 2510,
+    "datasets": 4920,
+    "localization": 2570,
     "model": 1360,
     "motion": 990,
     "networks": 760,
-    "poses": 1080,
+    "poses": 990,
     "quality": 930,
     "reasoning": 1550,
     "report": 820,
     "ros": 750,
     "running": 2370,
-    "training": 690,
+    "training": 700,
     "vision": 470,
 }
 
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18200
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18550
