@@ -200,7 +200,7 @@ def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp
         rule.rule.loc_, rule.rule.scale_ = shift, scale
         rule.calibrate_scores(rng.normal(size=(80, 7)), groups)
     rules = RegionRules(overall, matched, recognised, rng.random(80), 0.1)
-    save_model(replace(model, rules=rules), tmp_path)
+    save_model(replace(model, rules=rules, path_rules={}), tmp_path)
     back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
     assert np.isfinite(rules.thresholds(kinds[:3])).all()

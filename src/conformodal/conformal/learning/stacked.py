@@ -43,7 +43,7 @@ class StackedDensity(MixtureDensity):
     Attributes
     ----------
     edges_ : (K + 1,) edges of the bins
-    weights_ : (5,) of the mixture, in the order of :class:`QuickDensity`
+    weights_ : (5,) of the mixture, in the order of `QuickDensity`
     """
 
     def __init__(self, n_trees: int = 100, random_state: Any = None, n_jobs: int | None = None) -> None:
