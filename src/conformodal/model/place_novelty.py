@@ -75,7 +75,8 @@ class PlaceNovelty:
         if asked is not None:
             return asked
         by_frame = bool((self.test.weights_ == 1).all())
-        return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, self.test.least_p)
+        least = max(its.least_p for its in (self.test, self.matched) if its is not None)
+        return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, least)
 
 
 def _with_recognition(distances: FloatArray, recognition: FloatArray) -> FloatArray:
