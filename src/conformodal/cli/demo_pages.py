@@ -85,7 +85,7 @@ def describe_ratios(metrics: dict[str, Any]) -> str:
     """The last line on the terminal: the regressor's error over that of each method."""
     errors = metrics["errors"]
     regressor = errors["classical"]["rmse_m"]
-    ratios = [f"{name} {regressor / row['rmse_m']:.1f}" for name, row in errors.items() if name != "classical"]
+    ratios = [f"{name} {regressor / row['rmse_m']:.2f}" for name, row in errors.items() if name != "classical"]
     return f"rmse_m of the classical regressor / of the method: {', '.join(ratios)} ({metrics['seconds']:.0f} s in all)"
 
 
