@@ -50,13 +50,13 @@ def test_clicking_through_the_page(opened, make_run, tmp_path, scheme):
     assert all(used > 200 for used, _ in first.values()), first
     assert page.inner_text("#label").startswith("frame-000 (frame 1 of 60, 0.00 s)")
     words = page.inner_text("#words")
-    assert "intervals along x, y, z\n1, 1, 1" in words
+    assert "places of the image\n1\n" in words
     assert "0.0173 m" in words  # off by 0.01 along each axis
     source = page.get_attribute("#frame", "src")
     # the slider
     page.fill("#scrub", "40")
     assert page.inner_text("#label").startswith("frame-040 (frame 41 of 60, 4.00 s)")
-    assert "intervals along x, y, z\n2, 1, 1" in page.inner_text("#words")
+    assert "places of the image\n2\n" in page.inner_text("#words")
     assert page.get_attribute("#frame", "src") != source
     then = {name: ink(page, name) for name in canvases}
     assert all(then[name] != first[name] for name in canvases)
