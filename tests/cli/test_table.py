@@ -120,3 +120,10 @@ def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, 
     result = invoke("table", tmp_path / "own.csv", "--target", "doze")
     assert result.exit_code == 2
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_file_that_is_not_there_is_refused_as_an_input(tmp_path):
+    for path in (tmp_path / "missing.csv", tmp_path):
+        result = invoke("table", path, "--target", "y")
+        assert result.exit_code == 2
+        assert str(path) in result.output.replace("\n", "")

@@ -82,7 +82,10 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
     Commas, semicolons, tabs or bars separate; numbers may have decimal commas; UTF-8, UTF-16 and the encoding of
     Western Windows are read. A column holds numbers or dates if 95 % of its values are; the others are then missing.
     """
-    content = file.read_bytes()
+    try:
+        content = file.read_bytes()
+    except OSError as exc:
+        raise TableError(f"{file}: cannot be read: {exc.strerror}") from None
     encodings = ["utf-16"] if content[:2] in (b"\xff\xfe", b"\xfe\xff") else ["utf-8-sig", "cp1252", "latin-1"]
     for encoding in encodings:
         try:

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
-from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.filter import Posterior
 
 from .fusion import Mixture
@@ -56,10 +55,9 @@ class Beliefs:
         """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief."""
         mixtures = []
         for own, posterior in zip(self.mixtures, posteriors, strict=True):
-            known = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
-            joined = Candidates.concatenate((known, own.candidates.normalised(np.log(posterior.elsewhere))))
-            measured = np.concatenate((np.ones(len(known.log_mass), dtype=np.bool_), own.measured))
-            mixtures.append(Mixture(joined, measured))
+            known = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
+            joined = posterior.with_image(own.candidates)
+            mixtures.append(Mixture(joined, np.concatenate((known, own.measured))))
         return Beliefs(self.proba, mixtures, self.estimates)
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:

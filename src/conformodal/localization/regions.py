@@ -92,13 +92,11 @@ class PoseRegions(Regions):
         super().__init__(bins, masks, unbounded)
         self.supports, self.limits, self.product = list(supports), np.asarray(limits), product
         self.boxes: list[IntArray] = []  # (b, 7, 2): first cell and one past the last
-        self._box_of: list[IntArray] = []  # (m,) of each hypothesis, -1 for none
         kept = [np.zeros_like(mask) for mask in self.masks]
         for i, (support, limit) in enumerate(zip(self.supports, self.limits, strict=True)):
             runs = super().runs(i)
-            boxes, box_of = _supported(runs, support, [mask[i] for mask in self.masks], limit)
+            boxes = _supported(runs, support, [mask[i] for mask in self.masks], limit)
             self.boxes.append(boxes)
-            self._box_of.append(box_of)
             for j, mask in enumerate(kept):
                 for low, high in boxes[:, j]:
                     mask[i, low:high] = True
@@ -156,9 +154,10 @@ class PoseRegions(Regions):
 
         What is missing from the sum of their probabilities is that of elsewhere.
         """
-        its, found = self.supports[i].candidates, []
-        for k, box in enumerate(self.box_edges(i)):
-            found.append(summarise(its.take(np.flatnonzero(self._box_of[i] == k)), box))
+        its, found = self.supports[i], []
+        for (low, high), edges in zip(np.moveaxis(self.boxes[i], 2, 1), self.box_edges(i), strict=True):
+            inside = ((its.cells >= low) & (its.cells < high)).all(axis=1)
+            found.append(summarise(its.candidates.take(np.flatnonzero(inside)), edges))
         return sorted(found, key=lambda place: -place.probability)
 
     @property
@@ -175,24 +174,16 @@ class PoseRegions(Regions):
         return np.where(self.unbounded.any(axis=1), np.inf, found)
 
 
-def _supported(
-    runs: list[IntArray], support: Support, masks: list[BoolArray], limit: float
-) -> tuple[IntArray, IntArray]:
-    """The cuboids (b, 7, 2) that hypotheses support, and the number of each hypothesis's cuboid, -1 for none."""
-    box_of = np.full(len(support.levels), -1)
+def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], limit: float) -> IntArray:
+    """The cuboids (b, 7, 2) that hypotheses support, that of the most probable one first."""
     inside = np.all([mask[at] for mask, at in zip(masks, support.cells.T, strict=True)], axis=0)
-    counted = np.flatnonzero(inside & (support.levels <= limit))
-    if not counted.size:
-        return np.empty((0, len(runs), 2), dtype=np.int64), box_of
-    its = zip(runs, support.cells[np.flatnonzero(inside)].T, strict=True)
-    which = np.stack([np.searchsorted(run[:, 0], at, side="right") - 1 for run, at in its], axis=1)
-    held = which[np.isin(np.flatnonzero(inside), counted)]
-    chosen, first = np.unique(held, axis=0, return_index=True)
-    chosen = chosen[np.argsort(first)]
-    # a hypothesis that does not count itself still belongs to the cuboid that it lies in
-    same = (which[:, None] == chosen[None]).all(axis=2)
-    box_of[inside] = np.where(same.any(axis=1), same.argmax(axis=1), -1)
-    return np.stack([run[k] for run, k in zip(runs, chosen.T, strict=True)], axis=1), box_of
+    cells = support.cells[inside & (support.levels <= limit)]
+    if not len(cells):
+        return np.empty((0, len(runs), 2), dtype=np.int64)
+    its = zip(runs, cells.T, strict=True)
+    boxes = np.stack([run[np.searchsorted(run[:, 0], at, side="right") - 1] for run, at in its], axis=1)
+    _, first = np.unique(boxes, axis=0, return_index=True)
+    return np.asarray(boxes[np.sort(first)])
 
 
 def pose_regions(

@@ -18,7 +18,7 @@ from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
-from conformodal.localization.regions import PoseRegions, pose_regions
+from conformodal.localization.regions import PoseRegions, Support, pose_regions
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.filter import Posterior
@@ -183,15 +183,15 @@ class PoseModel:
         if novelty is not None:
             p = novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
         kinds = self.rules.kinds(p, looked, beliefs.recognised)
-        kinds[[its.out_of_range for its in self.localizer.supports(beliefs)]] = EvidenceType.UNKNOWN
-        return Localization(beliefs, self.regions(beliefs, self.rules.thresholds(kinds)), p, kinds)
-
-    def regions(self, beliefs: Beliefs, thresholds: RealArray) -> PoseRegions:
-        """Level sets of n beliefs at thresholds (n, 7) of the score."""
-        return self._level_sets(self.rules.overall, beliefs, thresholds)
-
-    def _level_sets(self, rule: SplitConformal, beliefs: Beliefs, thresholds: RealArray) -> PoseRegions:
         supports = self.localizer.supports(beliefs)
+        kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
+        regions = self._level_sets(self.rules.overall, beliefs, supports, self.rules.thresholds(kinds))
+        return Localization(beliefs, regions, p, kinds)
+
+    def _level_sets(
+        self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
+    ) -> PoseRegions:
+        """Level sets of n beliefs at thresholds (n, 7) of the score."""
         parts = self.localizer.marginals_by_part(beliefs)
         return PoseRegions.concatenate(
             [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in parts]
@@ -205,7 +205,9 @@ class PoseModel:
         rule = self.path_rules.get(path)
         if rule is None:
             return None
-        return self._level_sets(rule, beliefs.after(posteriors), np.tile(rule.thresholds_, (len(beliefs), 1)))
+        after = beliefs.after(posteriors)
+        thresholds = np.tile(rule.thresholds_, (len(after), 1))
+        return self._level_sets(rule, after, self.localizer.supports(after), thresholds)
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""

@@ -47,6 +47,11 @@ class Posterior:
     hypotheses: Candidates
     elsewhere: float
 
+    def with_image(self, candidates: Candidates) -> Candidates:
+        """All hypotheses, and after them those of the image alone, which stand where none of these is right."""
+        known = self.hypotheses.normalised(np.log1p(-self.elsewhere))
+        return Candidates.concatenate((known, candidates.normalised(np.log(self.elsewhere))))
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:

@@ -71,8 +71,10 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     return sorted(found, key=lambda place: -place.probability)
 
 
-def _is_near(its: Candidates, position_xyz: FloatArray, quat_wxyz: FloatArray, prior: MotionPrior) -> BoolArray:
-    """(m,) whether each hypothesis is of the place of a pose."""
+def _is_near(
+    its: Candidates | PosePath | Trajectory, position_xyz: FloatArray, quat_wxyz: FloatArray, prior: MotionPrior
+) -> BoolArray:
+    """(m,) whether each of m poses is of the place of one pose, or of its own of m."""
     off = np.linalg.norm(its.positions_xyz - position_xyz, axis=1)
     turned = angle_between_quats(its.orientations_quat_wxyz, quat_wxyz)
     return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
@@ -111,9 +113,7 @@ def choose_places(
 
 def same_place(path: PosePath | Trajectory, truth: Trajectory, prior: MotionPrior) -> BoolArray:
     """(n,) whether each pose of a path is of the place of the true one."""
-    off = np.linalg.norm(path.positions_xyz - truth.positions_xyz, axis=1)
-    turned = angle_between_quats(path.orientations_quat_wxyz, truth.orientations_quat_wxyz)
-    return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
+    return _is_near(path, truth.positions_xyz, truth.orientations_quat_wxyz, prior)
 
 
 def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:

@@ -115,11 +115,7 @@ class Estimate:
         """
         if self.pose is None or self.candidates is None:
             return None
-        its = self.candidates
-        if self.posterior is not None:
-            elsewhere = self.posterior.elsewhere
-            known = self.posterior.hypotheses.normalised(np.log1p(-elsewhere))
-            its = Candidates.concatenate((known, its.normalised(np.log(elsewhere))))
+        its = self.candidates if self.posterior is None else self.posterior.with_image(self.candidates)
         return mixture_covariance(its, self.pose.positions_xyz[0], self.pose.orientations_quat_wxyz[0])
 
     @property
