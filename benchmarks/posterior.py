@@ -57,7 +57,8 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
     for path, regions in run.path_regions.items():
         found[path] = off_by(run.trajectories[path].positions_xyz, truth.positions_xyz) | sizes(regions, targets)
     found["smoothed"] = off_by(run.trajectories["smoothed"].positions_xyz, truth.positions_xyz)
-    wrong = ~same_place(run.trajectories["online"], truth, model.prior)
+    online = run.trajectories["online"]
+    wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     missed = ~run.path_regions["online"].contains(targets, joint=True)
     elsewhere = float(np.mean(run.reliable & wrong & missed))
     found["online"] |= {"reliable": float(run.reliable.mean()), "elsewhere": elsewhere}

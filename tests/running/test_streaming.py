@@ -84,7 +84,8 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
         expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
         assert np.mean(held == expected) > 0.97, path
         assert expected.sum() >= min(rule.rank, len(frames)), path
-    wrong = ~same_place(run.trajectories["online"], sequence.truth[frames], model.prior)
+    online, truth = run.trajectories["online"], sequence.truth[frames]
+    wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     wrong &= ~run.path_regions["online"].contains(targets, joint=True)
     n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
     assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable

@@ -177,11 +177,9 @@ class PoseModel:
         if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
             evidence = evidence.without_local_features()
         beliefs = self.localizer.beliefs(evidence)
-        novelty = self.novelty
-        looked = evidence.has_local_features
-        p = np.full(len(evidence), np.nan)
-        if novelty is not None:
-            p = novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
+        looked, p = evidence.has_local_features, np.full(len(evidence), np.nan)
+        if self.novelty is not None:
+            p = self.novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
         kinds = self.rules.kinds(p, looked, beliefs.recognised)
         supports = self.localizer.supports(beliefs)
         kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
@@ -206,8 +204,7 @@ class PoseModel:
         if rule is None:
             return None
         after = beliefs.after(posteriors)
-        thresholds = np.tile(rule.thresholds_, (len(after), 1))
-        return self._level_sets(rule, after, self.localizer.supports(after), thresholds)
+        return self._level_sets(rule, after, self.localizer.supports(after), np.tile(rule.thresholds_, (len(after), 1)))
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""

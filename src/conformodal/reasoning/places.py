@@ -64,19 +64,19 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     found = []
     while free.size:
         first, rest = its.take(free[:1]), its.take(free)
-        joins = _is_near(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
+        joins = same_place(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
         joins[0] = True
         found.append(summarise(rest.take(np.flatnonzero(joins))))
         free = free[~joins]
     return sorted(found, key=lambda place: -place.probability)
 
 
-def _is_near(
-    its: Candidates | PosePath | Trajectory, position_xyz: FloatArray, quat_wxyz: FloatArray, prior: MotionPrior
+def same_place(
+    poses: Candidates | PosePath | Trajectory, positions_xyz: FloatArray, quats_wxyz: FloatArray, prior: MotionPrior
 ) -> BoolArray:
-    """(m,) whether each of m poses is of the place of one pose, or of its own of m."""
-    off = np.linalg.norm(its.positions_xyz - position_xyz, axis=1)
-    turned = angle_between_quats(its.orientations_quat_wxyz, quat_wxyz)
+    """(m,) whether each of m poses is of the place of one pose, (3,) and (4,), or of its own, (m, 3) and (m, 4)."""
+    off = np.linalg.norm(poses.positions_xyz - positions_xyz, axis=1)
+    turned = angle_between_quats(poses.orientations_quat_wxyz, quats_wxyz)
     return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
 
 
@@ -111,11 +111,6 @@ def choose_places(
     return path, np.array([place.probability for place in best])
 
 
-def same_place(path: PosePath | Trajectory, truth: Trajectory, prior: MotionPrior) -> BoolArray:
-    """(n,) whether each pose of a path is of the place of the true one."""
-    return _is_near(path, truth.positions_xyz, truth.orientations_quat_wxyz, prior)
-
-
 def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
     """The hypotheses of single images that a path stands for, with the spreads that the images give them.
 
@@ -132,7 +127,7 @@ def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> Po
     positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
     quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()
     for t, its in enumerate(seen.candidates):
-        rows = np.flatnonzero(_is_near(its, positions[t], quats[t], prior))
+        rows = np.flatnonzero(same_place(its, positions[t], quats[t], prior))
         if rows.size:
             off2 = ((its.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
             wide2 = (its.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()

@@ -164,7 +164,8 @@ def calibrate_paths(
             for path, its in zip(PATHS, (forward, hindsight_posteriors(seen, prior, forward)), strict=True):
                 found[path].update(zip(at.tolist(), its, strict=True))
             best, probability[start + at] = choose_places(forward, seen.timestamps_s, prior)
-            right[start + at] = same_place(best, truth[held_out[at]], prior)
+            true = truth[held_out[at]]
+            right[start + at] = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
         for path in PATHS:
             its = [found[path][i] for i in range(len(held_out))]
             scores[path].append(score_beliefs(rule, localizer, own.after(its), targets[held_out]))

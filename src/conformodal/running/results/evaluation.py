@@ -186,7 +186,7 @@ def path_coverage_table(
     }
     if ONLINE in statistics:
         missed = reliable & ~statistics[ONLINE].held
-        wrong = reliable & ~same_place(online, truth, model.prior)
+        wrong = reliable & ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
         counts = {"n_reliable": reliable, "n_reliable_and_missed": missed, "n_reliable_and_elsewhere": missed & wrong}
         found |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
     found["assumption"] = _PATHS_BY_FRAME if by_frame else _PATHS_BY_STRETCH
