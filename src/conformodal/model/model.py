@@ -186,6 +186,12 @@ class PoseModel:
         regions = self._level_sets(self.rules.overall, beliefs, supports, self.rules.thresholds(kinds))
         return Localization(beliefs, regions, p, kinds)
 
+    def image_regions(self, beliefs: Beliefs, kinds: IntArray) -> PoseRegions:
+        """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
+        return self._level_sets(
+            self.rules.overall, beliefs, self.localizer.supports(beliefs), self.rules.thresholds(kinds)
+        )
+
     def _level_sets(
         self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
     ) -> PoseRegions:
