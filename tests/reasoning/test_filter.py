@@ -39,16 +39,20 @@ def chosen(posteriors, seen):
     return choose_places(posteriors, seen.timestamps_s, PRIOR)[0]
 
 
-def test_one_hypothesis_is_updated_as_by_a_kalman_filter():
+@pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
+def test_one_hypothesis_is_updated_as_by_a_kalman_filter_as_far_as_errors_are_independent(common, monkeypatch):
+    monkeypatch.setattr("conformodal.reasoning.filter.FILTER", replace(FILTER, common=common))
     before, seen = hypotheses([0.0], [1.0], spread=0.3), hypotheses([0.1], [1.0], spread=0.2)
     ahead = replace(predict(Posterior(before, 0.0), None, 0.2, PRIOR), elsewhere=1e-300)
     found = update(ahead, seen, PRIOR, wrong=1e-300, tempering=1.0).hypotheses
     variance = 0.3**2 + (1.5 * 0.2) ** 2 / 5  # of a ball of that radius, per axis
     gain = variance / (variance + 0.2**2)
     np.testing.assert_allclose(found.positions_xyz, [[gain * 0.1, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(found.position_spreads**2, [[(1 - gain) * variance] * 3])
+    kalman = (1 - gain) * variance
+    np.testing.assert_allclose(found.position_spreads**2, [[kalman + common * (0.2**2 - kalman)] * 3])
     angle = 0.02**2 + (0.5 * 0.2) ** 2
-    np.testing.assert_allclose(found.orientation_spreads_rad**2, angle * 0.02**2 / (angle + 0.02**2))
+    kalman = angle * 0.02**2 / (angle + 0.02**2)
+    np.testing.assert_allclose(found.orientation_spreads_rad**2, kalman + common * (0.02**2 - kalman))
 
 
 def test_a_measured_rotation_turns_hypotheses():

@@ -5,6 +5,8 @@ image's belief weighs them, and hypotheses that explain each other are merged. N
 loses keeps its probability for later evidence. The mass of a place is the sum over its hypotheses, so that a place with
 many vague hypotheses is not beaten by one with a single sharp one, as it is in a search for the best path.
 
+Images that follow each other err alike, so a product of two hypotheses is no sharper than the sharper one.
+
 Two passes, one from each end of a recording, give the posterior in hindsight.
 
 Source: Alspach and Sorenson (1972) for the filter, Kitagawa (1994) for the two-filter smoother.
@@ -172,7 +174,8 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     top = max(pairs.max(), alone.max(), fresh.max())
     mass = np.exp(pairs - top)
     share, share_a = own_v[:, None] / total_v, (pair_a / (pair_a + seen_a))[..., None]
-    between_v, between_a = own_v[:, None] * seen_v / total_v, pair_a * seen_a / (pair_a + seen_a)
+    between_v = _shared(own_v[:, None], seen_v[None], total_v)
+    between_a = _shared(pair_a, seen_a[None], pair_a + seen_a)
     by_seen = _merged(
         seen,
         np.exp(fresh - top),
@@ -204,6 +207,11 @@ def start(evidence: Candidates, *, known: bool) -> Posterior:
 def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
     """Logarithm of a normal density in three dimensions, its normaliser raised to a power."""
     return np.asarray(-0.5 * (distance2 + normaliser * (log_determinant + 3 * np.log(2 * np.pi))))
+
+
+def _shared(own: FloatArray, seen: FloatArray, total: FloatArray) -> FloatArray:
+    """Variances of the means of two estimates, of which the sharper one's is partly the error of both."""
+    return np.asarray((1 - FILTER.common) * own * seen / total + FILTER.common * np.minimum(own, seen))
 
 
 def _merged(
