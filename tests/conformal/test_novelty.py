@@ -76,3 +76,12 @@ def test_p_values_of_other_scores_are_uniform_on_their_ranks():
         p.append(test.rescored(scores[:9], np.arange(9)).p_values(scores[9:])[0])
     counts = np.bincount(np.rint(np.array(p) * 10).astype(int), minlength=11)[1:]
     assert stats.chisquare(counts).pvalue > 1e-4
+
+
+def test_references_of_a_samples_own_group_do_not_count():
+    rng = np.random.default_rng(4)
+    known, groups, new = rng.normal(size=(30, 3)), rng.choice(["a", "b", "c"], 30), rng.normal(size=(8, 3))
+    own = rng.choice(["a", "b", "d"], 8)
+    distances = np.linalg.norm(new[:, None] - known, axis=2)
+    distances[own[:, None] == groups] = np.inf
+    np.testing.assert_allclose(NoveltyTest(known, groups).scores(new, own), distances.min(axis=1))

@@ -6,10 +6,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from conformodal.conformal import SplitConformal
-from conformodal.datasets import read_sevenscenes
+from conformodal.conformal import SplitConformal, coverage_band
+from conformodal.datasets import Disturbance, read_sevenscenes
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig, config_of
 from conformodal.model.errors import ModelFileError, OdometryError
 from conformodal.model.radius import Guarantee, PoseRadius
@@ -36,7 +37,7 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
     features = extract_features(
         [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
     )
-    local = [extract_local_features(sequence.image(i), model.camera) for i in frames]
+    local = [extract_local_features(sequence.image(i) // np.uint8(10 if i == frames[0] else 1), model.camera) for i in frames]
     here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
     for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -45,6 +46,7 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
         np.testing.assert_array_equal(a.log_mass, b.log_mass)
     np.testing.assert_array_equal(here.regions.length, there.regions.length)
     np.testing.assert_array_equal(here.known_p, there.known_p)
+    np.testing.assert_array_equal(here.kinds, there.kinds)
     for one, other in zip(model.localizer.sources, back.localizer.sources, strict=True):
         assert one.name == other.name
         np.testing.assert_array_equal(one.frames, other.frames)
@@ -54,6 +56,27 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
     assert back.prior == model.prior
     assert back.camera == model.camera
     assert back.configuration == {**model.configuration, "sources": list(model.configuration["sources"])}
+
+
+@pytest.mark.slow
+@pytest.mark.trained
+def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, sequence, small_world):
+    """Test frames that are disturbed as calibration frames were: exchangeable with them, so coverage has a law."""
+    noisy, frames = replace(sequence, noise=Disturbance(seed=5)), model.split.test
+    cache = FeatureCache(small_world.cache)
+    features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache, noise=noisy.noise)
+    local = [extract_local_features(noisy.image(i), model.camera) for i in frames]
+    found = model.localize(FrameEvidence(features, local))
+    out = model.quality.left_by(np.array([its.quality for its in local]))
+    assert out.sum() > 10
+    assert set(found.kinds[out]) <= {EvidenceType.DISTURBED, EvidenceType.UNKNOWN}
+    assert not (found.kinds[~out] == EvidenceType.DISTURBED).any()
+    told = found.kinds == EvidenceType.DISTURBED
+    assert np.isfinite(found.regions.length[told]).all()
+    assert told.sum() > 5
+    held = found.regions.contains(pose_targets(sequence.truth[frames], model.sign_reference), joint=True)[told]
+    low, high = coverage_band(model.rules.of[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
+    assert low <= held.mean() <= high
 
 
 @pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])
@@ -124,7 +147,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-14'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-15'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
 from conformodal.running.results.evaluation import coverage_table
 from conformodal.running.results.statistics import RegionStatistics
 
-GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN = EvidenceType
+GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN, DISTURBED = EvidenceType
 
 
 def calibrated(bins, n=80, joint="max", seed=0, groups=None):
@@ -54,6 +55,17 @@ def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
         assert rules.of[kind].n_units == chosen.sum()
     assert (rules.thresholds(np.array([UNKNOWN])) == np.inf).all()
     assert rules.overall.alpha == rules.matched.alpha == alpha
+
+
+def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(rules):
+    copies, p = calibrated(rules.matched.bins, 40, seed=9), np.arange(40) / 40
+    rules = replace(rules, disturbed=copies, disturbed_p=p).at(0.4)
+    looked, dim = np.array([True, True, True, False]), np.array([True, False, True, True])
+    kinds = rules.kinds(np.array([1.0, 1.0, 0.05, 1.0]), looked, np.ones(4, dtype=bool), dim)
+    assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN, GLOBAL]
+    expected = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
+    np.testing.assert_array_equal(rules.thresholds(kinds)[0], np.full(7, expected))
+    assert rules.sharing is Sharing.OWN
 
 
 @pytest.mark.parametrize(

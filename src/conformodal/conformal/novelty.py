@@ -59,7 +59,8 @@ class NoveltyTest:
         given = as_array(references, "references")  # float16 stays: it takes a quarter of the room
         self.references = given.astype(given.dtype.newbyteorder("=")) if given.dtype.char in "efd" else self._double
         self._square = _squares(self._double, "references")
-        self._rank(self._nearest(self._double, group), own)
+        self._labels = own
+        self._rank(self._nearest(self._double, group, group), own)
 
     def rescored(self, scores: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
         """The test with other scores (m,) of known samples, in groups (m,), to rank new scores of their kind among.
@@ -81,13 +82,16 @@ class NoveltyTest:
         # weight of all reference samples from a rank on: what scores at least as much
         self._from = np.concatenate((np.cumsum(self.weights_[order][::-1])[::-1], [0.0]))
 
-    def scores(self, samples: npt.ArrayLike) -> FloatArray:
-        """Novelty scores (m,) of samples (m, k)."""
+    def scores(self, samples: npt.ArrayLike, left_out: npt.ArrayLike | None = None) -> FloatArray:
+        """Novelty scores (m,) of samples (m, k); references of a sample's group in `left_out` (m,) do not count."""
         new = as_doubles(samples, "samples")
         if new.ndim != 2 or new.shape[1] != self.references.shape[1]:
             raise ConformalError(f"samples must have shape (m, {self.references.shape[1]}), got {new.shape}")
         new = as_finite(new, "samples", "(m, k)")
-        return self._nearest(new)
+        if left_out is None:
+            return self._nearest(new)
+        _, codes = factorise(np.concatenate((self._labels, as_groups(left_out, len(new)))))
+        return self._nearest(new, codes[len(self._labels) :], codes[: len(self._labels)])
 
     def p_values(self, scores: npt.ArrayLike) -> FloatArray:
         """``(1 + sum over groups of the share of their scores that are at least as large) / (K + 1)``, (m,)."""
@@ -113,13 +117,15 @@ class NoveltyTest:
         """The smallest possible p-value."""
         return 1 / (self.n_groups + 1)
 
-    def _nearest(self, samples: FloatArray, group: npt.NDArray[Any] | None = None) -> FloatArray:
+    def _nearest(
+        self, samples: FloatArray, group: npt.NDArray[Any] | None = None, others: npt.NDArray[Any] | None = None
+    ) -> FloatArray:
         found = np.empty(len(samples))
         for start in range(0, len(samples), _ROWS):
             rows = slice(start, start + _ROWS)
             square = _squares(samples[rows], "samples")[:, None] + self._square - 2 * samples[rows] @ self._double.T
             if group is not None:
-                square[group[rows, None] == group] = np.inf
+                square[group[rows, None] == others] = np.inf
             # from the difference itself: cancellation in the products would make equal samples differ
             apart = samples[rows] - self._double[square.argmin(axis=1)]
             found[rows] = np.sqrt((apart**2).sum(axis=1))

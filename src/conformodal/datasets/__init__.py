@@ -12,6 +12,7 @@ with require_extra("run", "reading images"):
 from .checking import DatasetCheck, Finding, check_sequence
 from .colmap import read_colmap
 from .decoding import THUMBNAIL, read_image, thumbnail
+from .disturbance import Disturbance
 from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .euroc import read_euroc_mav
 from .images import read_image_folder
@@ -20,7 +21,7 @@ from .layouts import Layout, read_sequence, recognise
 from .nerf import read_nerf
 from .reading import Note
 from .rgbd_scenes import read_rgbd_scenes
-from .sequence import PixelNoise, Sequence
+from .sequence import ImageChange, PixelNoise, Sequence
 from .sevenscenes import read_sevenscenes
 from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
 from .tum import read_tum_rgbd
@@ -30,7 +31,9 @@ __all__ = [
     "DatasetCheck",
     "DatasetError",
     "DatasetWarning",
+    "Disturbance",
     "Finding",
+    "ImageChange",
     "ImageError",
     "Layout",
     "Note",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 from zlib import crc32
 
 import numpy as np
@@ -16,6 +17,17 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory
 from .decoding import read_image
 from .errors import DatasetError
 from .reading import Note
+
+
+class ImageChange(Protocol):
+    """What is done to every image that is read, such as :class:`PixelNoise`; its text tells it from others."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether images change."""
+
+    def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+        """The image (h, w, 3), changed; `name` is that of its file."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +55,14 @@ class PixelNoise:
             raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
         check_ranges({"seed": self.seed}, DatasetError)
 
+    @property
+    def changes(self) -> bool:
+        """Whether images change."""
+        return self.sigma > 0
+
     def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
-        if self.sigma == 0:
+        if not self.changes:
             return image
         rng = np.random.default_rng([self.seed, crc32(name.encode())])
         noisy = rng.standard_normal(image.shape, dtype=np.float32)
@@ -74,7 +91,7 @@ class Sequence:
     truth
         Poses ``T_world_cam``, or None.
     noise
-        Noise that images are read with, or None.
+        What changes images as they are read, or None.
     given_test
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
     known_poses
@@ -89,7 +106,7 @@ class Sequence:
     recording: IntArray
     camera: PinholeCamera
     truth: Trajectory | None = None
-    noise: PixelNoise | None = None
+    noise: ImageChange | None = None
     given_test: npt.NDArray[np.bool_] | None = None
     known_poses: Trajectory | None = None
     notes: tuple[Note, ...] = ()

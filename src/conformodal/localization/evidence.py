@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray
+from conformodal.core.arrays import BoolArray, FloatArray
 
 from .errors import LocalizationError
+from .image_quality import NOT_MEASURED
 from .local_features import LocalFeatures
 
 
@@ -44,6 +45,15 @@ class FrameEvidence:
         if not self.local_features:
             return np.zeros(len(self), dtype=np.bool_)
         return np.array([found is not None for found in self.local_features], dtype=np.bool_)
+
+    @property
+    def quality(self) -> FloatArray:
+        """(n, 3) quality of each image, see :func:`~conformodal.localization.image_quality.image_quality`.
+
+        NaN where local features were not extracted.
+        """
+        found = self.local_features or [None] * len(self)
+        return np.array([NOT_MEASURED if its is None else its.quality for its in found]).reshape(len(self), -1)
 
     def without_local_features(self) -> FrameEvidence:
         """The same images, as if their local features had not been extracted."""

@@ -14,6 +14,7 @@ from conformodal.motion.tracker import grey_image
 from conformodal.motion.two_view import undistort
 from conformodal.poses import PinholeCamera
 
+from .image_quality import NOT_MEASURED, image_quality
 from .settings import LOCAL_FEATURES
 
 DESCRIPTOR_BYTES = 32
@@ -26,12 +27,13 @@ class LocalFeatures(NamedTuple):
     pixels: FloatArray  # (n, 2) undistorted corners
     descriptors: npt.NDArray[np.uint8]  # (n, 32)
     global_descriptor: npt.NDArray[np.float32]  # (768,), see conformodal.datasets.thumbnail
+    quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
 
 
 def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> LocalFeatures:
     """Local features and global descriptor of an image (height, width[, 3])."""
     grey = grey_image(image)
-    picture = thumbnail(grey)
+    picture, quality = thumbnail(grey), image_quality(grey)
     enlarged = -(-LOCAL_FEATURES.least_width_px // grey.shape[1])
     if enlarged > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
@@ -40,10 +42,10 @@ def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) 
         LOCAL_FEATURES.max_corners, 1.2, LOCAL_FEATURES.levels, edgeThreshold=16, fastThreshold=5
     ).detectAndCompute(grey, None)
     if descriptors is None:
-        return LocalFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture)
+        return LocalFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture, quality)
     # pixel centres are whole numbers, so that enlarging moves them by half a pixel
     pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
-    return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture)
+    return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture, quality)
 
 
 def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:

@@ -16,6 +16,7 @@ from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Split
 from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.regions import PoseRegions, Support, pose_regions
@@ -111,6 +112,8 @@ class PoseModel:
         Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
     reliable_p
         A pose counts as reliable from this probability of its place.
+    quality
+        Of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated.
     """
 
     backbone: Backbone
@@ -126,6 +129,7 @@ class PoseModel:
     comparison: SourceComparison | None = None
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
     reliable_p: float = FILTER.reliable
+    quality: QualityRange | None = None
 
     @property
     def method(self) -> Method:
@@ -178,9 +182,10 @@ class PoseModel:
             evidence = evidence.without_local_features()
         beliefs = self.localizer.beliefs(evidence)
         looked, p = evidence.has_local_features, np.full(len(evidence), np.nan)
+        disturbed = self.quality is not None and self.quality.left_by(evidence.quality)
         if self.novelty is not None:
-            p = self.novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan))
-        kinds = self.rules.kinds(p, looked, beliefs.recognised)
+            p = self.novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan), disturbed)
+        kinds = self.rules.kinds(p, looked, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
         regions = self._level_sets(self.rules.overall, beliefs, supports, self.rules.thresholds(kinds))

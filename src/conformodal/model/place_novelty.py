@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import NoveltyTest
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.localization.settings import NOVELTY
 from conformodal.vision.backbone import coarse_features
 
@@ -31,11 +31,14 @@ class PlaceNovelty:
         Of images whose local features were matched: those in which a place was recognised rank below all others, the
         more strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None
         without local features.
+    disturbed
+        The same of disturbed images, among which recognising a place is harder; None if they are not calibrated.
     """
 
     test: NoveltyTest
     grid: tuple[int, int]
     matched: NoveltyTest | None = None
+    disturbed: NoveltyTest | None = None
 
     @classmethod
     def fit(cls, features: npt.NDArray[np.float32], pieces: IntArray, grid: tuple[int, int]) -> Self | None:
@@ -44,27 +47,37 @@ class PlaceNovelty:
             return None
         return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
 
-    def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> Self:
-        """The test with what held-out frames (m,), exchangeable in their groups, are like with local features."""
-        matched = self.test.rescored(_with_recognition(distances, recognition), groups)
-        return replace(self, matched=matched)
+    def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
+        """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
+        return self.test.rescored(_with_recognition(distances, recognition), groups)
 
-    def distances(self, features: npt.NDArray[np.float32]) -> FloatArray:
-        """(n,) distances of features (n, F) to those of the most similar known frame."""
-        return self.test.scores(_descriptors(features, self.grid))
+    def distances(self, features: npt.NDArray[np.float32], left_out: IntArray | None = None) -> FloatArray:
+        """(n,) distances of features (n, F) to those of the most similar known frame.
 
-    def p_values(self, features: npt.NDArray[np.float32], recognition: FloatArray | None = None) -> FloatArray:
+        Known frames of the labels `left_out` (n,) do not count.
+        """
+        return self.test.scores(_descriptors(features, self.grid), left_out)
+
+    def p_values(
+        self,
+        features: npt.NDArray[np.float32],
+        recognition: FloatArray | None = None,
+        disturbed: BoolArray | bool = False,
+    ) -> FloatArray:
         """(n,) p-values of features (n, F); a small one indicates an unknown place.
 
         `recognition` (n,) is :attr:`~conformodal.localization.belief.Beliefs.recognition`, NaN where local features
-        were not extracted; None if nowhere.
+        were not extracted; None if nowhere. `disturbed` (n,) says whether an image's quality is out of range.
         """
         distances = self.distances(features)
         p = self.test.p_values(distances)
         if self.matched is None or recognition is None:
             return p
-        looked = np.isfinite(recognition)
-        p[looked] = self.matched.p_values(_with_recognition(distances, recognition)[looked])
+        looked, scores = np.isfinite(recognition), _with_recognition(distances, recognition)
+        p[looked] = self.matched.p_values(scores[looked])
+        if self.disturbed is not None:
+            looked &= disturbed
+            p[looked] = self.disturbed.p_values(scores[looked])
         return p
 
     def level(self, asked: float | None) -> float:

@@ -21,9 +21,11 @@ class EvidenceType(IntEnum):
     UNMATCHED = 1  # local features were matched, and no place was recognised
     LANDMARKS = 2  # a place was recognised
     UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
+    DISTURBED = 4  # local features were matched; the image is blurred, dark, bright or noisy as no training image is
 
 
-_MATCHED = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)
+# Their thresholds may be shared.
+MATCHED_TYPES = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)
 
 
 class Sharing(StrEnum):
@@ -47,6 +49,9 @@ class RegionRules:
     in the calibration units and the new one together, never on scores. The weights in the new unit are not known, at
     most 1 in all; where they could change the decision, both types use the larger thresholds. See :attr:`sharing`.
 
+    ``DISTURBED`` is calibrated on copies of calibration frames that were disturbed at random, see
+    :class:`~conformodal.datasets.Disturbance`, so its guarantee is about images disturbed likewise.
+
     Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`.
     """
 
@@ -56,6 +61,8 @@ class RegionRules:
     known_p: FloatArray  # (n,) p-values of each frame by its appearance, see PlaceNovelty
     level: float  # significance level of the novelty test
     matched_p: FloatArray | None = None  # (n,) p-values with local features; None for those by appearance
+    disturbed: SplitConformal | None = None  # on beliefs with local features, on m disturbed frames
+    disturbed_p: FloatArray | None = None  # (m,) their p-values
 
     @property
     def known_with_local(self) -> BoolArray:
@@ -71,6 +78,8 @@ class RegionRules:
             known = self.known_with_local
             rules[EvidenceType.UNMATCHED] = _part(self.matched, known & ~self.recognised)
             rules[EvidenceType.LANDMARKS] = _part(self.matched, known & self.recognised)
+        if self.disturbed is not None and self.disturbed_p is not None:
+            rules[EvidenceType.DISTURBED] = _part(self.disturbed, self.disturbed_p > self.level)
         return rules
 
     @cached_property
@@ -87,7 +96,7 @@ class RegionRules:
         if self.matched is None:
             return Sharing.OWN
         needed = 1 / self.overall.alpha_per_target
-        least = min(self.own[kind].weight for kind in _MATCHED)
+        least = min(self.own[kind].weight for kind in MATCHED_TYPES)
         if least >= needed:
             return Sharing.OWN
         return Sharing.WIDER if least + 1 >= needed else Sharing.SHARED
@@ -100,17 +109,21 @@ class RegionRules:
         both = self.both
         shared = self.sharing is Sharing.SHARED
         return {
-            kind: rule if kind not in _MATCHED else both if shared else _wider(rule, both)
+            kind: rule if kind not in MATCHED_TYPES else both if shared else _wider(rule, both)
             for kind, rule in self.own.items()
         }
 
-    def kinds(self, known_p: FloatArray, looked: BoolArray, recognised: BoolArray) -> IntArray:
+    def kinds(
+        self, known_p: FloatArray, looked: BoolArray, recognised: BoolArray, disturbed: BoolArray | bool = False
+    ) -> IntArray:
         """(m,) evidence types of new images, from their p-values, NaN if not tested.
 
-        `looked` says whether local features were extracted, `recognised` whether a place was recognised by them.
+        `looked` says whether local features were extracted, `recognised` whether a place was recognised by them,
+        `disturbed` whether the image's quality is out of range.
         """
         matched = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
         kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
+        kinds = np.where(looked & disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
         return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
     def thresholds(self, kinds: IntArray) -> RealArray:
@@ -126,8 +139,8 @@ class RegionRules:
         Regions at a lower rate contain those at a higher one, unless the types share thresholds at only one of them.
         """
         rate = float(as_alpha(alpha))
-        matched = None if self.matched is None else self.matched.at(rate)
-        return replace(self, overall=self.overall.at(rate), matched=matched)
+        matched, disturbed = (None if own is None else own.at(rate) for own in (self.matched, self.disturbed))
+        return replace(self, overall=self.overall.at(rate), matched=matched, disturbed=disturbed)
 
 
 def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:

@@ -11,7 +11,8 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict
+from copy import copy
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core.extras import MissingPackageError, require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Split
+from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.source import PoseSource, SourceState, find_source
 from conformodal.poses import PinholeCamera
@@ -40,7 +42,7 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-14"
+_FORMAT = "conformodal-model-15"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -87,6 +89,11 @@ def save_model(model: PoseModel, folder: Path) -> None:
         if model.novelty.matched is not None:
             matched = model.novelty.matched
             arrays |= {"novelty.matched": matched.scores_, "novelty.matched_groups": matched.groups}
+        disturbed = model.novelty.disturbed
+        if disturbed is not None and rules.disturbed is not None and model.quality is not None:
+            arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.groups}
+            arrays |= {"calibration.disturbed": rules.disturbed.scores_}
+            arrays["quality"] = np.stack((model.quality.low, model.quality.high))
     if rules.overall.joint == "max":
         arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
     arrays["sign_reference"] = localizer.sign_reference
@@ -210,11 +217,12 @@ def _assemble(
     bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
     sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
     how, split = record["calibration"], record["split"]
-    rules = _rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays)
+    novelty = _novelty(arrays, backbone.config.grid)
+    rules = _rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays, novelty)
     return PoseModel(
         backbone=backbone,
         localizer=Localizer(sources, bins, arrays["sign_reference"]),
-        novelty=_novelty(arrays, backbone.config.grid),
+        novelty=novelty,
         rules=rules,
         prior=_prior(record["prior"]),
         camera=_camera(record["camera"]),
@@ -227,6 +235,7 @@ def _assemble(
             path: _path_rule(rules, arrays[name]) for path in PATHS if (name := f"calibration.{path}") in arrays
         },
         reliable_p=float(how["reliable_p"]),
+        quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
 
 
@@ -242,14 +251,21 @@ def _source(name: str, settings: dict[str, Any], arrays: dict[str, npt.NDArray[A
     return find_source(name).from_state(SourceState(its, settings))
 
 
-def _rules(cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> RegionRules:
+def _rules(
+    cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], novelty: PlaceNovelty | None
+) -> RegionRules:
     matched = None
     if "calibration.matched" in arrays:
         matched = _calibration(cells, how, arrays, "calibration.matched")
     overall = _calibration(cells, how, arrays, "calibration.overall")
     recognised, known_p = arrays["calibration.recognised"], arrays["calibration.known_p"]
     level, matched_p = float(how["novelty_level"]), arrays.get("calibration.matched_p")
-    return RegionRules(overall, matched, recognised, known_p, level, matched_p)
+    rules = RegionRules(overall, matched, recognised, known_p, level, matched_p)
+    if novelty is None or novelty.disturbed is None:
+        return rules
+    groups = None if overall.groups_ is None else novelty.disturbed.groups
+    disturbed = copy(overall).calibrate_scores(arrays["calibration.disturbed"], groups)
+    return replace(rules, disturbed=disturbed, disturbed_p=novelty.disturbed.left_out_p_values())
 
 
 def _calibration(
@@ -269,10 +285,13 @@ def _path_rule(rules: RegionRules, scores: npt.NDArray[np.float64]) -> SplitConf
 def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
-    test, matched = NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"]), None
-    if "novelty.matched" in arrays:
-        matched = test.rescored(arrays["novelty.matched"], arrays["novelty.matched_groups"])
-    return PlaceNovelty(test, grid, matched)
+    test = NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"])
+    own = {
+        kind: test.rescored(arrays[name], arrays[f"{name}_groups"])
+        for kind in ("matched", "disturbed")
+        if (name := f"novelty.{kind}") in arrays
+    }
+    return PlaceNovelty(test, grid, **own)
 
 
 def _camera(record: dict[str, Any]) -> PinholeCamera:

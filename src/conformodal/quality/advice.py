@@ -21,6 +21,7 @@ WHERE = {
     EvidenceType.GLOBAL: "where local features are not matched",
     EvidenceType.UNMATCHED: "where landmarks recognise no place",
     EvidenceType.LANDMARKS: "where landmarks recognise the place",
+    EvidenceType.DISTURBED: "where images are blurred, dark, bright or noisy as none in training",
 }
 _DIGITS = 4
 

@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.conformal import SplitConformal, coverage_band
 from conformodal.datasets import SplitKind
 from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
+from conformodal.model.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
 
 N_NEW = 1000
 _DIGITS = 10_000
@@ -77,7 +77,7 @@ def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     rules, found = model.rules, []
     for kind, rule in rules.of.items():
         own = rules.own[kind]
-        sharing = Sharing.OWN if kind is EvidenceType.GLOBAL else rules.sharing
+        sharing = rules.sharing if kind in MATCHED_TYPES else Sharing.OWN
         exact = exchangeable and rule.groups_ is None and rule.joint != "bonferroni" and sharing is Sharing.OWN
         band = coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if exact and len(rule.scores_) else None
         found.append(
@@ -111,10 +111,10 @@ def _units_needed(rule: SplitConformal, n_units: int) -> int | None:
 def _bounded_from(rules: RegionRules, kind: EvidenceType) -> Fraction:
     """The least rate from which on the regions of an evidence type are bounded."""
     own, both = least_alpha(rules.own[kind]), rules.both
-    if both is None or kind is EvidenceType.GLOBAL:
+    if both is None or kind not in MATCHED_TYPES:
         return own
     share = both.bins.n_targets if both.joint == "bonferroni" else 1
-    least = min(rule.weight for k, rule in rules.own.items() if k is not EvidenceType.GLOBAL)
+    least = min(rule.weight for k, rule in rules.own.items() if k in MATCHED_TYPES)
     # from the first rate on its own frames count, below the second those of both types do
     first, second = share / (least + 1), share / least if least else Fraction(1)
     below = min(second, least_alpha(both))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -13,12 +14,16 @@ from conformodal.conformal.calibration.joint import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.progress import StageProgress
+from conformodal.core.progress import StageProgress, stage_of
+from conformodal.datasets import Disturbance
 from conformodal.datasets import Sequence as Frames
 from conformodal.localization.belief import Beliefs, belief_cells
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.image_quality import QualityRange
+from conformodal.localization.local_features import extract_local_features
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.motions import measure_motions
+from conformodal.localization.parallel import in_threads
 from conformodal.localization.regions import pose_scores
 from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
@@ -32,8 +37,11 @@ from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, same_place
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.settings import FILTER
+from conformodal.vision.backbone import Backbone
+from conformodal.vision.features import FeatureCache, extract_features
 
 from .folds import Folds
+from .settings import DISTURBED
 
 _MOST_COMPARED = 120  # each is answered twice
 
@@ -100,7 +108,8 @@ def calibrate_regions(
         known_p, distances = _appearance(novelty, folds, data)
         if local:
             recognition = np.concatenate([its.recognition for its in found])
-            novelty = novelty.calibrated(distances, recognition, np.arange(len(held_out)) if units is None else units)
+            groups = np.arange(len(held_out)) if units is None else units
+            novelty = replace(novelty, matched=novelty.calibrated(distances, recognition, groups))
             assert novelty.matched is not None
             matched_p = novelty.matched.left_out_p_values()
     # of the evidence type of unknown places, as such images will be
@@ -121,6 +130,53 @@ def calibrate_regions(
     rules = calibrated(asked)
     rules = calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
     return Calibrated(rules, novelty, found)
+
+
+def calibrate_disturbed(
+    data: SourceData,
+    backbone: Backbone,
+    cache: FeatureCache,
+    folds: Folds,
+    localizers: Sequence[Localizer],
+    calibrated: Calibrated,
+    progress: StageProgress | None = None,
+) -> tuple[Calibrated, QualityRange | None]:
+    """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
+
+    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, nothing
+    changes.
+    """
+    rules, novelty = calibrated.rules, calibrated.novelty
+    if rules.matched is None or novelty is None:
+        return calibrated, None
+    known = data.local_features(folds.region_frames)
+    quality = QualityRange.of(np.array([its.quality for its in known]))
+    sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
+    found: list[tuple[RealArray, FloatArray, FloatArray, IntArray]] = []
+    for fold, localizer in zip(folds.folds, localizers, strict=True):
+        most = -(-DISTURBED.most // len(folds.folds))
+        frames = fold.held_out[:: -(-len(fold.held_out) // most)]
+        copies = in_threads(lambda i: extract_local_features(sequence.image(i), sequence.camera), frames.tolist())
+        left = quality.left_by(np.array([its.quality for its in copies]))
+        if not left.any():
+            continue
+        frames, copies = frames[left], [its for its, counts in zip(copies, left, strict=True) if counts]
+        paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
+        features = extract_features(paths, backbone, cache, stage, sequence.noise)
+        beliefs = localizer.beliefs(FrameEvidence(features, copies))
+        own = copy(rules.overall)
+        own.bins = localizer.cells
+        scores = score_beliefs(own, localizer, beliefs, data.targets[frames])
+        pieces = folds.pieces[frames] if len(folds.folds) > 1 else None
+        found.append((scores, novelty.distances(features, pieces), beliefs.recognition, frames))
+    if not found:
+        return calibrated, None
+    scores, distances, recognition, frames = (np.concatenate(its) for its in zip(*found, strict=True))
+    units = None if folds.units is None else folds.units[frames]
+    test = novelty.calibrated(distances, recognition, np.arange(len(frames)) if units is None else units)
+    rule = copy(rules.overall).calibrate_scores(scores, units)
+    rules = replace(rules, disturbed=rule, disturbed_p=test.left_out_p_values())
+    return replace(calibrated, rules=rules, novelty=replace(novelty, disturbed=test)), quality
 
 
 def calibrate_paths(

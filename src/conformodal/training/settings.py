@@ -23,4 +23,12 @@ class _DepthSettings:
     least_spread: float = 0.1  # standard deviation of the logarithm of the depth
 
 
-FOLDS, DEPTHS = _FoldSettings(), _DepthSettings()
+@dataclass(frozen=True)
+class _DisturbedSettings:
+    """How many calibration frames are disturbed, at most, and the seed of kinds and strengths."""
+
+    most: int = 200
+    seed: int = 0
+
+
+FOLDS, DEPTHS, DISTURBED = _FoldSettings(), _DepthSettings(), _DisturbedSettings()

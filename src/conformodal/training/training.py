@@ -25,7 +25,7 @@ from conformodal.reasoning.settings import FILTER
 from conformodal.vision.backbone import Backbone
 from conformodal.vision.features import FeatureCache, extract_features
 
-from .calibrating import calibrate_paths, calibrate_regions, compare_sources, paper_rules
+from .calibrating import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources, paper_rules
 from .folds import make_folds
 from .training_data import TrainingData
 
@@ -77,7 +77,7 @@ def prepare_training_data(
             runs = quantised(in_onnx, known, cache, stage_of(progress, "quantising"))
     stage = stage_of(progress, "features")
     features = extract_features(sequence.image_paths, runs, cache, stage, sequence.noise)
-    return TrainingData(sequence, split, runs, features, targets, reference)
+    return TrainingData(sequence, split, runs, features, targets, reference, cache)
 
 
 def train_model(
@@ -109,13 +109,14 @@ def train_model(
     if config.method is Method.PAPER:  # without a novelty test
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
         paths: dict[str, SplitConformal] = {}
-        reliable_p = FILTER.reliable
+        reliable_p, quality = FILTER.reliable, None
     else:
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         its = calibrate_regions(sources, folds, localizers, novelty, config)
-        rules, novelty = its.rules, its.novelty
         paths, reliable_p = calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, progress)
+        its, quality = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress)
+        rules, novelty = its.rules, its.novelty
     stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,
@@ -130,6 +131,7 @@ def train_model(
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
         path_rules=paths,
         reliable_p=reliable_p,
+        quality=quality,
     )
 
 

@@ -15,6 +15,7 @@ from conformodal.datasets import Sequence, Split
 from conformodal.localization.source_data import SourceData
 from conformodal.model.config import ModelConfig
 from conformodal.vision.backbone import Backbone
+from conformodal.vision.features import FeatureCache
 from conformodal.vision.projection import Projection
 
 from .depths import measure_depths
@@ -30,6 +31,7 @@ class TrainingData:
     features: npt.NDArray[np.float32]
     targets: FloatArray
     sign_reference: FloatArray
+    cache: FeatureCache = field(default_factory=lambda: FeatureCache(None))
     _shared: SourceData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

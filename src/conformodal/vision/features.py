@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.progress import Progress
-from conformodal.datasets import ImageError, PixelNoise, read_image
+from conformodal.datasets import ImageChange, ImageError, read_image
 
 from .backbone import Backbone
 from .keeping import cache_arrays, cached_arrays
@@ -25,13 +25,13 @@ class FeatureCache:
     def __init__(self, folder: Path | None) -> None:
         self.folder = None if folder is None else folder / "features"
 
-    def key(self, backbone: Backbone, image_file: Path, noise: PixelNoise | None = None) -> str:
+    def key(self, backbone: Backbone, image_file: Path, noise: ImageChange | None = None) -> str:
         """Digest of everything that determines the features of an image file."""
         try:
             content = image_file.read_bytes()
         except OSError as exc:
             raise ImageError(f"{image_file}: image is missing or unreadable: {exc.strerror}") from exc
-        disturbed = "" if noise is None or noise.sigma == 0 else f"{noise} {image_file.name}"
+        disturbed = "" if noise is None or not noise.changes else f"{noise} {image_file.name}"
         return hashlib.sha256(backbone.fingerprint.encode() + disturbed.encode() + content).hexdigest()
 
     def load(self, key: str) -> npt.NDArray[np.float16] | None:
@@ -56,7 +56,7 @@ def extract_features(
     backbone: Backbone,
     cache: FeatureCache,
     progress: Progress | None = None,
-    noise: PixelNoise | None = None,
+    noise: ImageChange | None = None,
 ) -> npt.NDArray[np.float32]:
     """Features of images, (n, F), cached ones first; with `noise`, of the disturbed images.
 
@@ -87,7 +87,7 @@ def extract_features(
 
 
 def _load_batch(
-    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache, noise: PixelNoise | None
+    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache, noise: ImageChange | None
 ) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, npt.NDArray[np.uint8]]]:
     keys: dict[int, str] = {}
     vectors: dict[int, npt.NDArray[np.float16]] = {}

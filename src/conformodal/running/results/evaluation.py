@@ -13,7 +13,7 @@ from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.model import PoseModel
 from conformodal.model.radius import PoseRadius
-from conformodal.model.region_rules import EvidenceType, RegionRules, Sharing
+from conformodal.model.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
 from conformodal.poses import Trajectory, trajectory_errors
 from conformodal.reasoning.places import same_place
 from conformodal.running.paths import ONLINE
@@ -124,7 +124,7 @@ def coverage_table(
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
-                "thresholds": str(Sharing.OWN if kind is EvidenceType.GLOBAL else rules.sharing),
+                "thresholds": str(rules.sharing if kind in MATCHED_TYPES else Sharing.OWN),
                 "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
                 **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
             }
@@ -207,7 +207,7 @@ def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]
 
 def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceType, SplitConformal, int]]) -> bool:
     """Whether two types share thresholds however these frames and those that calibrate are drawn from all together."""
-    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind is not EvidenceType.GLOBAL]
+    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind in MATCHED_TYPES]
     return min(both) + 1 < 1 / rules.overall.alpha_per_target
 
 

@@ -1,0 +1,64 @@
+"""Disturbed images: what a camera delivers in bad light, in motion, with a noisy sensor, or over a thin connection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from zlib import crc32
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from .sequence import ImageChange, PixelNoise
+
+# The weakest and the strongest disturbance of each kind; between them, logarithms are spread evenly.
+BLUR_PX = (1.0, 6.0)  # standard deviation
+DARKER = (0.6, 0.1)  # factor of brightness
+BRIGHTER = (1.3, 2.5)
+NOISE = (0.03, 0.25)  # standard deviation where pixels are in [0, 1]
+JPEG_QUALITY = (30.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One disturbance of each image, of random kind and strength: blur, exposure, pixel noise or JPEG compression.
+
+    Attributes
+    ----------
+    seed
+        Of kind and strength; every frame has its own by its name.
+    noise
+        Of the images before they are disturbed.
+    """
+
+    seed: int = 0
+    noise: ImageChange | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether images change."""
+        return True
+
+    def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+        """The disturbed image (h, w, 3)."""
+        if self.noise is not None:
+            image = self.noise.apply(image, name)
+        rng = np.random.default_rng([self.seed, crc32(name.encode())])
+        kind, share = rng.choice(("blur", "darker", "brighter", "noise", "jpeg")), rng.random()
+
+        def strength(ends: tuple[float, float]) -> float:
+            return float(ends[0] ** (1 - share) * ends[1] ** share)
+
+        match kind:
+            case "blur":
+                return np.asarray(cv2.GaussianBlur(image, (0, 0), strength(BLUR_PX)), np.uint8)
+            case "darker" | "brighter":
+                factor = strength(DARKER if kind == "darker" else BRIGHTER)
+                return np.asarray(np.clip(image * np.float32(factor), 0, 255), np.uint8)
+            case "noise":
+                return PixelNoise(strength(NOISE), self.seed).apply(image, name)
+        compressed = BytesIO()
+        Image.fromarray(image).save(compressed, "jpeg", quality=round(strength(JPEG_QUALITY)))
+        return np.asarray(Image.open(compressed))
