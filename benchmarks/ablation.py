@@ -180,6 +180,8 @@ def config_of(place: str, seed: int, model: str = "ours") -> ModelConfig | None:
             return replace(ours, sigma_bins=0.0)
         case "unprojected":
             return None if training.components is None else replace(ours, training=whole)
+        case "stretches":
+            return replace(ours, calibrate_on=Calibration.STRETCHES)
         case "larger":
             return replace(ours, network="efficientnet_lite2") if place in KITCHENS else None
     return ours

@@ -37,7 +37,9 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
     features = extract_features(
         [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
     )
-    local = [extract_local_features(sequence.image(i) // np.uint8(10 if i == frames[0] else 1), model.camera) for i in frames]
+    local = [
+        extract_local_features(sequence.image(i) // np.uint8(10 if i == frames[0] else 1), model.camera) for i in frames
+    ]
     here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
     for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
         np.testing.assert_array_equal(a, b)

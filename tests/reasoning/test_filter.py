@@ -158,6 +158,15 @@ def test_images_of_unknown_places_do_not_move_the_path():
     assert found.position_spreads[5, 0] > found.position_spreads[9, 0]  # bridged by motion alone
 
 
+def test_a_stream_is_lost_until_it_shows_a_known_place():
+    frames = [hypotheses([0.0, 4.0], [0.5, 0.5]), *[hypotheses([0.0], [1.0])] * 4]
+    known = np.array([False, False, False, True, True])
+    seen = Observations(frames, [None] * 5, 0.1 * np.arange(5), known=known)
+    prior = replace(PRIOR, volume_m3=1000.0)
+    assert [its.lost for its in filter_posteriors(seen, prior)] == [True, True, True, False, False]
+    assert not any(its.lost for its in hindsight_posteriors(seen, prior))  # what follows leads back
+
+
 def half_turned(seed=0):
     """A flight from a known pose to frames that may as well be its half-turn, which is likelier in each of them."""
     rng = np.random.default_rng(seed)

@@ -207,7 +207,9 @@ class PoseModel:
         )
 
     def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
-        """Regions of n images from posteriors; `path`, one of :data:`PATHS`, says which frames these rest on.
+        """Regions of n images from posteriors, unbounded where these are lost.
+
+        `path`, one of :data:`PATHS`, says which frames the posteriors rest on.
 
         None where these are not calibrated.
         """
@@ -215,7 +217,9 @@ class PoseModel:
         if rule is None:
             return None
         after = beliefs.after(posteriors)
-        return self._level_sets(rule, after, self.localizer.supports(after), np.tile(rule.thresholds_, (len(after), 1)))
+        lost = np.array([posterior.lost for posterior in posteriors])
+        thresholds = np.where(lost[:, None], np.inf, rule.thresholds_)
+        return self._level_sets(rule, after, self.localizer.supports(after), thresholds)
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""

@@ -73,19 +73,19 @@ class RegionRules:
     def own(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
         known = self.known_p > self.level
-        rules = {EvidenceType.GLOBAL: _part(self.overall, known)}
+        rules = {EvidenceType.GLOBAL: part_of(self.overall, known)}
         if self.matched is not None:
             known = self.known_with_local
-            rules[EvidenceType.UNMATCHED] = _part(self.matched, known & ~self.recognised)
-            rules[EvidenceType.LANDMARKS] = _part(self.matched, known & self.recognised)
+            rules[EvidenceType.UNMATCHED] = part_of(self.matched, known & ~self.recognised)
+            rules[EvidenceType.LANDMARKS] = part_of(self.matched, known & self.recognised)
         if self.disturbed is not None and self.disturbed_p is not None:
-            rules[EvidenceType.DISTURBED] = _part(self.disturbed, self.disturbed_p > self.level)
+            rules[EvidenceType.DISTURBED] = part_of(self.disturbed, self.disturbed_p > self.level)
         return rules
 
     @cached_property
     def both(self) -> SplitConformal | None:
         """Calibrated on the frames of ``UNMATCHED`` and ``LANDMARKS`` together; None without local features."""
-        return None if self.matched is None else _part(self.matched, self.known_with_local)
+        return None if self.matched is None else part_of(self.matched, self.known_with_local)
 
     @cached_property
     def sharing(self) -> Sharing:
@@ -143,7 +143,8 @@ class RegionRules:
         return replace(self, overall=self.overall.at(rate), matched=matched, disturbed=disturbed)
 
 
-def _part(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
+def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
+    """A rule calibrated on some of its frames (n,) alone."""
     part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
     if rule.joint == "max":
         part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_

@@ -74,28 +74,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
     arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
     arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
-    arrays |= {"calibration.overall": rules.overall.scores_, "calibration.known_p": rules.known_p}
-    arrays["calibration.recognised"] = rules.recognised
-    if rules.matched_p is not None:
-        arrays["calibration.matched_p"] = rules.matched_p
-    if rules.overall.groups_ is not None:
-        arrays["calibration.groups"] = rules.overall.groups_
-    if rules.matched is not None:
-        arrays["calibration.matched"] = rules.matched.scores_
-    arrays |= {f"calibration.{path}": rule.scores_.max(axis=1) for path, rule in model.path_rules.items()}
-    if model.novelty is not None:
-        test = model.novelty.test
-        arrays |= {"novelty.references": test.references, "novelty.groups": test.groups}
-        if model.novelty.matched is not None:
-            matched = model.novelty.matched
-            arrays |= {"novelty.matched": matched.scores_, "novelty.matched_groups": matched.groups}
-        disturbed = model.novelty.disturbed
-        if disturbed is not None and rules.disturbed is not None and model.quality is not None:
-            arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.groups}
-            arrays |= {"calibration.disturbed": rules.disturbed.scores_}
-            arrays["quality"] = np.stack((model.quality.low, model.quality.high))
-    if rules.overall.joint == "max":
-        arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
+    arrays |= _calibration_arrays(model) | _novelty_arrays(model)
     arrays["sign_reference"] = localizer.sign_reference
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
     record: dict[str, Any] = {
@@ -131,6 +110,43 @@ def save_model(model: PoseModel, folder: Path) -> None:
     for other in folder.glob(_NETWORKS):
         if network is None or other.name != _network_file(record):
             other.unlink(missing_ok=True)
+
+
+def _calibration_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
+    rules = model.rules
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "calibration.overall": rules.overall.scores_,
+        "calibration.known_p": rules.known_p,
+        "calibration.recognised": rules.recognised,
+    }
+    if rules.matched_p is not None:
+        arrays["calibration.matched_p"] = rules.matched_p
+    if rules.overall.groups_ is not None:
+        arrays["calibration.groups"] = rules.overall.groups_
+    if rules.matched is not None:
+        arrays["calibration.matched"] = rules.matched.scores_
+    for path, rule in model.path_rules.items():
+        arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
+        if rule.groups_ is not None and rule.group_sizes_ is not None:
+            arrays |= {f"calibration.{path}_groups": rule.groups_, f"calibration.{path}_sizes": rule.group_sizes_}
+    if rules.overall.joint == "max":
+        arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
+    return arrays
+
+
+def _novelty_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
+    novelty, rules = model.novelty, model.rules
+    if novelty is None:
+        return {}
+    arrays = {"novelty.references": novelty.test.references, "novelty.groups": novelty.test.groups}
+    if novelty.matched is not None:
+        arrays |= {"novelty.matched": novelty.matched.scores_, "novelty.matched_groups": novelty.matched.groups}
+    disturbed = novelty.disturbed
+    if disturbed is not None and rules.disturbed is not None and model.quality is not None:
+        arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.groups}
+        arrays |= {"calibration.disturbed": rules.disturbed.scores_}
+        arrays["quality"] = np.stack((model.quality.low, model.quality.high))
+    return arrays
 
 
 def load_model(folder: Path | str) -> PoseModel:
@@ -232,7 +248,7 @@ def _assemble(
         radius=_radius(record["radius"], folder),
         comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
         path_rules={
-            path: _path_rule(rules, arrays[name]) for path in PATHS if (name := f"calibration.{path}") in arrays
+            path: _path_rule(rules, arrays, name) for path in PATHS if (name := f"calibration.{path}") in arrays
         },
         reliable_p=float(how["reliable_p"]),
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
@@ -277,9 +293,10 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
 
 
-def _path_rule(rules: RegionRules, scores: npt.NDArray[np.float64]) -> SplitConformal:
+def _path_rule(rules: RegionRules, arrays: dict[str, npt.NDArray[Any]], name: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
-    return rule.calibrate_scores(np.repeat(scores[:, None], rule.bins.n_targets, axis=1), rules.overall.groups_)
+    scores = np.repeat(arrays[name][:, None], rule.bins.n_targets, axis=1)
+    return rule.calibrate_scores(scores, arrays.get(f"{name}_groups"), arrays.get(f"{name}_sizes"))
 
 
 def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:

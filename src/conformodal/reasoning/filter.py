@@ -49,6 +49,11 @@ class Posterior:
     hypotheses: Candidates
     elsewhere: float
 
+    @property
+    def lost(self) -> bool:
+        """Whether the pose is most probably elsewhere: no known place was seen, or too long ago."""
+        return self.elsewhere > 0.5
+
     def with_image(self, candidates: Candidates) -> Candidates:
         """All hypotheses, and after them those of the image alone, which stand where none of these is right."""
         known = self.hypotheses.normalised(np.log1p(-self.elsewhere))

@@ -43,7 +43,8 @@ class _FilterSettings:
         The same for normalisers, as a factor of `tempering`. With 1, a sharp mode of little mass that stays the same
         over many images wins over a vague hypothesis of most of the mass.
     wrong, wrong_if_unknown
-        Probability that an image says nothing of the pose, where it shows a known place and where it does not.
+        Probability that an image says nothing of the pose, where it shows a known place and where it does not. With
+        0.5, a stretch of images that are all wrong alike soon had a sure path.
     jump
         Probability that the camera is anywhere in the next frame: a cut, or a gross mistake.
     followed_jump
@@ -66,8 +67,8 @@ class _FilterSettings:
         Least probability of the chosen place with which a pose counts as reliable; training raises it, at most to
         `most_reliable`, until held-out frames with a wrong place that is so probable have at most this share.
     common
-        Share of the variance of errors that consecutive images have in common; with 0, the filter is Kalman's. With 1,
-        regions from posteriors are shorter on seeds 20 and 21 of redkitchen `blocks` and 20 of the demo.
+        Share of the variance of errors that consecutive images have in common; with 0, the filter is Kalman's. This and
+        `wrong_if_unknown` were chosen on seeds 20 to 22 of redkitchen `blocks` and 20 of the demo.
     lag
         Frames of a stream whose answer is revised in hindsight.
     """
@@ -75,7 +76,7 @@ class _FilterSettings:
     tempering: float = 0.5
     sharpness: float = 0.5
     wrong: float = 0.02
-    wrong_if_unknown: float = 0.5
+    wrong_if_unknown: float = 1 - 1e-7
     jump: float = 1e-4
     followed_jump: float = 1e-9
     rotation_outlier: float = 1e-6

@@ -31,7 +31,7 @@ from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import PATHS, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
-from conformodal.model.region_rules import EvidenceType, RegionRules
+from conformodal.model.region_rules import EvidenceType, RegionRules, part_of
 from conformodal.reasoning.filter import Posterior, filter_posteriors, hindsight_posteriors
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, same_place
@@ -202,6 +202,7 @@ def calibrate_paths(
     units = sequence.recording if folds.units is None else folds.units
     known = rules.known_with_local | rules.recognised
     scores: dict[str, list[RealArray]] = {path: [] for path in PATHS}
+    lost: dict[str, list[bool]] = {path: [] for path in PATHS}
     truth, n = sequence.require_truth(), len(folds.held_out)
     probability, right = np.empty(n), np.empty(n, dtype=bool)
     start = 0
@@ -224,14 +225,17 @@ def calibrate_paths(
             right[start + at] = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
         for path in PATHS:
             its = [found[path][i] for i in range(len(held_out))]
+            lost[path] += [posterior.lost for posterior in its]
             scores[path].append(score_beliefs(rule, localizer, own.after(its), targets[held_out]))
         start += len(held_out)
     labels, cells = rules.overall.groups_, rules.overall.bins
+    every = {path: np.concatenate(its) for path, its in scores.items()}
     paths = {
-        path: path_rule(cells, rules.overall.alpha).calibrate_scores(np.concatenate(its), labels)
-        for path, its in scores.items()
+        path: part_of(path_rule(cells, rules.overall.alpha).calibrate_scores(its, labels), ~np.array(lost[path]))
+        for path, its in every.items()
     }
-    held = (paths[PATHS[0]].scores_ <= paths[PATHS[0]].thresholds_).all(axis=1)
+    online = PATHS[0]
+    held = (every[online] <= paths[online].thresholds_).all(axis=1) | np.array(lost[online])
     wrong = np.where(right | held, -np.inf, probability)
     unit = np.unique(np.arange(n) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]
