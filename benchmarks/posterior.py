@@ -23,7 +23,8 @@ from conformodal.running.estimator import VisualOdometry
 PLACES = {"corridor": "ours", "redkitchen, blocks": "stretches"}  # with the model, by what calibrates it
 FAR_M, ALPHA = 0.3, 0.1
 COLUMNS = {
-    "rmse_m": 3, "far": 3, "coverage": 3, "places": 2, "most_places": 0, "length_m": 3, "unbounded": 3, "reliable": 2, "elsewhere": 3
+    "rmse_m": 3, "far": 3, "coverage": 3, "places": 2, "most_places": 0, "length_m": 3, "unbounded": 3,
+    "reliable": 2, "elsewhere": 3,
 }  # fmt: skip
 
 
@@ -88,10 +89,11 @@ def main() -> None:
     header += ["reliable", "elsewhere"]
     note = (
         f"Mean and 95 % interval over seeds {asked.seeds}; settings of the filter were chosen on seeds 20 (corridor) "
-        f"and 11, 13 and 20 to 22 (redkitchen). Frames calibrate in the corridor, stretches on redkitchen. Far: over {FAR_M} m, as a share of the frames. Coverage of the whole pose, "
-        f"alpha = {ALPHA}; what calibrates the regions is in docs/guarantees.md. Places: cuboids of bounded regions, "
-        "mean and most; length: median over frames of the mean along x, y and z. Unbounded: share of the frames. Reliable: share of the frames; "
-        "elsewhere: share of all frames that are reliable, miss the pose and have the chosen pose at another place."
+        "and 11, 13 and 20 to 22 (redkitchen). Frames calibrate in the corridor, stretches on redkitchen. Far: over "
+        f"{FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = {ALPHA}; what calibrates the regions "
+        "is in docs/guarantees.md. Places: cuboids of bounded regions, mean and most; length: median over their frames "
+        "of the mean along x, y and z. Unbounded and reliable: share of the frames; elsewhere: share of all frames that "
+        "are reliable, miss the pose and have the chosen pose at another place."
     )
     line = f"python benchmarks/posterior.py --seeds {' '.join(map(str, asked.seeds))}"
     write_table("posterior", "Regions and poses: one image, the frames so far, hindsight", line, header, rows, note)
