@@ -1,6 +1,6 @@
 """Regions and poses from one image, from the frames so far, and in hindsight.
 
-python benchmarks/posterior.py [--seeds 10 12] [--runs ablation-out]
+python benchmarks/posterior.py [--seeds 10 11 12 13 14] [--places corridor] [--table NAME] [--runs ablation-out]
 
 Models are those of ablation.py and cached with it.
 """
@@ -8,11 +8,12 @@ Models are those of ablation.py and cached with it.
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
 import numpy as np
 from ablation import Models
-from common import RESULTS, ROOT, cached_json, mean_interval, write_table
+from common import RESULTS, ROOT, SEEDS, cached_json, mean_interval, write_table
 
 from conformodal.core.arrays import FloatArray
 from conformodal.localization.regions import PoseRegions
@@ -71,11 +72,13 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 12])
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--places", nargs="+", choices=PLACES, default=list(PLACES))
+    parser.add_argument("--table", default="posterior")
     parser.add_argument("--runs", type=Path, default=ROOT / "ablation-out")
     asked = parser.parse_args()
     rows = []
-    for place in PLACES:
+    for place in asked.places:
         of = []
         for seed in asked.seeds:
             file = RESULTS / "posterior" / f"{place.replace(', ', '_')}-{seed}.json"
@@ -96,7 +99,9 @@ def main() -> None:
         "are reliable, miss the pose and have the chosen pose at another place."
     )
     line = f"python benchmarks/posterior.py --seeds {' '.join(map(str, asked.seeds))}"
-    write_table("posterior", "Regions and poses: one image, the frames so far, hindsight", line, header, rows, note)
+    if asked.table != "posterior":
+        line += f" --places {' '.join(map(shlex.quote, asked.places))} --table {asked.table}"
+    write_table(asked.table, "Regions and poses: one image, the frames so far, hindsight", line, header, rows, note)
 
 
 if __name__ == "__main__":
