@@ -93,9 +93,9 @@ def main() -> None:
     note = (
         f"Mean and 95 % interval over seeds {asked.seeds}; settings of the filter were chosen on seeds 20 (corridor) "
         "and 11, 13 and 20 to 22 (redkitchen). Frames calibrate in the corridor, stretches on redkitchen. Far: over "
-        f"{FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = {ALPHA}; what calibrates the regions "
-        "is in docs/guarantees.md. Places: cuboids of bounded regions, mean and most; length: median over their frames "
-        "of the mean along x, y and z. Unbounded and reliable: share of the frames; elsewhere: share of all frames that "
+        f"{FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = {ALPHA}; what calibrates regions is "
+        "in docs/guarantees.md. Places: cuboids of bounded regions, mean and most; length: median over their frames of "
+        "the mean along x, y and z. Unbounded and reliable: share of the frames; elsewhere: share of all frames that "
         "are reliable, miss the pose and have the chosen pose at another place."
     )
     line = f"python benchmarks/posterior.py --seeds {' '.join(map(str, asked.seeds))}"
