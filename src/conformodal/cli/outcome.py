@@ -251,8 +251,17 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
     held = round(coverage["bounded_coverage"] * n_bounded)
     return (
         f"{held} of {counted(n_bounded, 'bounded region')} ({100 * coverage['bounded_coverage']:.1f} %) "
-        f"{noun_for(held, 'holds', 'hold')} the whole pose; {unbounded} in some target"
+        f"{noun_for(held, 'holds', 'hold')} the whole pose{_smallest(coverage)}; {unbounded} in some target"
     )
+
+
+def _smallest(coverage: dict[str, Any]) -> str:
+    """How often the smallest regions hold the pose; nothing where there are too few to tell sizes apart."""
+    parts = coverage.get("by_size", [])
+    if len(parts) < 2:
+        return ""
+    share = "tenth" if len(parts) == 10 else f"{len(parts)}th part"
+    return f", of the smallest {share} {100 * parts[0]['coverage']:.0f} %"
 
 
 def _size(radius: dict[str, Any]) -> str:

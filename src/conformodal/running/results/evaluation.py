@@ -134,6 +134,7 @@ def coverage_table(
         "joint_coverage": float(held.mean()),
         "joint_band_99": None if band is None else list(band),
         **places_row(statistics),
+        "by_size": coverage_by_size(statistics),
         "median_length_m": [_finite(x) for x in np.median(statistics.length[:, :3], axis=0)],
         "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, matched_all=matched_all),
@@ -153,6 +154,21 @@ def places_row(statistics: RegionStatistics) -> dict[str, Any]:
     """How many places bounded regions consist of."""
     n = statistics.n_places[statistics.bounded]
     return {"mean_places": float(n.mean()) if n.size else None, "most_places": int(n.max()) if n.size else None}
+
+
+def coverage_by_size(statistics: RegionStatistics) -> list[dict[str, Any]]:
+    """Coverage of the whole pose in each tenth of the bounded regions, from the smallest mean length along x, y and z.
+
+    Where regions are sharper than their evidence, the first rows lie below the others. Each has ten frames or more, so
+    that fewer than a hundred frames make fewer rows.
+    """
+    length, held = statistics.length[statistics.bounded, :3].mean(axis=1), statistics.held[statistics.bounded]
+    parts = np.array_split(np.argsort(length, kind="stable"), max(1, min(10, len(length) // 10)))
+    return [
+        {"frames": len(at), "median_length_m": float(np.median(length[at])), "coverage": float(held[at].mean())}
+        for at in parts
+        if len(at)
+    ]
 
 
 def path_coverage_table(
@@ -180,6 +196,7 @@ def path_coverage_table(
             "abstained": float((~its.bounded).mean()),
             **bounded_coverage(its.held, its.bounded),
             **places_row(its),
+            "by_size": coverage_by_size(its),
             "median_length_m": [_finite(x) for x in np.median(its.length[:, :3], axis=0)],
         }
         for path, its in statistics.items()
