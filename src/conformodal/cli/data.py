@@ -49,13 +49,9 @@ def data() -> None:
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for metrics.json, and a page if there are poses."),
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for metrics.json, and a page if there are poses.")] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Saved model: also report sparsely covered and ambiguous places."),
+        Path | None, typer.Option(help="Saved model: also report sparsely covered and ambiguous places.")
     ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")

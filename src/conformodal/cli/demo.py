@@ -43,8 +43,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Seed of the world, flight, split and training.")] = 0,
     method: Annotated[
-        Method,
-        typer.Option(help="conformodal, or paper: the paper's system in the same world."),
+        Method, typer.Option(help="conformodal, or paper: the paper's system in the same world.")
     ] = Method.CONFORMODAL,
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""

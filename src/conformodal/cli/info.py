@@ -24,8 +24,7 @@ _TIMED = 20
 
 @report_errors
 def info(
-    model: SavedModel,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    model: SavedModel, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
 ) -> None:
     """Print a saved model's training data, guarantee, size and network speed."""
     found = _facts(load_model(model), model)

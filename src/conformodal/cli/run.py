@@ -68,8 +68,7 @@ def run(
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     pace: Annotated[
-        Pace,
-        typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon."),
+        Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
     ] = Pace.FAST,
     match_every: Annotated[
         int | None,
@@ -236,14 +235,7 @@ def _push_all(
 
 
 def _write_results(
-    model: PoseModel,
-    runner: StreamRunner,
-    shown: _Shown,
-    part: Part,
-    counts: dict[str, Any],
-    name: str,
-    *,
-    whole: bool,
+    model: PoseModel, runner: StreamRunner, shown: _Shown, part: Part, counts: dict[str, Any], name: str, *, whole: bool
 ) -> dict[str, Any]:
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None

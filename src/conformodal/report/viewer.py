@@ -25,10 +25,7 @@ _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
 
 
 def make_viewer(
-    folder: Path,
-    images: Mapping[str, bytes],
-    level: float | None = None,
-    walls: Sequence[npt.NDArray[np.float64]] = (),
+    folder: Path, images: Mapping[str, bytes], level: float | None = None, walls: Sequence[npt.NDArray[np.float64]] = ()
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
