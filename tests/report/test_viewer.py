@@ -10,8 +10,7 @@ from PIL import Image
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
-from conformodal.report.thumbnails import Thumbnails
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.running.results.records import region_record
 from conformodal.running.results.writer import ResultsWriter
 

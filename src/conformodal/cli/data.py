@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence

@@ -21,8 +21,7 @@ from conformodal.poses import Trajectory
 from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.report.figures import plan_figure
 from conformodal.report.page import PageFigure, ReportContent
-from conformodal.report.thumbnails import Thumbnails
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.paths import ONLINE

@@ -25,8 +25,7 @@ from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
 from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
-from conformodal.report.thumbnails import Thumbnails
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.ros.bag import BagWriter
 from conformodal.running.estimates import Estimate
 from conformodal.running.paper_odometry import odometry_of

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 
-from .errors import PoseError
 from .metrics import check_same_length
+from .rotations import PoseError
 from .trajectory import Trajectory
 
 # Of the spread along a path, and of the residuals: less across it leaves its roll open.

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .errors import PoseError
-from .rotations import angle_between_quats
+from .rotations import PoseError, angle_between_quats
 from .trajectory import Trajectory
 
 # Matches what common tools use to pair estimated and true timestamps.

@@ -10,9 +10,9 @@ from typing import Self
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 
-from .errors import PoseError
+from .rotations import PoseError
 
 # A direction is trusted if its error is claimed to be no larger.
 _TRUSTED_DIRECTION_RAD = np.radians(10.0)

@@ -11,11 +11,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
-
-from .errors import PoseError
+from conformodal.core.errors import ConformodalError
 
 # Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
 _ORTHONORMAL_TOLERANCE = 1e-3
+
+
+class PoseError(ConformodalError):
+    """An invalid pose, rotation or trajectory: NaN, not a rotation, different lengths."""
 
 
 def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import as_member
 from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.localization.regions import PoseRegions
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import LEAST_VARIANCE, Candidates, weights_of

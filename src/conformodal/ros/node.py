@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
+from conformodal.core.ranges import as_member
 from conformodal.datasets.streams.frames import SourceError
 from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of
 from conformodal.model.errors import OdometryError
