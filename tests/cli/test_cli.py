@@ -15,7 +15,7 @@ from conformodal.model.store import load_model
 from conformodal.poses import Trajectory, read_tum, write_tum
 from conformodal.running.results.parquet import read_region_parquet
 from conformodal.running.results.records import read_region_records
-from tests.helpers import invoke, refusal, run_ok
+from tests.helpers import fly, invoke, refusal, run_ok
 
 
 @pytest.fixture(scope="module")
@@ -157,17 +157,9 @@ def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
 @pytest.fixture(scope="module")
 def flights(small_world, tmp_path_factory):
     """Short flights that the small world's model was not trained on."""
-    from conformodal.datasets.corridor.path import drone_path
-    from conformodal.datasets.corridor.render import Renderer
-    from conformodal.datasets.corridor.world import CorridorWorld
-    from conformodal.datasets.corridor.writer import write_flight
-
     folder = tmp_path_factory.mktemp("flights")
-    world = CorridorWorld(3, seed=3)
-    renderer = Renderer(world)
     for k in range(5):
-        poses = drone_path(world, 1, seed=100 + k).poses_se3[20 * k : 20 * k + 6]
-        write_flight(folder / f"seq-{k:02d}", renderer, poses, noise_seed=1000 * k)
+        fly(folder / f"seq-{k:02d}", 100 + k, slice(20 * k, 20 * k + 6), 1000 * k)
     return folder
 
 

@@ -85,7 +85,7 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
         found = json.loads(mark.read_text(encoding="utf-8"))
     shutil.rmtree(old, ignore_errors=True)
     if found != wanted and flight.exists():
-        flight.rename(old)  # gone by that name at once: never half a flight under the mark of a whole one
+        flight.rename(old)  # an interrupted deletion must not leave half a flight in this place
     write_whole(mark, json.dumps(wanted) + "\n")
     shutil.rmtree(old, ignore_errors=True)
     if not flight.is_dir():

@@ -113,16 +113,16 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What lies in a folder of results: as many records as poses of each method.
+    """Content of a folder of results: as many records as poses of each method.
 
     Attributes
     ----------
     metrics
         Of the run; empty where they are missing.
     records, trajectories
-        One record a frame; trajectories by method, the answer first.
+        One record per frame; trajectories by method, the answer first.
     times
-        Of the frames, as a trajectory whose poses mean nothing if there is no method.
+        Of the frames; the poses are placeholders if there is no method.
     unfinished
         Whether the run was killed.
     """

@@ -81,7 +81,7 @@ def describe_facts(found: dict[str, Any]) -> list[str]:
         f"images whose p-value of showing a known place is at most {found['novelty_level']:g} get an unbounded region",
         f"radius around the chosen pose: {radius}",
         f"size: {sum(found['bytes'].values()) / 1e6:.1f} MB",
-        f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms an image here",
+        f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms per image here",
     ]
 
 

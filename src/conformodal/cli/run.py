@@ -181,8 +181,8 @@ class _Shown:
     def take(self, frame: Frame, estimate: Estimate, truth: Trajectory | None) -> None:
         if estimate.region is not None and frame.image is not None:
             self.pictures.add(frame.name, frame.image)
-            for_want = estimate.evidence is not EvidenceType.UNKNOWN and estimate.region.unbounded.any()
-            self.unbounded = self.unbounded or bool(for_want)
+            known = estimate.evidence is not EvidenceType.UNKNOWN
+            self.unbounded |= known and bool(estimate.region.unbounded.any())
         for watcher in self.watching:
             watcher.log(frame, estimate, truth)
 
@@ -190,9 +190,9 @@ class _Shown:
 def _stream_through(
     model: PoseModel, stream: FrameStream, out: Path, how: _StreamOptions, watching: tuple[FrameSink, ...]
 ) -> tuple[dict[str, Any], bool]:
-    """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
+    """Run a model on a stream and write everything.
 
-    Such a region is unbounded in some target, although its image shows a place that is known.
+    Returns the metrics, and whether the region of an image that shows a known place is unbounded in some target.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)

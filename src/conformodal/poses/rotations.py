@@ -59,7 +59,7 @@ def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
     try:
         return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
     except ValueError as exc:
-        raise PoseError(f"quaternions are no rotations: {exc}") from exc
+        raise PoseError(f"quaternions are not rotations: {exc}") from exc
 
 
 def normalise_quat(quats: npt.ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Numbers that the judgement of a recording was given and did not learn."""
+"""Limits for the check of a recording: chosen, not learnt."""
 
 from __future__ import annotations
 

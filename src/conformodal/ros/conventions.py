@@ -1,4 +1,4 @@
-"""Names of frames and topics, limits, and what lost means."""
+"""Names of frames and topics, limits, and when a pose counts as lost."""
 
 from __future__ import annotations
 
