@@ -99,11 +99,6 @@ def examine(
         Of features.
     progress
         Called with stage, frames done and frames in all.
-
-    Raises
-    ------
-    OdometryError
-        If the camera is not the model's.
     """
     posed, poses = _frames_with_pose(sequence)
     recording = sequence.recording

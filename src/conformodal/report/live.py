@@ -41,11 +41,6 @@ class LiveView:
         Open Rerun's window.
     save
         File for a recording, ``.rrd``; needs no screen.
-
-    Raises
-    ------
-    LiveViewError
-        If Rerun is not installed, or the file cannot be written.
     """
 
     def __init__(self, name: str, alpha: object, *, spawn: bool = False, save: Path | None = None) -> None:

@@ -71,11 +71,6 @@ def make_viewer(
         P-value at or below which an image shows no known place; None draws no line at it.
     walls
         (2, 2) segments in x and y; they are drawn where the plan shows x and y.
-
-    Raises
-    ------
-    ResultsError, TrajectoryFileError
-        If files are missing or damaged.
     """
     answer = read_tum(folder / TRAJECTORY)
     n = len(answer)

@@ -46,11 +46,6 @@ class Conventions:
         Largest number of poses in the path.
     path_every
         The path is published once per this many answered frames.
-
-    Raises
-    ------
-    RosError
-        If `covariance` is not one of :class:`Covariance`.
     """
 
     world_frame: str = "map"
