@@ -37,22 +37,12 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """True poses of answered frames, and what is known of these frames' regions.
-
-    Attributes
-    ----------
-    truth, regions
-        Of the frames.
-    frames
-        Which of the answered frames they are, counted from 0; None for all.
-    paths
-        Coverage of their regions from posteriors; None without such regions.
-    """
+    """True poses of answered frames, and what is known of these frames' regions."""
 
     truth: Trajectory
     regions: RegionStatistics
-    frames: IntArray | None = None
-    paths: dict[str, Any] | None = None
+    frames: IntArray | None = None  # which of the answered frames they are, counted from 0; None for all
+    paths: dict[str, Any] | None = None  # coverage of their regions from posteriors; None without such regions
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:

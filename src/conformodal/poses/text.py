@@ -72,8 +72,6 @@ def read_rows(
 
     Parameters
     ----------
-    path
-        The file.
     parse
         Turns a line into numbers; may raise ValueError or IndexError.
     width, expected

@@ -23,20 +23,12 @@ _UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Trajectories of the same frames.
-
-    Attributes
-    ----------
-    answer
-        Of the run.
-    truth, classical, online
-        The true one, the classical regressor's, and ours as a robot gets it; None where it is not known.
-    """
+    """Trajectories of the same frames."""
 
     answer: Trajectory
     truth: Trajectory | None = None
-    classical: Trajectory | None = None
-    online: Trajectory | None = None
+    classical: Trajectory | None = None  # of the regressor on the same features
+    online: Trajectory | None = None  # the answer as a robot gets it, frame by frame
 
 
 def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:
