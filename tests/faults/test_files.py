@@ -390,7 +390,7 @@ def test_check_overwrites_itself_and_no_file(tmp_path):
         assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["[red]a[/b]", "[/]", "a b", "-a", "\u00fc\u4e2d", "%s {} $(ls)", "a\nb"])
+@pytest.mark.parametrize("name", ["[red]a[/b]", "-a \u00fc\u4e2d\n%s {} $(ls)"])
 def test_folders_of_any_name_are_read(tmp_path, name):
     root = tmp_path / name
     root.mkdir(parents=True)

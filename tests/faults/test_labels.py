@@ -237,7 +237,7 @@ LABEL = st.recursive(
 )  # fmt: skip
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(labels=st.lists(LABEL, min_size=1, max_size=6))
 @example(labels=["a", "a\0"])
 @example(labels=[1, True, 1.0])
