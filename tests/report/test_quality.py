@@ -25,14 +25,8 @@ def judged(known=None):
     known = (EVERY < 50) | (EVERY >= 70) if known is None else known
     scale = ViewScale(2.0, 1.5)
     coverage = pose_coverage(poses, ZERO, poses[known], scale)
-    sequence = Sequence(
-        "<b>",
-        tuple(Path(f"{i}.png") for i in EVERY),
-        poses.timestamps_s,
-        ZERO,
-        PinholeCamera(9, 9, 8, 8, 16, 16),
-        poses,
-    )
+    paths, camera = tuple(Path(f"{i}.png") for i in EVERY), PinholeCamera(9, 9, 8, 8, 16, 16)
+    sequence = Sequence("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
     return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage, None, [])
 
 

@@ -132,17 +132,13 @@ def convert(
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
+    gap_s, total = 0.0 if poses is None else max_gap, stream.n_frames or 0
     with progress_bars() as report:
-        total = stream.n_frames or 0
-        done = write_layout(
-            out,
-            to,
-            stream,
-            lens,
-            truth,
-            lambda number: report("frames", number, max(total, number)),
-            max_gap_s=0.0 if poses is None else max_gap,
-        )
+
+        def progress(number: int) -> None:
+            report("frames", number, max(total, number))
+
+        done = write_layout(out, to, stream, lens, truth, progress, max_gap_s=gap_s)
     how_many = (
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
     )

@@ -123,14 +123,9 @@ def run_metrics(
             there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
         whole = whole and counts["n_answered"] == _n_frames(model, part)
-        exchangeable = whole and is_exchangeable(model, str(part))
-        metrics["coverage"] = coverage_table(
-            known.regions,
-            model,
-            exchangeable=exchangeable,
-            matched_all=matched_all,
-            seen=part in (Part.TRAIN, Part.CALIBRATION),
-        )
+        exchangeable, seen = whole and is_exchangeable(model, str(part)), part in (Part.TRAIN, Part.CALIBRATION)
+        how = {"exchangeable": exchangeable, "matched_all": matched_all, "seen": seen}
+        metrics["coverage"] = coverage_table(known.regions, model, **how)
         metrics["path_coverage"] = known.paths
     return metrics
 

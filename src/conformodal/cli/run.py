@@ -242,15 +242,8 @@ def _write_results(
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
-    metrics = run_metrics(
-        model,
-        part,
-        read_trajectories(writer.place) if needed else {},
-        known,
-        counts,
-        whole=whole,
-        matched_all=runner.matched_all,
-    )
+    trajectories, matched_all = read_trajectories(writer.place) if needed else {}, runner.matched_all
+    metrics = run_metrics(model, part, trajectories, known, counts, whole=whole, matched_all=matched_all)
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(writer.place)
