@@ -1,4 +1,4 @@
-"""The main job, end to end: what the project promises, on the corridor and on real video."""
+"""The main job, end to end, on the corridor and on real video."""
 
 import json
 

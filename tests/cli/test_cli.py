@@ -140,7 +140,7 @@ def test_run_counts_which_frames_show_no_known_place(small_world, tmp_path):
     assert sum(record["evidence"] == "unknown" for record in records) == n
 
 
-def test_a_split_in_blocks_promises_nothing(small_world, tmp_path):
+def test_a_split_in_blocks_has_no_coverage_guarantee(small_world, tmp_path):
     arguments = ["train", small_world.folder, "--out", tmp_path / "m", "--split", "blocks", "--epochs", "2"]
     arguments += ["--sources", "head,neighbours"]  # a map a fold takes minutes
     trained = run_ok(*arguments, "--joint", "bonferroni", "--cache", small_world.cache)
@@ -177,7 +177,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
 
     run_ok("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
-    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames, no promise
+    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames: no guarantee
     for another_way in (["--limit", 3], ["--match-every", 2]):
         run_ok("run", model, flights, *another_way, "--out", tmp_path / "part")
         assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None

@@ -37,7 +37,7 @@ def test_help_imports_nothing_heavy(commands, heavy):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_info_says_what_the_model_knows_and_promises(small_world):
+def test_info_names_training_data_guarantee_and_size(small_world):
     found = json.loads(invoke("info", small_world.model, "--json").stdout)
     model = load_model(small_world.model)
     assert found["frames"] == {part: len(model.split.part(part)) for part in ("train", "calibration", "test")}

@@ -75,7 +75,7 @@ def _check(
         cache = cache_folder(cache)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
-        quality = _judge(sequence, known, cache or default_cache_dir(), report)
+        quality = _quality(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
@@ -167,7 +167,9 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     return camera
 
 
-def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
+def _quality(
+    sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress
+) -> RecordingQuality | None:
     """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
     if model is not None:
         return examine(sequence, model, cache=FeatureCache(cache), progress=report)

@@ -1,4 +1,4 @@
-"""Is a recording good enough? Judged by its poses, a model's regions and the model's calibration."""
+"""Is a recording good enough? Findings from its poses, a model's regions and the model's calibration."""
 
 from __future__ import annotations
 
