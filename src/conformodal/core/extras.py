@@ -1,4 +1,4 @@
-"""Imports that are made when they are needed: of optional packages, with an error about a missing one, and of names."""
+"""Imports on first use: of optional packages, with an error that names the extra, and of a package's public names."""
 
 from __future__ import annotations
 

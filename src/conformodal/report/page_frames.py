@@ -1,4 +1,4 @@
-"""What the page shows of each frame of a run, and what to see in a frame and in a whole run, in words."""
+"""What the page shows of each frame, and sentences about a frame and about a whole run."""
 
 from __future__ import annotations
 
