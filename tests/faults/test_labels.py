@@ -164,19 +164,10 @@ def test_missing_labels_are_refused_by_row(use, kind):
 
 
 NO_LABELS = {
-    "lists": [[c] for c in of("abc")],
-    "dicts": [{c: 1} for c in of("abc")],
-    "arrays": [np.arange(2)] * N,
-    "columns": CODES[:, None],
-    "too few": CODES[:-1],
-    "too many": [*CODES, 1],
-    "word": "abc" * (N // 3),
-    "number": 3,
-    "None": None,
-    "generator": (c for c in CODES),
-    "dict": dict(enumerate(CODES)),
-    "none at all": [],
-}
+    "lists": [[c] for c in of("abc")], "dicts": [{c: 1} for c in of("abc")], "arrays": [np.arange(2)] * N,
+    "columns": CODES[:, None], "too few": CODES[:-1], "too many": [*CODES, 1], "word": "abc" * (N // 3), "number": 3,
+    "None": None, "generator": (c for c in CODES), "dict": dict(enumerate(CODES)), "none at all": [],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("use", USES)
