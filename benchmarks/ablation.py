@@ -46,7 +46,7 @@ from joblib import Parallel, delayed
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.datasets import Sequence, SplitKind, held_out_together, read_sequence, read_sevenscenes
 from conformodal.datasets.corridor.writer import write_corridor
 from conformodal.localization.evidence import FrameEvidence

@@ -12,7 +12,7 @@ import numpy as np
 from common import write_table
 from unseen import ALPHA, corridor_flights
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.model.config import ModelConfig
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.training.folds import make_folds

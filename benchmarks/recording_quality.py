@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from common import REDKITCHEN, ROOT, cached_json, table_lines, write_page
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.datasets import SplitKind, read_sevenscenes
 from conformodal.localization.source_data import SourceData
 from conformodal.model.config import Calibration, ModelConfig

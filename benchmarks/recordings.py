@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from common import DATA, RESULTS, ROOT, cached_json, write_table
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.datasets import SplitKind, read_sequence
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig

@@ -92,7 +92,7 @@ def row(
             angle = np.arccos(np.clip(motion.direction_prev @ truth[:3, 3] / length, -1, 1))
             ways.append(np.degrees(angle))
             way_z.append(angle / np.hypot(motion.direction_sigma_rad, np.sqrt(2) * jitter / length))
-            if motion.direction_trusted:
+            if motion.direction_sigma_rad <= np.radians(10):
                 trusted.append(np.degrees(angle))
     # medians of the lengths of standard normal vectors in three and two dimensions
     claims = f"{np.median(turn_z) / 1.538:.2f} / {np.median(way_z) / 1.177:.2f}"

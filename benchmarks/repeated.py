@@ -10,7 +10,7 @@ import argparse
 import numpy as np
 from common import REDKITCHEN, SEEDS, mean_interval, write_table
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.datasets import read_sevenscenes
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig

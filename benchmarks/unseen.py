@@ -24,7 +24,7 @@ from common import DATA, REDKITCHEN, ROOT, SEEDS, cached_json, table_lines, writ
 from PIL import Image
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.datasets import PixelNoise, Sequence, SplitKind, read_image, read_sevenscenes
 from conformodal.datasets.corridor.path import drone_path
 from conformodal.datasets.corridor.render import Renderer

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.datasets import SplitKind
 from conformodal.model.config import Method, ModelConfig
 from conformodal.vision.settings import TrainingConfig

@@ -41,6 +41,18 @@ def fill(folder: Path, files) -> None:
         (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
+def fly(folder: Path, seed: int, frames: slice, noise_seed: int) -> Path:
+    """Frames of another flight through the small world."""
+    from conformodal.datasets.corridor.path import drone_path
+    from conformodal.datasets.corridor.render import Renderer
+    from conformodal.datasets.corridor.world import CorridorWorld
+    from conformodal.datasets.corridor.writer import write_flight
+
+    world = CorridorWorld(3, seed=3)
+    write_flight(folder, Renderer(world), drone_path(world, 1, seed=seed).poses_se3[frames], noise_seed=noise_seed)
+    return folder
+
+
 class Missing:
     """Stands for ``pandas.NA``: compares to nothing, and is no truth value."""
 

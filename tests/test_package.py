@@ -75,18 +75,8 @@ def test_the_wheel_answers_in_an_environment_of_its_own(bare, small_world, tmp_p
     command = [python, "-c", "from conformodal.cli import main; main()"]
     assert run(*command, "--version", cwd=tmp_path, env=settings).strip() == VERSION
     out = tmp_path / "out"
-    run(
-        *command,
-        "run",
-        small_world.model,
-        small_world.folder,
-        "--part",
-        "test",
-        "--out",
-        out,
-        cwd=tmp_path,
-        env=settings,
-    )
+    arguments = ["run", small_world.model, small_world.folder, "--part", "test", "--out", out]
+    run(*command, *arguments, cwd=tmp_path, env=settings)
     assert (out / "report.html").is_file()
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from conformodal.core.lazy import lazy_getattr
+from conformodal.core.extras import lazy_getattr
 
 if TYPE_CHECKING:
     from conformodal.conformal import (

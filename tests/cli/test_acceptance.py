@@ -1,18 +1,12 @@
-"""The main job, end to end: what the project promises, on the corridor and on real video."""
+"""The main job, end to end, on the corridor and on real video."""
 
 import json
 
 import pytest
 
-from tests import helpers
+from tests.helpers import run_ok
 
 pytestmark = pytest.mark.slow
-
-
-def invoke(*arguments):
-    result = helpers.invoke(*arguments)
-    assert result.exit_code == 0, result.output
-    return result
 
 
 def inside_band(coverage):
@@ -23,7 +17,7 @@ def inside_band(coverage):
 def test_demo(tmp_path):
     # of seeds 0 to 2, all above what is asserted, this one lies furthest from the line, so
     # that another processor's rounding does not decide
-    invoke("demo", "--out", tmp_path, "--seed", "1")
+    run_ok("demo", "--out", tmp_path, "--seed", "1")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     errors = metrics["errors"]
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
@@ -41,8 +35,8 @@ def test_demo(tmp_path):
 
 def test_redkitchen_interleaved(redkitchen, tmp_path):
     cache = tmp_path / "cache"
-    invoke("train", redkitchen, "--out", tmp_path / "model", "--cache", cache)
-    invoke("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test")
+    run_ok("train", redkitchen, "--out", tmp_path / "model", "--cache", cache)
+    run_ok("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test")
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == 200
     assert metrics["errors"]["smoothed"]["rmse_m"] <= 0.020

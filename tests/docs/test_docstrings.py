@@ -13,7 +13,7 @@ WITH_EXAMPLES = ("conformodal", "conformodal.conformal")
 PACKAGES = sorted(
     ".".join(path.parent.relative_to(SOURCE.parent).parts)
     for path in SOURCE.rglob("__init__.py")
-    if "cli" not in path.relative_to(SOURCE).parts
+    if "__all__" in path.read_text(encoding="utf-8")
 )
 
 

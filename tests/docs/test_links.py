@@ -1,4 +1,4 @@
-"""Links between files of the repository lead somewhere, on their own and on the site (without MkDocs)."""
+"""Links between files of the repository lead somewhere; test_site.py follows those of the built site."""
 
 import re
 import runpy
@@ -11,8 +11,6 @@ HOOKS = runpy.run_path(str(ROOT / "docs" / "hooks.py"))
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks" / "results").glob("*.md")])
 ADDED = HOOKS["added_pages"]()
 SITE = {*ADDED, *(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md"))}
-FILES = SITE | {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*") if path.is_file()}
-FILES |= set(HOOKS["NOTEBOOKS"]["pictures"]())
 
 
 def markdown_of(site):
@@ -39,26 +37,6 @@ def test_links_of_a_file_lead_to_files(page):
         assert found.exists(), target
         if anchor:
             assert anchor in anchors_of(found.read_text(encoding="utf-8")), target
-
-
-@pytest.mark.parametrize("site", sorted(SITE))
-def test_links_of_a_page_lead_to_pages(site):
-    for target in links_of(HOOKS["rewritten"](markdown_of(site), site)):
-        path, _, anchor = target.partition("#")
-        found = (Path("/") / Path(site).parent / path).resolve().relative_to("/").as_posix() if path else site
-        assert found in FILES, target
-        if anchor and found.startswith("reference/"):
-            _, package, name, *_ = anchor.split(".")
-            assert name in HOOKS["exported"](HOOKS["SOURCE"] / package), target
-        elif anchor:
-            assert anchor in anchors_of(markdown_of(found)), target
-
-
-@pytest.mark.parametrize("name", HOOKS["NOTEBOOKS"]["notebooks"]())
-def test_links_of_a_notebook_lead_to_files(name):
-    for target in links_of(HOOKS["NOTEBOOKS"]["notebook_page"](name)):
-        at_home = (ROOT / "notebooks" / target.partition("#")[0]).exists()
-        assert at_home or f"notebooks/{target}" in HOOKS["NOTEBOOKS"]["pictures"](), target
 
 
 def test_pictures_have_a_text_for_those_who_do_not_see_them():

@@ -167,10 +167,9 @@ LONG = {  # of float64
     "unpickled": lambda a: pickle.loads(pickle.dumps(a.astype(">f8"))),
 }
 SHORT = {  # of float32
-    "big-endian 4": lambda a: a.astype(">f4"),
-    "half": lambda a: a.astype(np.float16),
+    "big-endian 4": lambda a: a.astype(">f4"), "half": lambda a: a.astype(np.float16),
     "tensor 4": lambda a: torch.from_numpy(a.copy()),
-}
+}  # fmt: skip
 # scikit-learn has its own rules for these
 NOT_TABLES = {"tensor with gradient", "memory view"}
 DISGUISES = [(k, f, np.float64) for k, f in LONG.items()] + [(k, f, np.float32) for k, f in SHORT.items()]
@@ -215,30 +214,17 @@ def with_float(value):
 ENDLESS = []
 ENDLESS.append(ENDLESS)
 BAD = {
-    "complex": lambda a: a + 1j,
-    "text": lambda a: a.astype(str),
-    "dates": lambda a: (a * 64).astype("M8[D]"),
-    "records": lambda a: np.zeros(a.shape, [("a", float)]),
-    "masked": masked,
-    "None": replaced(None),
-    "NA": replaced(Missing()),
-    "integer too large": replaced(10**400),
-    "decimal sNaN": replaced(Decimal("sNaN")),
-    "array among numbers": lambda a: replaced(a)(a),
-    "NaN": with_float(np.nan),
-    "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]],
-    "generator": lambda a: (row for row in a),
-    "dict": lambda a: dict(enumerate(a.tolist())),
-    "None alone": lambda a: None,
-    "number": lambda a: 0.5,
-    "0-d": lambda a: np.array(0.5),
-    "empty list of lists": lambda a: [[], []],
-    "an axis too many": lambda a: a[None, None, None],
-    "sparse": lambda a: sparse.csr_array(a.reshape(len(a), -1)),
+    "complex": lambda a: a + 1j, "text": lambda a: a.astype(str), "dates": lambda a: (a * 64).astype("M8[D]"),
+    "records": lambda a: np.zeros(a.shape, [("a", float)]), "masked": masked, "None": replaced(None),
+    "NA": replaced(Missing()), "integer too large": replaced(10**400), "decimal sNaN": replaced(Decimal("sNaN")),
+    "array among numbers": lambda a: replaced(a)(a), "NaN": with_float(np.nan),
+    "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]], "generator": lambda a: (row for row in a),
+    "dict": lambda a: dict(enumerate(a.tolist())), "None alone": lambda a: None, "number": lambda a: 0.5,
+    "0-d": lambda a: np.array(0.5), "empty list of lists": lambda a: [[], []],
+    "an axis too many": lambda a: a[None, None, None], "sparse": lambda a: sparse.csr_array(a.reshape(len(a), -1)),
     "complex tensor": lambda a: torch.from_numpy(a + 0j),
-    "sparse tensor": lambda a: torch.from_numpy(a.copy()).to_sparse(),
-    "self-holding list": lambda a: ENDLESS,
-}
+    "sparse tensor": lambda a: torch.from_numpy(a.copy()).to_sparse(), "self-holding list": lambda a: ENDLESS,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("entry", ENTRIES)

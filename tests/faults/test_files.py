@@ -293,25 +293,22 @@ def test_a_name_that_is_not_utf_8_costs_its_frame(tmp_path):
 
 def outside(how, folder, root):
     """A name that leads from a folder of images to another one beside the data set."""
-    there = root.parent / f"{root.name}-other"
-    there.mkdir()
-    Image.new("RGB", (64, 48), (255, 0, 0)).save(there / "x.png")
-    if how == "absolute":
-        return str(there / "x.png")
-    if how == "dots":
-        return os.path.relpath(there / "x.png", folder)
+    image = root.parent / f"{root.name}-other" / "x.png"
+    image.parent.mkdir()
+    Image.new("RGB", (64, 48), (255, 0, 0)).save(image)
     if how == "link":
-        (folder / "link.png").symlink_to(there / "x.png")
-        return "link.png"
-    (folder / "linked").symlink_to(there)
-    return "linked/x.png"
+        (folder / "link.png").symlink_to(image)
+    elif how == "folder link":
+        (folder / "linked").symlink_to(image.parent)
+    return {"absolute": str(image), "dots": os.path.relpath(image, folder), "link": "link.png"}.get(how, "linked/x.png")
 
 
+# the file that names the images, how it names that of frame 2, and the folder that this is relative to
 NAMED = {
-    Layout.TUM: ("rgb.txt", "rgb/2.png", ""),
-    Layout.EUROC: ("data.csv", "{name}", "mav0/cam0/data"),
-    Layout.COLMAP: ("images.txt", "0002.png", "images"),
-    Layout.NERF: ("transforms.json", "./images/0002", ""),
+    Layout.TUM: ("rgb.txt", " rgb/2.png", ""),
+    Layout.EUROC: ("data.csv", ",{name}", "mav0/cam0/data"),
+    Layout.COLMAP: ("images.txt", " 0002.png", "images"),
+    Layout.NERF: ("transforms.json", '"./images/0002', ""),
 }
 
 
@@ -323,12 +320,7 @@ def naming_outside(tmp_path, layout, how):
     file, name, base = NAMED[layout]
     path = next(root.rglob(file))
     name = name.format(name=read_sequence(folder).image_paths[2].name)
-    new = outside(how, folder / base, root)
-    content = path.read_text().replace(name, new) if layout is not Layout.EUROC else None
-    if content is None:
-        lines = [f"{x.split(',')[0]},{new}" if x.endswith(name) else x for x in path.read_text().splitlines()]
-        content = "\n".join(lines)
-    path.write_text(content)
+    path.write_text(path.read_text().replace(name, name[0] + outside(how, folder / base, root)))
     if layout is Layout.COLMAP:  # where a picture that is not named is a frame without a pose
         (folder / "images" / "0002.png").unlink()
     return folder, file
@@ -376,7 +368,7 @@ def test_names_that_are_no_files(tmp_path, layout, name):
     folder = WRITERS[layout](tmp_path)
     path = next(tmp_path.rglob(NAMED[layout][0]))
     old = NAMED[layout][1]
-    path.write_text(path.read_text().replace(old, json.dumps(name)[1:-1] if layout is Layout.NERF else name))
+    path.write_text(path.read_text().replace(old, old[0] + (json.dumps(name)[1:-1] if layout is Layout.NERF else name)))
     match = "expected 'id" if layout is Layout.COLMAP and name in (".", "..") else NO_FILES[name]
     if match is None:
         with pytest.warns(DatasetWarning, match="1 x left out"):
@@ -398,7 +390,7 @@ def test_check_overwrites_itself_and_no_file(tmp_path):
         assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["[red]a[/b]", "[/]", "a b", "-a", "\u00fc\u4e2d", "%s {} $(ls)", "a\nb"])
+@pytest.mark.parametrize("name", ["[red]a[/b]", "-a \u00fc\u4e2d\n%s {} $(ls)"])
 def test_folders_of_any_name_are_read(tmp_path, name):
     root = tmp_path / name
     root.mkdir(parents=True)

@@ -18,31 +18,14 @@ from conformodal.running.results.writer import ResultsWriter
 from tests.helpers import invoke
 
 NAMES = {
-    "markup": "x[final]",
-    "closing markup": "x[/y]",
-    "style": "[bold red]x[/bold red]",
-    "link": "[link=http://a]x[/link]",
-    "emoji": "camera:x:",
-    "backslash": "a\\[b]\\",
-    "script": "<!--<script>.png",
-    "end of script": "</script><script>alert(1)</script>",
-    "html": "<img src=x onerror=alert(1)>",
-    "quotes": "a\"b'c`d",
-    "template": "{{ 7*7 }}{% raw %}",
-    "separators": "a\u2028b\u2029c",
-    "newline": "a\nb",
-    "tab": "a\tb",
-    "escape": "\x1b[31mred\x1b[0m",
-    "title of the terminal": "\x1b]0;owned\x07",
-    "c1": "a\x9b31mb",
-    "bytes": "caf\udce9.png",
-    "right to left": "a\u202egnp.exe",
-    "zero width": "a\u200bb",
-    "beyond the plane": "\U0001f600.png",
-    "percent": "%s%n{0}",
-    "long": "x" * 5000,
-    "empty": "",
-}
+    "markup": "x[final]", "closing markup": "x[/y]", "style": "[bold red]x[/bold red]",
+    "link": "[link=http://a]x[/link]", "emoji": "camera:x:", "backslash": "a\\[b]\\", "script": "<!--<script>.png",
+    "end of script": "</script><script>alert(1)</script>", "html": "<img src=x onerror=alert(1)>",
+    "quotes": "a\"b'c`d", "template": "{{ 7*7 }}{% raw %}", "separators": "a\u2028b\u2029c", "newline": "a\nb",
+    "tab": "a\tb", "escape": "\x1b[31mred\x1b[0m", "title of the terminal": "\x1b]0;owned\x07", "c1": "a\x9b31mb",
+    "bytes": "caf\udce9.png", "right to left": "a\u202egnp.exe", "zero width": "a\u200bb",
+    "beyond the plane": "\U0001f600.png", "percent": "%s%n{0}", "long": "x" * 5000, "empty": "",
+}  # fmt: skip
 
 
 @pytest.fixture(params=NAMES)

@@ -34,14 +34,9 @@ def features_of(x):
 def make_data(n=240, seed=0, n_recordings=1, **settings):
     x = np.random.default_rng(seed).uniform(-1, 1, size=(n, 6)).astype(np.float32)
     targets, times = poses_of(x), np.arange(n) / 10
-    sequence = Sequence(
-        "numbers",
-        tuple(Path(f"{i}.png") for i in range(n)),
-        times,
-        np.arange(n) * n_recordings // n,
-        CAMERA,
-        Trajectory(times, targets[:, :3], normalise_quat(targets[:, 3:])),
-    )
+    truth = Trajectory(times, targets[:, :3], normalise_quat(targets[:, 3:]))
+    paths, recording = tuple(Path(f"{i}.png") for i in range(n)), np.arange(n) * n_recordings // n
+    sequence = Sequence("numbers", paths, times, recording, CAMERA, truth)
     training = TrainingConfig(epochs=2, hidden=16, components=6)
     return SourceData(sequence, features_of(x), targets, SIGN, **{"n_bins": 12, "training": training, **settings})
 
@@ -55,15 +50,8 @@ def spoil(data, kept, value):
     positions, quats = truth.positions_xyz.copy(), truth.orientations_quat_wxyz.copy()
     positions[others], quats[others] = 1e9, [0, 1, 0, 0]
     sequence = replace(data.sequence, truth=Trajectory(truth.timestamps_s, positions, quats))
-    return SourceData(
-        sequence,
-        features,
-        targets,
-        data.sign_reference,
-        n_bins=data.n_bins,
-        training=data.training,
-        depth_m=data.depth_m,
-    )
+    settings = {name: getattr(data, name) for name in ("n_bins", "training", "depth_m")}
+    return SourceData(sequence, features, targets, data.sign_reference, **settings)
 
 
 @dataclass(frozen=True, eq=False)

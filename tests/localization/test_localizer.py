@@ -1,7 +1,5 @@
 """Sources of one belief, on stand-ins that say what they are told."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
@@ -20,23 +18,10 @@ from tests.localization.conftest import Told
 SIGN = np.array([1.0, 0, 0, 0])
 
 
-class Other(Told):
-    name: ClassVar[str] = "other"
-
-
-class Local(Told):
-    name: ClassVar[str] = "local"
-    local: ClassVar[bool] = True
-
-
-class Unable(Told):
-    """What the frames do not allow."""
-
-    name: ClassVar[str] = "unable"
-
-    @classmethod
-    def fit(cls, data, frames):
-        return None
+Other = type("Other", (Told,), {"name": "other"})
+Local = type("Local", (Told,), {"name": "local", "local": True})
+# what the frames do not allow
+Unable = type("Unable", (Told,), {"name": "unable", "fit": classmethod(lambda cls, data, frames: None)})
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What every pose source promises: what it looks at, that it can be stored, and that others can be added."""
+"""Every pose source: which frames it looks at, that it can be stored, and that others can be added."""
 
 import json
 from dataclasses import dataclass, replace

@@ -17,6 +17,7 @@ from conformodal.model.identity import data_digest, identify
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import PinholeCamera, Trajectory
 from conformodal.running.selection import calibrate_selection
+from tests.helpers import fly
 
 CAMERA = PinholeCamera(10.0, 10.0, 4.0, 3.0, 8, 6)
 
@@ -205,28 +206,16 @@ def test_a_part_with_another_camera_is_refused(model, sequence):
     assert len(part_frames(model, same, Part.TEST)) == len(model.split.test)
 
 
-def test_calibrate_refuses_data_of_which_it_knows_a_frame(model, copy, flight):
+def test_calibrate_refuses_data_of_which_it_knows_a_frame(model, copy, tmp_path):
     last = sorted((copy / "seq-01").glob("*.png"))[-1]
     for path in (last, last.with_name(last.name.replace("color.png", "pose.txt"))):
         path.unlink()
     less = read_sevenscenes(copy)
     with pytest.raises(OdometryError, match=rf"frame-000000.*{len(less)} of {len(less)} frames; calibrate on other"):
         calibrate_selection(model, less)
+    flight = fly(tmp_path / "flight", 50, slice(4), 9)
     new = read_sevenscenes(flight)
     assert not model.known_frames.known(identify(new)).any()
     shutil.copy(less.image_paths[int(model.split.train[5])], flight / "frame-000002.color.png")
     with pytest.raises(OdometryError, match=r"frame-000002.*1 of 4 frames"):
         calibrate_selection(model, read_sevenscenes(flight))
-
-
-@pytest.fixture
-def flight(tmp_path):
-    """Four frames of another flight through the small world."""
-    from conformodal.datasets.corridor.path import drone_path
-    from conformodal.datasets.corridor.render import Renderer
-    from conformodal.datasets.corridor.world import CorridorWorld
-    from conformodal.datasets.corridor.writer import write_flight
-
-    world = CorridorWorld(3, seed=3)
-    write_flight(tmp_path / "flight", Renderer(world), drone_path(world, 1, seed=50).poses_se3[:4], noise_seed=9)
-    return tmp_path / "flight"

@@ -48,32 +48,6 @@ def test_nine_recordings_suffice_for_a_tenth():
         assert np.isfinite(fit_pose_radius(errors, 0.1, guarantee, "smoothed").radius_rad)
 
 
-def recording_of_a_shaky_camera(rng):
-    """Answers to a recording of random length and difficulty, and the truth; the errors of one recording agree."""
-    n = int(rng.integers(5, 40))
-    noise = np.exp(rng.normal(-3, 0.7))
-    times = np.arange(float(n))
-    path = np.cumsum(rng.normal(size=(n, 3)) * 0.01, axis=0)
-    off = noise * (rng.normal(size=3) + rng.normal(size=(n, 3)))
-    turned = Rotation.from_rotvec(noise / 4 * (rng.normal(size=3) + rng.normal(size=(n, 3))))
-    truth = Trajectory(times, path, np.tile([1.0, 0, 0, 0], (n, 1)))
-    return Trajectory(times, path + off, turned.as_quat(scalar_first=True)), truth
-
-
-def test_a_frame_of_a_new_recording_is_held_as_often_as_promised():
-    rng = np.random.default_rng(3)
-    alpha, held = 0.2, []
-    for _ in range(400):
-        recordings = [recording_of_a_shaky_camera(rng) for _ in range(12)]
-        errors = [pose_errors(*pair) for pair in recordings[1:]]
-        estimate, truth = recordings[0]
-        radius = fit_pose_radius(errors, alpha, Guarantee.FRAME, "smoothed", metres_per_rad=3.0)
-        held.append(radius.holds(estimate, truth).mean())
-    # guaranteed in the mean; above it by at most one recording's weight
-    slack = 3 * np.std(held) / np.sqrt(len(held))
-    assert 1 - alpha - slack < np.mean(held) < 1 - alpha + 1 / 12 + slack
-
-
 @pytest.mark.parametrize("metres_per_rad", [0.0, -1.0, np.inf, np.nan])
 def test_a_weight_of_metres_is_positive_and_finite(metres_per_rad):
     with pytest.raises(OdometryError, match="metres_per_rad must be positive and finite"):

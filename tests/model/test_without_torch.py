@@ -11,23 +11,25 @@ import pytest
 from conformodal.model.errors import ModelFileError
 from conformodal.model.store import load_model
 
-RUN = """
-    import sys
 
-    class Missing:
-        def find_spec(self, name, path=None, target=None):
-            if name.partition(".")[0] in {missing!r}:
-                raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-
-    sys.meta_path.insert(0, Missing())
-    from conformodal.cli.main import app
-    app({arguments!r})
-"""
+def run_script(script):
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
 
 def run_without(missing, *arguments):
-    script = textwrap.dedent(RUN).format(missing=missing, arguments=[str(a) for a in arguments])
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
+    return run_script(f"""
+        import sys
+
+        class Missing:
+            def find_spec(self, name, path=None, target=None):
+                if name.partition(".")[0] in {missing!r}:
+                    raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+        sys.meta_path.insert(0, Missing())
+        from conformodal.cli.main import app
+        app({[str(a) for a in arguments]!r})
+    """)
 
 
 @pytest.mark.slow
@@ -57,11 +59,6 @@ def test_a_damaged_network_is_named(small_world, tmp_path):
     network.unlink()
     with pytest.raises(ModelFileError, match=rf"{network.name}: cannot be read"):
         load_model(folder)
-
-
-def run_script(script):
-    script = textwrap.dedent(script)
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.mark.parametrize("module", ["region_rules", "radius", "errors"])

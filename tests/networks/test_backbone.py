@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from conformodal.core.extras import MissingPackageError
-from conformodal.networks.lite import NETWORKS, LiteNetwork
+from conformodal.networks import hub as hub_module
+from conformodal.networks.lite import NETWORKS, LiteNetwork, find_network
 from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
 from conformodal.vision.backbone import BackboneConfig
 from conformodal.vision.settings import VisionError
@@ -72,3 +73,65 @@ def test_without_the_networks_package_the_extra_is_named(monkeypatch):
 def test_unknown_networks_are_refused(config):
     with pytest.raises(VisionError, match=r"backbone must be|block must be"):
         TorchBackbone(config)
+
+
+@pytest.fixture(scope="module")
+def transformers():
+    return pytest.importorskip("transformers")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, transformers):
+    """A small EfficientNet with random weights, saved as the hub would have it."""
+    folder = tmp_path_factory.mktemp("hub") / "small"
+    torch.manual_seed(0)
+    config = transformers.EfficientNetConfig(width_coefficient=0.25, depth_coefficient=0.3, hidden_dim=320)
+    transformers.EfficientNetModel(config).save_pretrained(folder)
+    processor = transformers.EfficientNetImageProcessor(image_mean=[0.5, 0.4, 0.3], image_std=[0.2, 0.25, 0.3])
+    processor.save_pretrained(folder)
+    return folder
+
+
+def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved, transformers):
+    backbone = TorchBackbone(backbone_config(320, 240, f"hf:{saved}"))
+    rng = np.random.default_rng(0)
+    images = torch.from_numpy(rng.integers(0, 255, (2, 240, 320, 3), dtype=np.uint8))
+    with torch.inference_mode():
+        features = backbone(images)
+        model = transformers.AutoModel.from_pretrained(saved).eval()
+        pixels = images.permute(0, 3, 1, 2).float() / 255
+        mean, std = torch.tensor([0.5, 0.4, 0.3]), torch.tensor([0.2, 0.25, 0.3])
+        scaled = (pixels - mean[:, None, None]) / std[:, None, None]
+        states = model(pixel_values=scaled, output_hidden_states=True).hidden_states
+    sixteenth = [s for s in states if s.shape[2:] == (15, 20)]
+    same = [s for s in sixteenth if s.shape[1] == sixteenth[0].shape[1]]
+    expected = torch.nn.functional.adaptive_avg_pool2d(same[-1], (6, 8)).flatten(1)
+    torch.testing.assert_close(features, expected, rtol=1e-4, atol=1e-4)
+    assert not any(p.requires_grad for p in backbone.parameters())
+
+
+def test_other_weights_are_another_backbone(saved, transformers, tmp_path):
+    name = f"hf:{saved}"
+    config = backbone_config(160, 120, name)
+    one = TorchBackbone(config).fingerprint
+    assert one == TorchBackbone(config).fingerprint
+    model = transformers.AutoModel.from_pretrained(saved)
+    with torch.no_grad():
+        next(model.parameters())[0, 0] += 1
+    model.save_pretrained(tmp_path)
+    transformers.AutoImageProcessor.from_pretrained(saved).save_pretrained(tmp_path)
+    other = TorchBackbone(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
+    assert other.fingerprint != one
+
+
+@pytest.mark.usefixtures("transformers")
+def test_what_is_not_here_is_not_fetched_but_named():
+    with pytest.raises(VisionError, match="hf download nobody/no-model"):
+        backbone_config(64, 64, "hf:nobody/no-model")
+
+
+def test_without_transformers_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    hub_module._default_block.cache_clear()
+    with pytest.raises(VisionError, match=r"conformodal\[hub\]"):
+        _ = find_network("hf:anything").block

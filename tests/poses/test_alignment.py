@@ -139,7 +139,7 @@ def test_yaw_keeps_an_error_of_tilt():
 
 
 def road(n=1200, step=1.0, turn_deg=0.0, scale=1.0):
-    """A drive along z, a metre a frame, turning about y by `turn_deg` every metre."""
+    """A drive along z, one metre per frame, turning about y by `turn_deg` every metre."""
     headings = np.radians(turn_deg) * np.arange(n)
     rotation = Rotation.from_rotvec(np.column_stack((0 * headings, headings, 0 * headings)))
     steps = rotation[:-1].apply([0, 0, step * scale])

@@ -54,7 +54,7 @@ def model(split, **how):
     return SimpleNamespace(rules=rules, split=SimpleNamespace(kind=split))
 
 
-def test_each_kind_of_evidence_promises_for_itself():
+def test_each_evidence_type_has_a_guarantee_of_its_own():
     found = {one.evidence: one for one in guarantees(model(SplitKind.INTERLEAVED))}
     assert {kind: one.n_frames for kind, one in found.items()} == {
         EvidenceType.GLOBAL: 60,

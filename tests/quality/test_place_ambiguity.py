@@ -43,7 +43,7 @@ def regions(*parts):
     return pose_regions_of(BINS, masks, unbounded)
 
 
-def judged(parts, truth, known=X, frames=None):
+def examined(parts, truth, known=X, frames=None):
     n = len(parts)
     found = SimpleNamespace(
         regions=regions(*parts),
@@ -63,30 +63,30 @@ def of_a_recording(found, known_names):
 
 def test_places_in_a_region_are_counted():
     parts = [[(1, 3)], [(1, 2), (11, 12)], [(0, 20)], None]
-    found = judged(parts, [1.5, 1.5, 1.5, 1.5])
+    found = examined(parts, [1.5, 1.5, 1.5, 1.5])
     assert found.n_places.tolist() == [1, 2, 2, 0]
     assert found.n_unknown == 1
 
 
 def test_places_that_known_frames_join_are_one():
     way = np.concatenate((X, np.linspace(3, 11, 160)))
-    assert judged([[(0, 20)]], [1.5], way).n_places.tolist() == [1]
+    assert examined([[(0, 20)]], [1.5], way).n_places.tolist() == [1]
     # two intervals of one place, with a gap that is narrower than what counts as near
-    assert judged([[(1, 1.5), (2, 2.5)]], [1.2]).n_places.tolist() == [1]
+    assert examined([[(1, 1.5), (2, 2.5)]], [1.2]).n_places.tolist() == [1]
     # both sides of a stretch that nobody knows show some of the same: 0.75 of the view lies between them
-    assert judged([[(0, 20)]], [1.5], X[(X < 1.5) | (X == 3.0)]).n_places.tolist() == [1]
-    assert judged([[(0, 20)]], [1.5], np.array([1.0, 3.1])).n_places.tolist() == [2]
+    assert examined([[(0, 20)]], [1.5], X[(X < 1.5) | (X == 3.0)]).n_places.tolist() == [1]
+    assert examined([[(0, 20)]], [1.5], np.array([1.0, 3.1])).n_places.tolist() == [2]
 
 
 def test_the_frames_own_place_counts_where_its_region_misses_it():
-    assert judged([[(11, 12)]], [1.5]).n_places.tolist() == [2]
-    assert judged([[(11, 12)]], None).n_places.tolist() == [1]
+    assert examined([[(11, 12)]], [1.5]).n_places.tolist() == [2]
+    assert examined([[(11, 12)]], None).n_places.tolist() == [1]
 
 
 def test_stretches_that_look_alike_are_named_by_known_frames():
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * 5 + [[(1, 3)]] * 10
     frames = 100 + 2 * np.arange(25)
-    found = judged(parts, [1.5] * 25, frames=frames)
+    found = examined(parts, [1.5] * 25, frames=frames)
     (one,) = found.stretches
     assert (one.first, one.last, one.n_frames, one.n_places) == (120, 128, 5, 2)
     assert one.place_xyz == (1.5, 0.0, 0.0)
@@ -98,7 +98,7 @@ def test_stretches_that_look_alike_are_named_by_known_frames():
 @pytest.mark.parametrize(("n", "frames"), [(5, "frames 20 to 28"), (1, "frame 20")])
 def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * n
-    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    found = examined(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
     quality = of_a_recording(found, 1000 + np.arange(80))
     (advice,) = record_next(quality)
     assert advice.startswith(f"Places look alike: {frames} (around x=1.5, y=0.0) and frames 1050 to 1069. Record")
@@ -107,7 +107,7 @@ def test_what_looks_alike_is_to_be_recorded_in_one_piece(n, frames):
 
 def test_a_stretch_that_looks_like_itself_is_not_sent_from_one_end_to_the_other():
     parts = [[(1, 3)]] * 10 + [[(1, 2), (11.5, 12.5)]] * 5
-    found = judged(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
+    found = examined(parts, [1.5] * len(parts), frames=2 * np.arange(len(parts)))
     (one,) = found.stretches
     # the known frames elsewhere, 50 to 69 of all, bear the numbers 10 to 29: those of the stretch itself
     (advice,) = record_next(of_a_recording(found, np.arange(80) - 40))

@@ -11,7 +11,7 @@ from conformodal.quality.advice import describe_quality, record_next
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
 
-SCALE = ViewScale(depth_m=2.0, fov_rad=1.5)  # thin from 0.15 rad or 0.3 m on
+SCALE = ViewScale(depth_m=2.0, fov_rad=1.5)  # sparsely covered from 0.15 rad or 0.3 m on
 N = 120
 EVERY = np.arange(N)
 ONE = np.zeros(N, dtype=np.int64)
@@ -45,7 +45,7 @@ def quality(poses, known, recording=ONE):
     return found, record_next(found)
 
 
-def test_frames_that_are_not_known_are_thin_where_the_nearest_known_one_is_far():
+def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     poses = corridor()
     known = poses[(EVERY < 50) | (EVERY >= 70)]
     found, advice = quality(poses, known)

@@ -22,18 +22,8 @@ def exact_motions(positions, rotations):
     for t in range(1, len(positions)):
         R = rotations[t - 1].inv() * rotations[t]
         step = rotations[t - 1].inv().apply(positions[t] - positions[t - 1])
-        motions.append(
-            RelativeMotion(
-                MotionStatus.OK,
-                R.as_matrix(),
-                step / np.linalg.norm(step),
-                100,
-                100,
-                0.02,
-                np.radians(0.3),
-                np.radians(8),
-            )
-        )
+        direction, spreads = step / np.linalg.norm(step), np.radians([0.3, 8])
+        motions.append(RelativeMotion(MotionStatus.OK, R.as_matrix(), direction, 100, 100, 0.02, *spreads))
     return motions
 
 

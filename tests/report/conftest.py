@@ -7,7 +7,7 @@ import pytest
 
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.report.thumbnails import Thumbnails
+from conformodal.report.viewer import Thumbnails
 from conformodal.running.results.records import region_record
 from conformodal.running.results.writer import ResultsWriter
 

@@ -18,34 +18,28 @@ EVERY = np.arange(N)
 ZERO = np.zeros(N, dtype=np.int64)
 
 
-def judged(known=None):
+def examined(known=None):
     """A straight way, of which the frames 50 to 69 are not known."""
     positions = np.column_stack((0.04 * EVERY, ZERO, ZERO))
     poses = Trajectory(EVERY / 10, positions, np.tile([1.0, 0, 0, 0], (N, 1)))
     known = (EVERY < 50) | (EVERY >= 70) if known is None else known
     scale = ViewScale(2.0, 1.5)
     coverage = pose_coverage(poses, ZERO, poses[known], scale)
-    sequence = Sequence(
-        "<b>",
-        tuple(Path(f"{i}.png") for i in EVERY),
-        poses.timestamps_s,
-        ZERO,
-        PinholeCamera(9, 9, 8, 8, 16, 16),
-        poses,
-    )
+    paths, camera = tuple(Path(f"{i}.png") for i in EVERY), PinholeCamera(9, 9, 8, 8, 16, 16)
+    sequence = Sequence("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
     return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage, None, [])
 
 
 def test_the_plan_tells_kinds_apart_by_marks_and_words():
-    plan = quality_plan(judged())
+    plan = quality_plan(examined())
     for said in ("well covered (114 frames)", "sparsely covered (6)", "57-62"):
         assert said in plan
-    assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(judged(EVERY >= 0))))
+    assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(examined(EVERY >= 0))))
 
 
 @pytest.mark.parametrize("missing", [True, False])
 def test_the_page_says_what_to_record_next(tmp_path, missing):
-    found = judged(None if missing else EVERY >= 0)
+    found = examined(None if missing else EVERY >= 0)
     made = {"provenance": {}, "configuration": {}, "quality": quality_record(found)}
     write_quality_page(tmp_path, found, made, ["2 x image cannot be read: a.png"])
     page = (tmp_path / "report.html").read_text()

@@ -1,7 +1,5 @@
-import numpy as np
 import pytest
 
-from conformodal.core.words import counted, noun_for
 from conformodal.poses import Trajectory
 from conformodal.report.page_frames import Paths, describe_run, kind_of, page_frame
 
@@ -58,10 +56,3 @@ def test_the_sentence_of_a_run():
         "0.690 m when a frame comes, 0.180 m as shown here."
     )
     assert describe_run({"empty": 1}, 0, 0, {}) == "1 frame: empty in 1."
-
-
-def test_counts_agree_with_their_nouns():
-    assert [counted(n, "frame") for n in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
-    assert [counted(n, "stretch", "stretches") for n in (1, 3)] == ["1 stretch", "3 stretches"]
-    assert [noun_for(n, "is", "are") for n in (1, 2)] == ["is", "are"]
-    assert counted(np.int64(1), "frame") == "1 frame"

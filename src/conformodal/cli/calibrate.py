@@ -35,8 +35,7 @@ def calibrate(
     ] = Guarantee.FRAME,
     method: Annotated[str, typer.Option(help="Method whose pose the radius is about.")] = METHODS[0],
     metres_per_radian: Annotated[
-        float | None,
-        typer.Option(help="Metres that count as much as one radian; the scene's depth by default."),
+        float | None, typer.Option(help="Metres that count as much as one radian; the scene's depth by default.")
     ] = None,
     follow_outside: FollowOutside = False,
     cache: Cache = None,
@@ -52,14 +51,7 @@ def calibrate(
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars() as report:
             radius = calibrate_selection(
-                loaded,
-                sequence,
-                alpha,
-                guarantee,
-                method,
-                metres_per_radian,
-                cache=features,
-                progress=report,
+                loaded, sequence, alpha, guarantee, method, metres_per_radian, cache=features, progress=report
             )
         loaded.radius = radius
         save_model(loaded, model)

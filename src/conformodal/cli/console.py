@@ -1,4 +1,4 @@
-"""What all verbs print on the terminal: progress, errors on one line, tables, the folder of the results."""
+"""What all commands print on the terminal: progress, errors on one line, tables, the folder of the results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plain(text: str) -> str:
 
 
 class PlainConsole(Console):
-    """Prints text as it is: what a name or a message holds is no markup, no emoji and no command.
+    """Prints text as it is: a name or a message is never read as markup, emoji or a command.
 
     Where the reader closes the pipe, as ``head`` does, the work goes on and nothing more is printed.
     """
@@ -161,7 +161,7 @@ class StatusLine:
         self._progress.stop()
 
     def update(self, done: int, estimate: Estimate) -> None:
-        """Say what became of the newest frame."""
+        """Show the outcome of the newest frame."""
         self._recent.append(time.perf_counter())
         passed = self._recent[-1] - self._recent[0]
         fps = (len(self._recent) - 1) / passed if passed > 0 else 0.0
@@ -169,7 +169,7 @@ class StatusLine:
 
 
 def state_of(estimate: Estimate) -> str:
-    """What became of a frame, in a few words."""
+    """The outcome of a frame, in a few words."""
     if estimate.region is None:
         return f"no answer: {estimate.problem}"
     if estimate.evidence is EvidenceType.UNKNOWN:

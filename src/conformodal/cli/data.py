@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from conformodal.core.caching import default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
@@ -49,13 +49,9 @@ def data() -> None:
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for metrics.json, and a page if there are poses."),
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for metrics.json, and a page if there are poses.")] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Saved model: also report sparsely covered and ambiguous places."),
+        Path | None, typer.Option(help="Saved model: also report sparsely covered and ambiguous places.")
     ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")
@@ -79,7 +75,7 @@ def _check(
         cache = cache_folder(cache)
     with progress_bars() as report:
         found = check_sequence(sequence, lambda done, total: report("images", done, total))
-        quality = _judge(sequence, known, cache or default_cache_dir(), report)
+        quality = _quality(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
     table.add_row("frames", f"{found.n_frames}{recordings}, {found.width}x{found.height}")
@@ -136,17 +132,13 @@ def convert(
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)
+    gap_s, total = 0.0 if poses is None else max_gap, stream.n_frames or 0
     with progress_bars() as report:
-        total = stream.n_frames or 0
-        done = write_layout(
-            out,
-            to,
-            stream,
-            lens,
-            truth,
-            lambda number: report("frames", number, max(total, number)),
-            max_gap_s=0.0 if poses is None else max_gap,
-        )
+
+        def progress(number: int) -> None:
+            report("frames", number, max(total, number))
+
+        done = write_layout(out, to, stream, lens, truth, progress, max_gap_s=gap_s)
     how_many = (
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
     )
@@ -175,7 +167,9 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     return camera
 
 
-def _judge(sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress) -> RecordingQuality | None:
+def _quality(
+    sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress
+) -> RecordingQuality | None:
     """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
     if model is not None:
         return examine(sequence, model, cache=FeatureCache(cache), progress=report)

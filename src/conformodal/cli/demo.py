@@ -43,8 +43,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Seed of the world, flight, split and training.")] = 0,
     method: Annotated[
-        Method,
-        typer.Option(help="conformodal, or paper: the paper's system in the same world."),
+        Method, typer.Option(help="conformodal, or paper: the paper's system in the same world.")
     ] = Method.CONFORMODAL,
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
@@ -86,7 +85,7 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
         found = json.loads(mark.read_text(encoding="utf-8"))
     shutil.rmtree(old, ignore_errors=True)
     if found != wanted and flight.exists():
-        flight.rename(old)  # gone by that name at once: never half a flight under the mark of a whole one
+        flight.rename(old)  # an interrupted deletion must not leave half a flight in this place
     write_whole(mark, json.dumps(wanted) + "\n")
     shutil.rmtree(old, ignore_errors=True)
     if not flight.is_dir():

@@ -21,8 +21,7 @@ from conformodal.poses import Trajectory
 from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.report.figures import plan_figure
 from conformodal.report.page import PageFigure, ReportContent
-from conformodal.report.thumbnails import Thumbnails
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.running.paths import ONLINE
@@ -104,17 +103,13 @@ def page_of(
     run, metrics = outcome.run, outcome.metrics
     paper = model.method is Method.PAPER
     index = int(np.argmax([len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]))
-    name = sequence.image_paths[run.frames[index]].name
-    svg = plan_figure(
-        run,
-        index,
-        outcome.truth,
-        classical=run.trajectories["classical"],
-        walls=world.plan(),
-        alike=alike.places[index],
-        answer="the paper's greedy answer" if paper else "conformal, after reasoning",
+    name, there = sequence.image_paths[run.frames[index]].name, alike.places[index]
+    answer, classical = (
+        "the paper's greedy answer" if paper else "conformal, after reasoning",
+        run.trajectories["classical"],
     )
-    n = len(alike.places[index])
+    svg = plan_figure(run, index, outcome.truth, classical=classical, walls=world.plan(), alike=there, answer=answer)
+    n = len(there)
     caption = (
         f"{name}, from above. {counted(n, 'other place')} {noun_for(n, 'has', 'have')} the same view: the region holds "
         f"{int(alike.held[index].sum())}."

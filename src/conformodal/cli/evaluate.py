@@ -113,25 +113,13 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What lies in a folder of results: as many records as poses of each method.
+    """Content of a folder of results: as many records as poses of each method."""
 
-    Attributes
-    ----------
-    metrics
-        Of the run; empty where they are missing.
-    records, trajectories
-        One record a frame; trajectories by method, the answer first.
-    times
-        Of the frames, as a trajectory whose poses mean nothing if there is no method.
-    unfinished
-        Whether the run was killed.
-    """
-
-    metrics: dict[str, Any]
-    records: list[dict[str, Any]]
-    trajectories: dict[str, Trajectory]
-    times: Trajectory
-    unfinished: bool
+    metrics: dict[str, Any]  # of the run; empty where they are missing
+    records: list[dict[str, Any]]  # one per frame
+    trajectories: dict[str, Trajectory]  # by method, the answer first
+    times: Trajectory  # of the frames; the poses are placeholders if there is no method
+    unfinished: bool  # whether the run was killed
 
 
 def _read_results(out: Path) -> Results:

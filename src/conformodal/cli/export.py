@@ -37,8 +37,7 @@ def export(
     model: SavedModel,
     out: Annotated[Path, typer.Option(help="Folder for the exported model, which runs without torch.")],
     quantise: Annotated[
-        str,
-        typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data."),
+        str, typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data.")
     ] = "none",
     with_head: Annotated[
         bool, typer.Option("--with-head", help=f"Also write {_NETWORK}: the network with its head, as one file.")

@@ -24,8 +24,7 @@ _TIMED = 20
 
 @report_errors
 def info(
-    model: SavedModel,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    model: SavedModel, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
 ) -> None:
     """Print a saved model's training data, guarantee, size and network speed."""
     found = _facts(load_model(model), model)
@@ -82,7 +81,7 @@ def describe_facts(found: dict[str, Any]) -> list[str]:
         f"images whose p-value of showing a known place is at most {found['novelty_level']:g} get an unbounded region",
         f"radius around the chosen pose: {radius}",
         f"size: {sum(found['bytes'].values()) / 1e6:.1f} MB",
-        f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms an image here",
+        f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms per image here",
     ]
 
 

@@ -19,7 +19,7 @@ from conformodal.quality.advice import WHERE
 from conformodal.quality.guarantee import guarantees
 
 _NEAR_FRAMES = 5
-_FOCAL_OFF = 0.02  # a focal length further off than that is worth a word
+_FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 
 
 def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:

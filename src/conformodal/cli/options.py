@@ -68,14 +68,14 @@ def _check_place(name: str, place: Path) -> None:
     except (OSError, ValueError) as exc:
         raise OptionError(f"{_flag(name)}: {str(place)!r} cannot be used: {exc}") from exc
     if wrong:
-        raise OptionError(f"{_flag(name)} must be a {'file' if name == 'save' else 'folder'}, {place} is none")
+        raise OptionError(f"{_flag(name)} must be a {'file' if name == 'save' else 'folder'}, {place} is not one")
     suffixes = (RERUN_SUFFIX, ROS_SUFFIX)
     if name == "save" and place.suffix.lower() not in suffixes:  # it would be written over, whatever it is
         raise OptionError(f"{_flag(name)} must name a file {' or '.join(suffixes)}, got {str(place)!r}")
 
 
 def _check_recording(save: Path | None, given: Mapping[str, Any]) -> None:
-    """Refuse a recording over its own source, and images that no file is for."""
+    """Refuse a recording that would replace its own source, and images without a file to keep them in."""
     if save is not None and "source" in given and save.absolute() == Path(given["source"]).absolute():
         raise OptionError(f"--save would write over the source, {save}; name another file")
     if given.get("save_images") and (save is None or save.suffix.lower() != ROS_SUFFIX):

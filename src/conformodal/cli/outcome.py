@@ -37,22 +37,12 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """True poses of answered frames, and what is known of these frames' regions.
-
-    Attributes
-    ----------
-    truth, regions
-        Of the frames.
-    frames
-        Which of the answered frames they are, counted from 0; None for all.
-    paths
-        Coverage of their regions from posteriors; None without such regions.
-    """
+    """True poses of answered frames, and what is known of these frames' regions."""
 
     truth: Trajectory
     regions: RegionStatistics
-    frames: IntArray | None = None
-    paths: dict[str, Any] | None = None
+    frames: IntArray | None = None  # which of the answered frames they are, counted from 0; None for all
+    paths: dict[str, Any] | None = None  # coverage of their regions from posteriors; None without such regions
 
 
 def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
@@ -133,14 +123,9 @@ def run_metrics(
             there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
         whole = whole and counts["n_answered"] == _n_frames(model, part)
-        exchangeable = whole and is_exchangeable(model, str(part))
-        metrics["coverage"] = coverage_table(
-            known.regions,
-            model,
-            exchangeable=exchangeable,
-            matched_all=matched_all,
-            seen=part in (Part.TRAIN, Part.CALIBRATION),
-        )
+        exchangeable, seen = whole and is_exchangeable(model, str(part)), part in (Part.TRAIN, Part.CALIBRATION)
+        how = {"exchangeable": exchangeable, "matched_all": matched_all, "seen": seen}
+        metrics["coverage"] = coverage_table(known.regions, model, **how)
         metrics["path_coverage"] = known.paths
     return metrics
 

@@ -25,8 +25,7 @@ from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
 from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
-from conformodal.report.thumbnails import Thumbnails
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.ros.bag import BagWriter
 from conformodal.running.estimates import Estimate
 from conformodal.running.paper_odometry import odometry_of
@@ -68,8 +67,7 @@ def run(
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     pace: Annotated[
-        Pace,
-        typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon."),
+        Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
     ] = Pace.FAST,
     match_every: Annotated[
         int | None,
@@ -183,8 +181,8 @@ class _Shown:
     def take(self, frame: Frame, estimate: Estimate, truth: Trajectory | None) -> None:
         if estimate.region is not None and frame.image is not None:
             self.pictures.add(frame.name, frame.image)
-            for_want = estimate.evidence is not EvidenceType.UNKNOWN and estimate.region.unbounded.any()
-            self.unbounded = self.unbounded or bool(for_want)
+            known = estimate.evidence is not EvidenceType.UNKNOWN
+            self.unbounded |= known and bool(estimate.region.unbounded.any())
         for watcher in self.watching:
             watcher.log(frame, estimate, truth)
 
@@ -192,9 +190,9 @@ class _Shown:
 def _stream_through(
     model: PoseModel, stream: FrameStream, out: Path, how: _StreamOptions, watching: tuple[FrameSink, ...]
 ) -> tuple[dict[str, Any], bool]:
-    """Run a model on a stream, write everything; returns the metrics, and whether a region lacked calibration.
+    """Run a model on a stream and write everything.
 
-    Such a region is unbounded in some target, although its image shows a place that is known.
+    Returns the metrics, and whether the region of an image that shows a known place is unbounded in some target.
     """
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
@@ -236,14 +234,7 @@ def _push_all(
 
 
 def _write_results(
-    model: PoseModel,
-    runner: StreamRunner,
-    shown: _Shown,
-    part: Part,
-    counts: dict[str, Any],
-    name: str,
-    *,
-    whole: bool,
+    model: PoseModel, runner: StreamRunner, shown: _Shown, part: Part, counts: dict[str, Any], name: str, *, whole: bool
 ) -> dict[str, Any]:
     """Write metrics, Parquet and the page; returns the metrics."""
     writer, known = runner.writer, None
@@ -251,15 +242,8 @@ def _write_results(
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
-    metrics = run_metrics(
-        model,
-        part,
-        read_trajectories(writer.place) if needed else {},
-        known,
-        counts,
-        whole=whole,
-        matched_all=runner.matched_all,
-    )
+    trajectories, matched_all = read_trajectories(writer.place) if needed else {}, runner.matched_all
+    metrics = run_metrics(model, part, trajectories, known, counts, whole=whole, matched_all=matched_all)
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(writer.place)

@@ -11,8 +11,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal.core.caching import default_cache_dir
-from conformodal.core.files import check_writable
+from conformodal.core.files import check_writable, default_cache_dir
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.reading import Note

@@ -9,7 +9,7 @@ Invalid input raises :class:`ConformalError`, which names the argument; a predic
 
 from typing import TYPE_CHECKING
 
-from conformodal.core.lazy import lazy_getattr
+from conformodal.core.extras import lazy_getattr
 
 from .bins import QuantileBins
 from .calibration.cross import CrossConformal

@@ -1,9 +1,11 @@
-"""Optional packages, and the error about a missing one."""
+"""Imports on first use: of optional packages, with an error that names the extra, and of a package's public names."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 from .errors import ConformodalError
 
@@ -27,3 +29,14 @@ def require_extra(extra: str, what: str) -> Iterator[None]:
         raise MissingPackageError(
             f"{what} needs {package}, which is not installed: pip install 'conformodal[{extra}]'"
         ) from exc
+
+
+def lazy_getattr(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+    """A package's ``__getattr__`` (PEP 562); `names` maps public names to their modules, relative to the package."""
+
+    def get(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(names[name], package), name)
+
+    return get

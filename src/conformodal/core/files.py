@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and folders that one process writes at a time."""
+"""Files that are written whole or not at all, folders that one process writes at a time, and the cache folder."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ class FolderError(ConformodalError):
 
 class FolderInUseError(FolderError):
     """A folder that another process, or another thread, is writing in."""
+
+
+def default_cache_dir() -> Path:
+    """The cache folder: ``$CONFORMODAL_CACHE``, or ``conformodal`` under the user's cache directory."""
+    if "CONFORMODAL_CACHE" in os.environ:
+        return Path(os.environ["CONFORMODAL_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "conformodal"
 
 
 def write_whole(path: Path, content: bytes | str) -> None:

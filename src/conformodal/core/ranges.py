@@ -1,14 +1,18 @@
-"""Ranges of numeric settings, which the Python interface and the command line check."""
+"""Values that settings may have, for the Python interface and the command line: ranges, and members of enumerations."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeVar
 
 from .errors import ConformodalError
+
+Member = TypeVar("Member", bound=Enum)
+_LONGEST = 80  # characters of a refused value that a message repeats
 
 
 @dataclass(frozen=True)
@@ -92,3 +96,25 @@ def check_shares(
             f"{names[2]} must be more than {names[1]} ({calibration}) and at most what {names[0]} ({test}) leaves, "
             f"got {used}"
         )
+
+
+def as_member(
+    value: Any, choices: type[Member], argument: str, error: type[ConformodalError] = ConformodalError
+) -> Member:
+    """The member of an enumeration that a value stands for, or `error`, which names the argument.
+
+    Examples
+    --------
+    >>> from enum import StrEnum
+    >>> Colour = StrEnum("Colour", ["RED", "BLUE"])
+    >>> as_member("red", Colour, "colour") is Colour.RED
+    True
+    >>> as_member("pink", Colour, "colour")
+    Traceback (most recent call last):
+    conformodal.core.errors.ConformodalError: colour must be one of red, blue, got 'pink'
+    """
+    try:
+        return choices(value)
+    except (ValueError, TypeError):
+        names = ", ".join(str(member.value) for member in choices)
+        raise error(f"{argument} must be one of {names}, got {' '.join(repr(value).split())[:_LONGEST]}") from None

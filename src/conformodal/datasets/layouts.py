@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
 
 from .colmap import model_folders, read_colmap

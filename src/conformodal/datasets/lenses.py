@@ -23,8 +23,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.caching import default_cache_dir
-from conformodal.core.files import write_whole
+from conformodal.core.files import default_cache_dir, write_whole
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera
 

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, IntArray
-from conformodal.core.choices import as_member
-from conformodal.core.ranges import check_ranges, check_shares
+from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.core.words import counted, noun_for
 
 from .errors import SplitError

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
 from conformodal.poses.metrics import MAX_GAP_S, clock_hint

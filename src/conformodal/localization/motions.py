@@ -17,23 +17,13 @@ from .local_features import LocalFeatures, extract_local_features
 
 @dataclass(frozen=True, eq=False)
 class MotionRecord:
-    """Motion between the answered frames of a sequence.
+    """Motion between the answered frames of a sequence."""
 
-    Attributes
-    ----------
-    motions
-        By frame: the motion from the answered frame before; None for the first of a recording.
-    unreadable
-        Frames that could not be decoded, and why.
-    submaps
-        Of the answered frames; each lies within one recording.
-    local_features
-        By frame; empty where they were not asked for.
-    """
-
+    # by frame: the motion from the answered frame before; None for the first of a recording
     motions: dict[int, RelativeMotion | None]
-    unreadable: dict[int, str]
-    submaps: list[Submap] = field(default_factory=list)
+    unreadable: dict[int, str]  # frames that could not be decoded, and why
+    submaps: list[Submap] = field(default_factory=list)  # of the answered frames; each lies within one recording
+    # by frame; empty where they were not asked for
     local_features: dict[int, LocalFeatures] = field(default_factory=dict)
 
     def submaps_of(self, frames: IntArray) -> list[Submap]:

@@ -24,24 +24,12 @@ from conformodal.reasoning.places import Place, summarise
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """The hypotheses of one image that can support a cuboid, most probable first.
+    """The hypotheses of one image that can support a cuboid, most probable first."""
 
-    Attributes
-    ----------
-    candidates
-        The m hypotheses; their probabilities are shares of the whole belief.
-    cells
-        (m, 7) cell of each target.
-    levels
-        (m,) level of the region from which each counts: the probability of all that are more probable.
-    within
-        Probability of the cells: the rest lies where no training frame was, or is turned as none was.
-    """
-
-    candidates: Candidates
-    cells: IntArray
-    levels: FloatArray
-    within: float = 1.0
+    candidates: Candidates  # the m hypotheses; their probabilities are shares of the whole belief
+    cells: IntArray  # (m, 7) cell of each target
+    levels: FloatArray  # (m,) level of the region from which each counts: the probability of all that are more probable
+    within: float = 1.0  # probability of the cells: the rest lies where no training frame was, or is turned as none was
 
     @property
     def out_of_range(self) -> bool:

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.choices import as_member
 from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.ranges import as_member
 from conformodal.datasets import Sequence, SplitKind, held_out_together
 from conformodal.vision.backbone import feature_views
 from conformodal.vision.projection import Projection, fit_projection

@@ -11,8 +11,7 @@ from conformodal.conformal import QuantileBins
 from conformodal.conformal.calibration.joint import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
-from conformodal.core.choices import as_member
-from conformodal.core.ranges import check_ranges, check_shares
+from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.datasets import SplitKind
 from conformodal.localization.source import find_source
 from conformodal.networks.lite import check_network

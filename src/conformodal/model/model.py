@@ -11,8 +11,7 @@ import numpy as np
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.choices import as_member
-from conformodal.core.ranges import check_ranges
+from conformodal.core.ranges import as_member, check_ranges
 from conformodal.datasets import Split
 from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.poses import Trajectory, orientation_errors_deg, position_errors_m
 
 from .errors import OdometryError

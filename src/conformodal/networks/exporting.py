@@ -34,13 +34,7 @@ _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers;
 
 
 def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
-    """The same network in ONNX, cached; preprocessing is included and the batch size dynamic.
-
-    Raises
-    ------
-    VisionError
-        If torch cannot export the network, or the export gives other features.
-    """
+    """The same network in ONNX, cached; preprocessing is included and the batch size dynamic."""
 
     def make() -> bytes:
         content = _export(backbone)
@@ -55,19 +49,8 @@ def quantised(
 ) -> OnnxBackbone:
     """The same network with weights and activations in eight bits.
 
-    Weights have one scale per channel; activation ranges are those of at most 64 of the images, spread evenly. The
-    features change, so pose sources and thresholds must be learnt again.
-
-    Parameters
-    ----------
-    backbone
-        Not changed.
-    image_files
-        Of the training part.
-    cache
-        Stores the network.
-    progress
-        Called with images done and images in all.
+    Weights have one scale per channel; activation ranges are those of at most 64 of the images of the training part,
+    spread evenly. The features change, so pose sources and thresholds must be learnt again.
     """
     chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
     key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()

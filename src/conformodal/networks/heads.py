@@ -43,17 +43,8 @@ class Head(nn.Module):
     """Projected features, dropout, one hidden layer, and a linear output per target.
 
     The conformal network has one softmax over K bins per target; the classical regressor has one number per target.
-
-    Parameters
-    ----------
-    projection
-        Of the features; not trained.
-    outputs
-        Outputs per target: ``[K_1, ..., K_d]``, or ones.
-    hidden
-        Units of the hidden layer.
-    dropout, input_dropout
-        Share of hidden units, and of projected features, dropped in training.
+    `outputs` are those per target: ``[K_1, ..., K_d]``, or ones. In training, `dropout` is the share of hidden units,
+    and `input_dropout` that of projected features, which are dropped. The projection is not trained.
     """
 
     offset: torch.Tensor
@@ -146,27 +137,17 @@ def fit_head(
     checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Head:
-    """Train a head.
+    """Train a head on features (n, F) and targets (n, p), in the form that the loss takes.
 
     Parameters
     ----------
-    features, targets
-        (n, F), and (n, p) in the form that the loss takes.
-    outputs
-        Outputs per target.
-    loss
-        :func:`soft_cross_entropy`, :func:`mean_squared_error`, or another function of head, outputs and targets.
-    config
-        See :class:`~conformodal.vision.settings.TrainingConfig`.
     head_type
         A subclass, for losses with parameters of their own.
     projection
         Of these features; fitted by default. Heads of the same samples can share one.
     checkpoint_dir
-        Where the state is saved every ten epochs. The same training continues there after an interruption and gives the
-        same head to the bit. The state is removed when training ends.
-    progress
-        Called with epochs done and epochs in all.
+        Where the state is saved every ten epochs, and removed when training ends. The same training continues there
+        after an interruption, and gives the same head.
     """
     x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
     y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))

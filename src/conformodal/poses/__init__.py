@@ -6,7 +6,6 @@ file and the line.
 
 from .alignment import Alignment, align
 from .camera import PinholeCamera
-from .errors import PoseError, TrajectoryFileError
 from .formats import read_euroc, read_kitti, read_tum, tum_lines, write_tum
 from .metrics import (
     associate,
@@ -18,5 +17,6 @@ from .metrics import (
     trajectory_errors,
 )
 from .relative import MotionStatus, RelativeMotion, Submap
-from .rotations import angle_between_quats, fix_sign, matrix_from_quat_wxyz, normalise_quat, sign_reference
+from .rotations import PoseError, angle_between_quats, fix_sign, matrix_from_quat_wxyz, normalise_quat, sign_reference
+from .text import TrajectoryFileError
 from .trajectory import Trajectory, concatenate

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 
-from .errors import PoseError
 from .metrics import check_same_length
+from .rotations import PoseError
 from .trajectory import Trajectory
 
 # Of the spread along a path, and of the residuals: less across it leaves its roll open.
@@ -29,13 +29,7 @@ class Alignment(StrEnum):
 
 
 def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tuple[FloatArray, FloatArray, float]:
-    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3): R (3, 3), t (3,), s.
-
-    Raises
-    ------
-    PoseError
-        If there are fewer than three points, shapes differ, or the points are collinear.
-    """
+    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3): R (3, 3), t (3,), s."""
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise PoseError(f"alignment needs three or more pairs of points (n, 3), got {source.shape}, {target.shape}")
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
@@ -74,13 +68,7 @@ def straightness(truth: Trajectory, residual_m: float = 0.0) -> str:
     """Why aligning to a path leaves the rotation about it open, or nothing.
 
     A path that hardly leaves a line fixes two angles; the third is what makes the errors of the positions smallest.
-
-    Parameters
-    ----------
-    truth
-        The path.
-    residual_m
-        What is left of the errors after alignment, RMS in metres.
+    `residual_m` is what is left of these errors after alignment, RMS.
     """
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(truth.positions_xyz.T)), 0))[::-1]
     if spread[1] > max(_STRAIGHT * spread[0], _RESIDUALS * residual_m):

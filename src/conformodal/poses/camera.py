@@ -8,7 +8,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
-from .errors import PoseError
+from .rotations import PoseError
 
 
 @dataclass(frozen=True)

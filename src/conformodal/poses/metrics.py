@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .errors import PoseError
-from .rotations import angle_between_quats
+from .rotations import PoseError, angle_between_quats
 from .trajectory import Trajectory
 
 # Matches what common tools use to pair estimated and true timestamps.
@@ -167,11 +166,6 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
     """KITTI's drift over 100 to 800 m (Geiger et al. 2012): per cent of the length and degrees per metre, means.
 
     Segments start at every tenth frame and end where the true path has the nominal length.
-
-    Raises
-    ------
-    PoseError
-        If lengths differ, or the true path is shorter than 100 m.
     """
     check_same_length(estimate, truth)
     steps = np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)

@@ -10,12 +10,9 @@ from typing import Self
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 
-from .errors import PoseError
-
-# A direction is trusted if its error is claimed to be no larger.
-_TRUSTED_DIRECTION_RAD = np.radians(10.0)
+from .rotations import PoseError
 
 
 class MotionStatus(StrEnum):
@@ -69,11 +66,6 @@ class RelativeMotion:
     def reliable(self) -> bool:
         """Whether at least the rotation can be trusted."""
         return self.R_prev_next is not None
-
-    @property
-    def direction_trusted(self) -> bool:
-        """Whether there is a direction with a claimed spread of at most 10 degrees; others still weigh, by theirs."""
-        return self.direction_prev is not None and self.direction_sigma_rad <= _TRUSTED_DIRECTION_RAD
 
 
 @dataclass(frozen=True, eq=False)

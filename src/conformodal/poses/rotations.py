@@ -11,11 +11,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
-
-from .errors import PoseError
+from conformodal.core.errors import ConformodalError
 
 # Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
 _ORTHONORMAL_TOLERANCE = 1e-3
+
+
+class PoseError(ConformodalError):
+    """An invalid pose, rotation or trajectory: NaN, not a rotation, different lengths."""
 
 
 def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:
@@ -56,7 +59,7 @@ def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
     try:
         return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
     except ValueError as exc:
-        raise PoseError(f"quaternions are no rotations: {exc}") from exc
+        raise PoseError(f"quaternions are not rotations: {exc}") from exc
 
 
 def normalise_quat(quats: npt.ArrayLike) -> FloatArray:

@@ -13,14 +13,17 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
-from .errors import PoseError, TrajectoryFileError
-from .rotations import rotation_faults
+from .rotations import PoseError, rotation_faults
 from .trajectory import Trajectory
 
 # Farther away than any place, in metres: squares of larger numbers overflow.
 _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _END_OF_LINE = re.compile(r"\r\n|\r|\n")
+
+
+class TrajectoryFileError(PoseError):
+    """A trajectory file that cannot be read; names the file and the line."""
 
 
 def number(text: str) -> float:
@@ -69,8 +72,6 @@ def read_rows(
 
     Parameters
     ----------
-    path
-        The file.
     parse
         Turns a line into numbers; may raise ValueError or IndexError.
     width, expected

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray
 
-from .errors import PoseError
-from .rotations import check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix
+from .rotations import PoseError, check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""What was found of a recording as text, with advice on what to record next, and as JSON."""
+"""Findings about a recording as text and as JSON, with advice on what to record next."""
 
 from __future__ import annotations
 

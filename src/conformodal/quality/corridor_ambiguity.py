@@ -18,18 +18,10 @@ from conformodal.running.estimates import OdometryRun
 
 @dataclass(frozen=True, eq=False)
 class AmbiguityCheck:
-    """Other places with the same view, and whether the regions hold them.
+    """Other places with the same view, and whether the regions hold them."""
 
-    Attributes
-    ----------
-    places
-        One (m, 3) array per frame: positions in metres of the other places with the same view.
-    held
-        One (m,) array per frame: whether the region holds the whole pose there.
-    """
-
-    places: list[FloatArray]
-    held: list[BoolArray]
+    places: list[FloatArray]  # one (m, 3) array per frame: positions in metres of the other places with the same view
+    held: list[BoolArray]  # one (m,) array per frame: whether the region holds the whole pose there
 
     def record(self) -> dict[str, Any]:
         """For ``metrics.json``: frames with such places, all of these places, and the share that the regions hold."""

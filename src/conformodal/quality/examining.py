@@ -1,4 +1,4 @@
-"""Is a recording good enough? Judged by its poses, a model's regions and the model's calibration."""
+"""Is a recording good enough? Findings from its poses, a model's regions and the model's calibration."""
 
 from __future__ import annotations
 
@@ -27,37 +27,17 @@ from .view_coverage import PoseCoverage, ViewScale, pose_coverage
 
 @dataclass(frozen=True, eq=False)
 class RecordingQuality:
-    """Findings about a recording.
-
-    Attributes
-    ----------
-    sequence
-        The recording.
-    posed
-        (n,) numbers of the frames that have a pose.
-    poses
-        Theirs; None where none has one.
-    known_names
-        (k,) numbers of the frames that the model's sources know, -1 where the recording lacks them; all without a
-        model.
-    scale
-        Of the camera and the scene.
-    coverage
-        From poses alone; None without.
-    ambiguity
-        Of held-out frames; None without a model, or where it knows all frames.
-    guarantees
-        Of the model, by evidence type; empty without one.
-    """
+    """Findings about a recording."""
 
     sequence: Sequence
-    posed: IntArray
-    poses: Trajectory | None
+    posed: IntArray  # (n,) numbers of the frames that have a pose
+    poses: Trajectory | None  # theirs; None where none has one
+    # (k,) numbers of the frames that the model's sources know, -1 where the recording lacks them; all without a model
     known_names: IntArray
     scale: ViewScale
-    coverage: PoseCoverage | None
-    ambiguity: Ambiguity | None
-    guarantees: list[EvidenceGuarantee]
+    coverage: PoseCoverage | None  # from poses alone; None without
+    ambiguity: Ambiguity | None  # of held-out frames; None without a model, or where it knows all frames
+    guarantees: list[EvidenceGuarantee]  # of the model, by evidence type; empty without one
 
     @property
     def known(self) -> BoolArray:
@@ -84,26 +64,15 @@ def examine(
     cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> RecordingQuality:
-    """Assess a recording, with a model or by its poses alone.
+    """Assess a recording, with poses or without, by a model or by its poses alone.
 
     Parameters
     ----------
-    sequence
-        Frames, with poses or without.
     model
         The frames that it was trained on are known by their pixels; the others are held out. None takes all frames as
         known.
     just_trained
         Given if the model was trained on this very sequence: held-out frames are looked at by it.
-    cache
-        Of features.
-    progress
-        Called with stage, frames done and frames in all.
-
-    Raises
-    ------
-    OdometryError
-        If the camera is not the model's.
     """
     posed, poses = _frames_with_pose(sequence)
     recording = sequence.recording

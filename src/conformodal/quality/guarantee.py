@@ -19,45 +19,21 @@ _DIGITS = 10_000
 
 @dataclass(frozen=True)
 class EvidenceGuarantee:
-    """What the regions of one evidence type can guarantee.
-
-    Attributes
-    ----------
-    evidence
-        The type.
-    alpha
-        The miscoverage rate in force.
-    n_frames, n_units
-        Frames of this type that calibrate; and what is exchangeable: these frames, or the stretches or recordings they
-        are of.
-    weight
-        What they weigh, in whole units: fewer than `n_units` where types share stretches.
-    sharing
-        Whether its thresholds are those of its own frames.
-    finite
-        Whether its regions are bounded at `alpha`.
-    weight_needed
-        The weight from which on a threshold at `alpha` is finite.
-    n_needed
-        Units like those that calibrate which bounded regions at `alpha` need; None where no number of them would do,
-        because too many frames lie beyond the training range.
-    least_alpha
-        The least rate from which on regions are bounded, exact; 1 where there is none.
-    band
-        Central 99 % interval of the coverage of new frames, over all calibrations and frames; None where no law is
-        exact.
-    """
+    """What the regions of one evidence type can guarantee."""
 
     evidence: EvidenceType
-    alpha: float
-    n_frames: int
-    n_units: int
-    weight: float
-    sharing: Sharing
-    finite: bool
-    weight_needed: float
+    alpha: float  # the miscoverage rate in force
+    n_frames: int  # of this type that calibrate
+    n_units: int  # exchangeable units: these frames, or the stretches or recordings that they belong to
+    weight: float  # what they weigh, in whole units: fewer than `n_units` where types share stretches
+    sharing: Sharing  # whether its thresholds are those of its own frames
+    finite: bool  # whether its regions are bounded at `alpha`
+    weight_needed: float  # the weight from which on a threshold at `alpha` is finite
+    # units like those that calibrate which bounded regions at `alpha` need; None where no number of them would do,
+    # because too many frames lie beyond the training range
     n_needed: int | None
-    least_alpha: Fraction
+    least_alpha: Fraction  # the least rate from which on regions are bounded, exact; 1 where there is none
+    # central 99 % interval of the coverage of new frames, over all calibrations and frames; None where no law is exact
     band: tuple[float, float] | None
 
     @property

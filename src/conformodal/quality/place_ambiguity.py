@@ -20,48 +20,25 @@ from .view_coverage import ViewScale, runs_of
 
 @dataclass(frozen=True)
 class AmbiguousStretch:
-    """Held-out frames whose regions hold several places that are known.
-
-    Attributes
-    ----------
-    first, last, n_frames
-        The first and the last of them, and how many of those that were looked at.
-    n_places
-        Most places that one of the regions holds.
-    place_xyz
-        Where they are, in metres: the true place of the middle one, or that of its belief where it has no pose.
-    alike
-        Known frames elsewhere that lie in these regions, as stretches of their own numbers.
-    """
+    """Held-out frames whose regions hold several places that are known."""
 
     first: int
     last: int
-    n_frames: int
-    n_places: int
+    n_frames: int  # of those that were looked at
+    n_places: int  # most places that one of the regions holds
+    # metres: the true place of the middle frame, or the most probable one where it has no pose
     place_xyz: tuple[float, float, float]
-    alike: list[tuple[int, int]]
+    alike: list[tuple[int, int]]  # stretches of known frames elsewhere in these regions, by their own numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Ambiguity:
-    """Of m frames that no source of the regions has seen.
+    """Of m frames that no source of the regions has seen."""
 
-    Attributes
-    ----------
-    frames
-        (m,) their numbers.
-    n_places
-        (m,) places in each region; 0 where the region is unbounded in some target.
-    n_unknown
-        Frames that show no known place, by the model's test.
-    stretches
-        Those with several places, in the order of time.
-    """
-
-    frames: IntArray
-    n_places: IntArray
-    n_unknown: int
-    stretches: list[AmbiguousStretch]
+    frames: IntArray  # (m,) their numbers
+    n_places: IntArray  # (m,) places in each region; 0 where the region is unbounded in some target
+    n_unknown: int  # frames that show no known place, by the model's test
+    stretches: list[AmbiguousStretch]  # those with several places, in the order of time
 
 
 class _KnownPlaces:

@@ -1,4 +1,4 @@
-"""Numbers that the judgement of a recording was given and did not learn."""
+"""Limits for the check of a recording: chosen, not learnt."""
 
 from __future__ import annotations
 
@@ -7,40 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class QualitySettings:
-    """What counts as sparse, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`.
+    """What counts as sparse, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`."""
 
-    Attributes
-    ----------
-    sparse
-        A view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
-        ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py).
-    fast
-        Neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
-        Relative rotations were measured to half a degree with frames that differ by 0.12
-        (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond.
-    bridged
-        Largest number of other frames between two stretches that count as one.
-    place
-        Known frames that differ by less stand at one place when a region is said to hold several; places are apart if
-        what they show has nothing in common, which is at twice as much.
-    most_looked
-        Held-out frames that are localized to see how ambiguous they are, evenly spread.
-    most_after_training
-        The same at the end of training, which should not take much longer for it.
-    most_alike
-        Stretches that are named as looking like another.
-    most_advice
-        Sentences on what to record next.
-    """
-
+    # a view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
+    # ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py)
     sparse: float = 0.1
+    # neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
+    # Relative rotations were measured to half a degree with frames that differ by 0.12
+    # (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond
     fast: float = 0.15
-    bridged: int = 5
+    bridged: int = 5  # largest number of other frames between two stretches that count as one
+    # known frames that differ by less stand at one place when a region is said to hold several; places are apart if
+    # what they show has nothing in common, which is at twice as much
     place: float = 0.5
-    most_looked: int = 400
-    most_after_training: int = 100
-    most_alike: int = 3
-    most_advice: int = 8
+    most_looked: int = 400  # held-out frames that are localized to see how ambiguous they are, evenly spread
+    most_after_training: int = 100  # the same at the end of training, which should not take much longer for it
+    most_alike: int = 3  # stretches that are named as looking like another
+    most_advice: int = 8  # sentences on what to record next
 
 
 QUALITY = QualitySettings()

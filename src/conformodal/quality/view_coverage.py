@@ -60,42 +60,25 @@ class ViewScale:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Neighbouring frames whose views are far from every known one, or from each other.
+    """Neighbouring frames whose views are far from every known one, or from each other."""
 
-    Attributes
-    ----------
-    first, last
-        Frames.
-    place_xyz
-        Where the view differs most, in metres.
-    change, distance_m, angle_deg
-        By how much: a share of the view, see :class:`ViewScale`. Infinite where nothing is known.
-    nearest
-        The known view that is nearest there, by its place among the known; -1 for fast motion.
-    """
-
-    first: int
+    first: int  # frame
     last: int
-    place_xyz: tuple[float, float, float]
-    change: float
+    place_xyz: tuple[float, float, float]  # where the view differs most, in metres
+    change: (
+        float  # there: a share of the view, see :class:`ViewScale`; infinite where nothing is known, as the next two
+    )
     distance_m: float
     angle_deg: float
-    nearest: int = -1
+    nearest: int = -1  # index of the known view that is nearest there; -1 for fast motion
 
 
 @dataclass(frozen=True, eq=False)
 class PoseCoverage:
-    """What poses alone say of n frames.
+    """What poses alone say of n frames."""
 
-    Attributes
-    ----------
-    change
-        (n,) how much each frame's view differs from the nearest known one.
-    sparse, fast
-        Stretches that are far from every known view, and whose neighbours are far apart, in the order of time.
-    """
-
-    change: FloatArray
+    change: FloatArray  # (n,) how much each frame's view differs from the nearest known one
+    # stretches that are far from every known view, and whose neighbours are far apart, in the order of time
     sparse: list[Stretch]
     fast: list[Stretch]
 

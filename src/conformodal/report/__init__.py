@@ -1,1 +1,1 @@
-"""Figures and the result page. Every name is imported when it is used."""
+"""Figures, the pages of results, and the live view."""

@@ -29,10 +29,6 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
         From :func:`~conformodal.diagnose`.
     path
         Where to write it, if anywhere; the suffix says as what (``.svg``, ``.png``, ``.pdf``).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     heights = [1.2 + 0.28 * len(column.rows()) for column in diagnosis.columns]
     figure = Figure(figsize=(10, sum(heights) + 1.2), layout="constrained")

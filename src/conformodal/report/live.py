@@ -28,24 +28,8 @@ class LiveView:
     """Shows a run: image with tracks, places of the image and after motion, candidates, the chosen trajectory,
     p-values, and the truth.
 
-    Where an image shows no known place, the region is unbounded and no cuboid is drawn; the status says
-    so.
-
-    Parameters
-    ----------
-    name
-        Of the source.
-    alpha
-        Of the regions, for their label.
-    spawn
-        Open Rerun's window.
-    save
-        File for a recording, ``.rrd``; needs no screen.
-
-    Raises
-    ------
-    LiveViewError
-        If Rerun is not installed, or the file cannot be written.
+    Where an image shows no known place, the region is unbounded and no cuboid is drawn; the status says so. `name` is
+    that of the source. `spawn` opens Rerun's window; `save` names a file ``.rrd`` and needs no screen.
     """
 
     def __init__(self, name: str, alpha: object, *, spawn: bool = False, save: Path | None = None) -> None:

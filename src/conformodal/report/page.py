@@ -34,25 +34,13 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class ReportContent:
-    """What goes on the page.
-
-    Attributes
-    ----------
-    title, summary
-        First lines.
-    metrics
-        The content of ``metrics.json``.
-    figures
-        In order.
-    viewer
-        Of :func:`~conformodal.report.viewer.make_viewer`, or None.
-    """
+    """What goes on the page."""
 
     title: str
-    summary: list[str]
-    metrics: dict[str, Any]
+    summary: list[str]  # the first lines
+    metrics: dict[str, Any]  # the content of ``metrics.json``
     figures: list[PageFigure] = field(default_factory=list)
-    viewer: dict[str, Any] | None = None
+    viewer: dict[str, Any] | None = None  # of :func:`~conformodal.report.viewer.make_viewer`, or None
 
 
 def write_page(path: Path, content: ReportContent) -> None:

@@ -1,4 +1,4 @@
-"""What the page shows of each frame of a run, and what to see in a frame and in a whole run, in words."""
+"""What the page shows of each frame, and sentences about a frame and about a whole run."""
 
 from __future__ import annotations
 
@@ -23,20 +23,12 @@ _UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Trajectories of the same frames.
-
-    Attributes
-    ----------
-    answer
-        Of the run.
-    truth, classical, online
-        The true one, the classical regressor's, and ours as a robot gets it; None where it is not known.
-    """
+    """Trajectories of the same frames."""
 
     answer: Trajectory
     truth: Trajectory | None = None
-    classical: Trajectory | None = None
-    online: Trajectory | None = None
+    classical: Trajectory | None = None  # of the regressor on the same features
+    online: Trajectory | None = None  # the answer as a robot gets it, frame by frame
 
 
 def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:

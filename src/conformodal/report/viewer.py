@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
 from conformodal.poses import Trajectory, read_tum, trajectory_errors
 from conformodal.running.paths import ONLINE
@@ -19,16 +20,44 @@ from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter
 
 from .page_frames import Paths, describe_run, kind_of, page_frame, with_image
 
+with require_extra("run", "a page of results"):
+    import cv2
+
 MOST_FRAMES = 1000
+_WIDTH, _QUALITY = 200, 60  # of a thumbnail
 # In this order they are one script; a later one uses names of the earlier ones.
 _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
 
 
+class Thumbnails:
+    """JPEG thumbnails of a source by frame name, spread evenly over all frames so far.
+
+    When there are more than `most`, every other one is dropped, and from then on half as many are taken.
+    """
+
+    def __init__(self, most: int = MOST_FRAMES, width: int = _WIDTH) -> None:
+        self.most, self.width = most, width
+        self.kept: dict[str, bytes] = {}
+        self._stride, self._seen = 1, 0
+
+    def add(self, name: str, image: npt.NDArray[np.uint8]) -> None:
+        """Show it the next frame, (h, w, 3) RGB."""
+        if self._seen % self._stride == 0:
+            height = max(1, round(image.shape[0] * self.width / image.shape[1]))
+            small = cv2.resize(image, (self.width, height), interpolation=cv2.INTER_AREA)
+            done, data = cv2.imencode(
+                ".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY)
+            )
+            if done:
+                self.kept[name] = data.tobytes()
+            if len(self.kept) > self.most:
+                self.kept = {name: data for i, (name, data) in enumerate(self.kept.items()) if i % 2 == 0}
+                self._stride *= 2
+        self._seen += 1
+
+
 def make_viewer(
-    folder: Path,
-    images: Mapping[str, bytes],
-    level: float | None = None,
-    walls: Sequence[npt.NDArray[np.float64]] = (),
+    folder: Path, images: Mapping[str, bytes], level: float | None = None, walls: Sequence[npt.NDArray[np.float64]] = ()
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
@@ -42,11 +71,6 @@ def make_viewer(
         P-value at or below which an image shows no known place; None draws no line at it.
     walls
         (2, 2) segments in x and y; they are drawn where the plan shows x and y.
-
-    Raises
-    ------
-    ResultsError, TrajectoryFileError
-        If files are missing or damaged.
     """
     answer = read_tum(folder / TRAJECTORY)
     n = len(answer)

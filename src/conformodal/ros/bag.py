@@ -75,13 +75,7 @@ class BagWriter:
         }
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
-        """Write a frame and its estimate; `truth` is a trajectory of one pose, or None.
-
-        Raises
-        ------
-        RosError
-            If ROS cannot hold the time, or the file cannot be written.
-        """
+        """Write a frame and its estimate; `truth` is a trajectory of one pose, or None."""
         if frame.recording != self._recording:
             self._write_path()
             self._conversion.reset()
@@ -107,11 +101,6 @@ class BagWriter:
         """Write the last path, and move the file to its place.
 
         Without a single frame no file is written, and an existing one stays.
-
-        Raises
-        ------
-        RosError
-            If the file cannot be written.
         """
         if self._closed:
             return

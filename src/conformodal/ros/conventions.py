@@ -1,12 +1,12 @@
-"""Names of frames and topics, limits, and what lost means."""
+"""Names of frames and topics, limits, and when a pose counts as lost."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
 
-from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import as_member
 from conformodal.model.region_rules import EvidenceType
 from conformodal.running.estimates import Estimate
 
@@ -46,11 +46,6 @@ class Conventions:
         Largest number of poses in the path.
     path_every
         The path is published once per this many answered frames.
-
-    Raises
-    ------
-    RosError
-        If `covariance` is not one of :class:`Covariance`.
     """
 
     world_frame: str = "map"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.localization.regions import PoseRegions
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import LEAST_VARIANCE, Candidates, weights_of
@@ -62,12 +62,7 @@ def region_boxes(
 class Conversion:
     """Converts estimates to messages one by one, and keeps the path.
 
-    Parameters
-    ----------
-    how
-        Names and limits.
-    make
-        Makes a message of a type; by default in the classes of rosbags.
+    `how` has names and limits; `make` makes a message of a type, by default in the classes of rosbags.
     """
 
     def __init__(self, how: Conventions | None = None, make: MakeMessage | None = None) -> None:
@@ -83,17 +78,7 @@ class Conversion:
     def messages(self, estimate: Estimate, stamp_ns: int | None = None) -> dict[str, Any]:
         """All messages about a frame by topic, see :data:`TOPICS`; the path in every :attr:`Conventions.path_every`.
 
-        Parameters
-        ----------
-        estimate
-            Of the frame.
-        stamp_ns
-            Its time in nanoseconds; by default the estimate's.
-
-        Raises
-        ------
-        RosError
-            If ROS cannot hold the time.
+        `stamp_ns` is the frame's time in nanoseconds, by default the estimate's.
         """
         stamp_ns = nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
         header = self.header(stamp_ns)

@@ -61,9 +61,7 @@ def make_header(make: MakeMessage, stamp_ns: int, frame: str) -> Any:
 
 
 def make_pose(
-    make: MakeMessage,
-    position_xyz: npt.ArrayLike = (0.0, 0.0, 0.0),
-    quat_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    make: MakeMessage, position_xyz: npt.ArrayLike = (0.0, 0.0, 0.0), quat_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)
 ) -> Any:
     """A pose, by default the identity; ROS has the real part of a quaternion last."""
     (x, y, z), (qw, qx, qy, qz) = (np.asarray(v, dtype=np.float64).tolist() for v in (position_xyz, quat_wxyz))

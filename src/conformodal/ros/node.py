@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-from conformodal.core.choices import as_member
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
+from conformodal.core.ranges import as_member
 from conformodal.datasets.streams.frames import SourceError
 from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of
 from conformodal.model.errors import OdometryError
@@ -37,27 +37,14 @@ BAD_INPUT = 2
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the node, by their names in ROS.
+    """Parameters of the node, by their names in ROS."""
 
-    Attributes
-    ----------
-    model
-        Folder of a saved model.
-    world_frame, covariance
-        See :class:`Conventions`.
-    match_every
-        Local features are matched in every so many images: it takes time.
-    compressed
-        Whether images are ``sensor_msgs/CompressedImage``.
-    silent_s
-        After so many seconds without an image the pose counts as lost; also the time between two such messages.
-    """
-
-    model: str = ""
-    world_frame: str = "map"
+    model: str = ""  # folder of a saved model
+    world_frame: str = "map"  # see :class:`Conventions`
     covariance: str = Covariance.MIXTURE.value
-    match_every: int = 6
-    compressed: bool = False
+    match_every: int = 6  # local features are matched in every so many images: it takes time
+    compressed: bool = False  # whether images are ``sensor_msgs/CompressedImage``
+    # after so many seconds without an image the pose counts as lost; also the time between two such messages
     silent_s: float = 1.0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.errors import OdometryError

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha
-from conformodal.core.choices import as_member
 from conformodal.core.progress import StageProgress
+from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.model.errors import OdometryError

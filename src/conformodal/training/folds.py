@@ -9,7 +9,7 @@ import numpy as np
 from conformodal.conformal import conformal_rank
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import IntArray
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 from conformodal.model.config import Calibration
 from conformodal.model.errors import OdometryError

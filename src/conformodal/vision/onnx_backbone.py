@@ -37,7 +37,7 @@ class OnnxBackbone(Backbone):
             shape = self._session.get_inputs()[0].shape[1:]
             names = [node.name for node in (*self._session.get_inputs(), *self._session.get_outputs())]
         except Exception as exc:  # ONNX Runtime raises classes of its own, without a common one
-            raise VisionError(f"the network is no ONNX file that ONNX Runtime reads: {exc}") from exc
+            raise VisionError(f"the network is not an ONNX file that ONNX Runtime reads: {exc}") from exc
         if names != [INPUT, OUTPUT] or shape != [config.height, config.width, 3]:
             raise VisionError(
                 f"the network must have the input {INPUT!r} (n, {config.height}, {config.width}, 3) and the output "

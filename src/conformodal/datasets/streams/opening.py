@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.datasets.layouts import Layout, read_sequence
 from conformodal.poses import PinholeCamera
 

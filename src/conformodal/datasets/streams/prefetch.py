@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Generator
 from enum import StrEnum
 
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 
 from .frames import Frame, FrameStream, SourceError
 

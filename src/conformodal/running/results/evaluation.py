@@ -21,11 +21,11 @@ from conformodal.running.paths import ONLINE
 from .statistics import RegionStatistics
 
 _ASSUMPTION_HELD = (
-    "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each kind of "
-    "evidence follows a Beta-binomial law, and the central 99 % of their sum is the band."
+    "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each "
+    "evidence type follows a Beta-binomial law, and the central 99 % of their sum is the band."
 )
 _ASSUMPTION_EACH = (
-    "Frames were split at random, so calibration and test frames are exchangeable: in each kind of evidence the "
+    "Frames were split at random, so calibration and test frames are exchangeable: for each evidence type the "
     "covered count of a target follows a Beta-binomial law, and the central 99 % of their sum is the target's band. "
     "For the whole pose there is no exact law."
 )

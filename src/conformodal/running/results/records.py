@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.choices import as_member
+from conformodal.core.ranges import as_member
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.errors import ResultsError
