@@ -20,6 +20,7 @@ from .calibration.weighted import WeightedConformal, weighted_quantile
 from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnostics.diagnosis import Diagnosis, diagnose
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
+from .intervals import MaxIntervals
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, OnlineConformal
 from .predictive import PredictiveDensity
@@ -43,9 +44,9 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MondrianConformal", "NotCalibratedError",
-    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity", "Regions", "Score",
-    "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
-    "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
-    "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
+    "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MaxIntervals", "MondrianConformal",
+    "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
+    "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
+    "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
+    "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
 ]  # fmt: skip
