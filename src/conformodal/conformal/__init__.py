@@ -31,6 +31,7 @@ from .scores import Aps, Density, Lac, LinearDensity, Score
 if TYPE_CHECKING:
     from conformodal.conformal.learning.quick import QuickDensity
     from conformodal.conformal.learning.regressor import ConformalRegressor
+    from conformodal.conformal.learning.scorers import RegionScorer, region_scorers
     from conformodal.conformal.learning.stacked import StackedDensity
 
 __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
@@ -38,7 +39,9 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
     {
         "ConformalRegressor": ".learning.regressor",
         "QuickDensity": ".learning.quick",
+        "RegionScorer": ".learning.scorers",
         "StackedDensity": ".learning.stacked",
+        "region_scorers": ".learning.scorers",
     },
 )
 
@@ -46,7 +49,7 @@ __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
+    "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
     "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
-    "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
+    "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "region_scorers", "weighted_quantile",
 ]  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,6 +98,20 @@ class Regions:
         low, high = self.bins.limits.T
         inside = np.stack(held, axis=1) | (self.unbounded & (low <= values) & (values <= high))
         return np.asarray(inside.all(axis=1)) if joint else inside
+
+    def mapped(self, function: Callable[[FloatArray], npt.ArrayLike]) -> Regions:
+        """Regions of the targets after strictly monotone functions of each; `function` takes and returns (m, d).
+
+        An unbounded set becomes the whole real line. Regions of a ``TransformedTargetRegressor`` `t` are
+        ``t.regressor_.predict_region(X).mapped(t.transformer_.inverse_transform)``.
+        """
+        edges, most = self.bins.edges_, max(self.bins.sizes)
+        given = np.column_stack([np.pad(e, (0, most + 1 - e.size), mode="edge") for e in edges])
+        ends = as_targets(function(given), n_targets=len(edges))
+        steps = [slice(None, None, 1 if end[0] < end[1] else -1) for end in ends.T]
+        bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
+        bins.names = self.bins.names
+        return Regions(bins, [mask[:, s] for mask, s in zip(self.masks, steps, strict=True)], self.unbounded)
 
     def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Hashable, Sequence
 from types import MethodType
-from typing import Any, Literal, Self, TypeAlias, cast, overload
+from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,7 @@ _MARGIN = 0.02
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
+_FLOOR = 1e-6
 
 
 class _ScoreName:
@@ -61,10 +62,22 @@ class _ScoreName:
     """
 
     def __get__(self, estimator: Any, owner: type) -> Any:
-        return self if estimator is None else MethodType(RegressorMixin.score, estimator)
+        return _log_score if estimator is None else MethodType(_log_score, estimator)
 
     def __set__(self, estimator: Any, value: str | Score) -> None:
         estimator.__dict__["score"] = value
+
+
+def _log_score(self: ConformalRegressor, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None) -> float:
+    """Mean log density of true values, summed over targets: the larger, the better.
+
+    A density below a millionth of that of a uniform distribution, as beyond all bins, counts as so much.
+    """
+    values = self._table(X, y, reset=False)[1]
+    density = self.predict_density(X).pdf(values)
+    floor = [_FLOOR / np.ptp(edges) for edges in self.bins_.edges_]
+    weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
+    return float(np.average(np.log(np.maximum(density, floor)).sum(axis=1), weights=weight))
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -127,6 +140,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """
 
     score: Any = _ScoreName()
+    # what a pipeline passes on if scikit-learn's metadata routing is on
+    __metadata_request__predict: ClassVar = {"region": True, "alpha": True, "groups": True}
 
     def __init__(
         self,
@@ -397,6 +412,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.multi_output = True
+        tags.regressor_tags.poor_score = True  # a log density has no scale on which 0.5 is good
         named = self.estimator is None or isinstance(self.estimator, str)
         tags.input_tags.allow_nan, tags.input_tags.sparse = named, False
         if hasattr(self.estimator, "__sklearn_tags__"):
