@@ -18,7 +18,7 @@ BUDGET = {
     "poses": 990,
     "quality": 930,
     "reasoning": 1550,
-    "report": 820,
+    "report": 920,
     "ros": 750,
     "running": 2370,
     "training": 700,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18850
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18900
