@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Hashable, Sequence
+from pathlib import Path
 from types import MethodType
 from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
 
@@ -41,6 +42,7 @@ from conformodal.core.words import counted
 
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .mixture import as_sample_weight
+from .saving import load_regressor, save_regressor
 from .smoothing import proba_of_bins
 from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
 
@@ -329,13 +331,34 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             groups = self._labels(features, groups, len(values))
         return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, names, level)
 
+    def save(self, path: str | Path) -> None:
+        """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
+
+        Estimators of scikit-learn and the named ones can be saved.
+        """
+        check_is_fitted(self, "bins_")
+        save_regressor(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, trusted: Sequence[str] = ()) -> Self:
+        """Read a saved regressor back, best with the version of scikit-learn that it was saved with.
+
+        Loading runs no code of the file. It makes objects of known types only; `trusted` names more of them, such as
+        those of an estimator of another package, which the error about them lists.
+        """
+        found = load_regressor(path, trusted)
+        if not isinstance(found, cls):
+            raise ConformalError(f"{path}: must hold a {cls.__name__}, found {type(found).__name__}")
+        return found
+
     def _score(self, n_targets: int) -> str | Score:
         given: str | Score = self.__dict__["score"]
         if self.max_intervals is None:
             return given
         if given != "density":
             raise ConformalError(f"score must be 'density', the default, with max_intervals, got {brief(given)}")
-        return MaxIntervals(self.max_intervals, as_alpha(self.alpha) / (1 if self.joint == "none" else n_targets))
+        share = as_alpha(self.alpha) / (1 if self.joint == "none" else n_targets)
+        return MaxIntervals(self.max_intervals, str(share))
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""
