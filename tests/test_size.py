@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 2680,
-    "conformal": 5480,
+    "conformal": 5625,
     "core": 430,
     "datasets": 4920,
     "localization": 2570,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19010
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19100

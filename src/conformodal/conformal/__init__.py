@@ -19,6 +19,7 @@ from .calibration.split import SplitConformal
 from .calibration.weighted import WeightedConformal, weighted_quantile
 from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnostics.diagnosis import Diagnosis, diagnose
+from .drift import DriftMonitor
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .intervals import MaxIntervals
 from .novelty import NoveltyTest
@@ -47,9 +48,10 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MaxIntervals", "MondrianConformal",
-    "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
-    "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
-    "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "region_scorers", "weighted_quantile",
+    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LinearDensity", "MaxIntervals",
+    "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity",
+    "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal",
+    "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage", "conformal_quantile",
+    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "grouped_maximum_quantile",
+    "grouped_quantile", "region_scorers", "weighted_quantile",
 ]  # fmt: skip
