@@ -77,7 +77,8 @@ class DriftMonitor:
         self._shares = np.full((known.shape[1], _SLOPES.size), 1 / _SLOPES.size)
         self._logs = np.zeros(known.shape[1])
         self.p_values: list[FloatArray] = []
-        self._log, self._rows = 0.0, [np.empty((0, calibrator.bins.n_targets))]
+        self._log = 0.0
+        self._rows: list[RealArray] = [np.empty((0, calibrator.bins.n_targets))]
         self.alarm: int | None = None
 
     def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
