@@ -1,7 +1,7 @@
 """Print the oldest release that the project allows of each package, as constraints for pip.
 
 python scripts/oldest.py > oldest.txt
-pip install --constraint oldest.txt --editable '.[train,arrow,hub,networks,ray,ros]' --group dev
+pip install --constraint oldest.txt --editable '.[train,arrow,save,hub,networks,ray,ros]' --group dev
 
 The extra view is left out: its package needs NumPy 2, and the oldest NumPy is 1.26.
 """

@@ -8,20 +8,20 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 2620,
-    "conformal": 5030,
+    "conformal": 5630,
     "core": 410,
-    "datasets": 4920,
-    "localization": 2570,
-    "model": 1360,
+    "datasets": 5010,
+    "localization": 2590,
+    "model": 1440,
     "motion": 990,
     "networks": 730,
     "poses": 960,
     "quality": 810,
-    "reasoning": 1550,
-    "report": 760,
+    "reasoning": 1570,
+    "report": 870,
     "ros": 710,
-    "running": 2370,
-    "training": 700,
+    "running": 2390,
+    "training": 770,
     "vision": 470,
 }
 
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6690
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6700
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18370
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19020

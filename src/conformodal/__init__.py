@@ -31,12 +31,15 @@ if TYPE_CHECKING:
     from conformodal.datasets import read_sevenscenes
     from conformodal.poses import Trajectory
     from conformodal.report.diagnosis import draw_diagnosis
+    from conformodal.report.tables import draw_coverage, draw_regions
     from conformodal.running.estimator import VisualOdometry
 
 _LATE = {
     "Trajectory": ".poses",
     "VisualOdometry": ".running.estimator",
+    "draw_coverage": ".report.tables",
     "draw_diagnosis": ".report.diagnosis",
+    "draw_regions": ".report.tables",
     "read_sevenscenes": ".datasets",
 }
 
@@ -57,7 +60,9 @@ __all__ = [
     "conformal_rank",
     "coverage_band",
     "diagnose",
+    "draw_coverage",
     "draw_diagnosis",
+    "draw_regions",
     "read_sevenscenes",
 ]
 

@@ -1,10 +1,13 @@
 """A CSV file as spreadsheets write it, at the command line."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from conformodal.cli.table import TableError, choose_columns, read_table
+from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.learning import location, process, quick
 from conformodal.conformal.learning.location import boosting
 from tests.helpers import invoke
@@ -113,8 +116,10 @@ def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, 
     X = frame(150)
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
-    result = invoke("table", tmp_path / "own.csv", "--target", "dose", "--group", "ward")
+    options = ("--model", tmp_path / "reg.cm") if find_spec("skops") else ()
+    result = invoke("table", tmp_path / "own.csv", "--target", "dose", "--group", "ward", *options)
     assert result.exit_code == 0, result.output
+    assert not options or ConformalRegressor.load(options[1]).bins_.names == ["dose"]
     for words in ("used: ward (text, 2 labels), age", "dose: ", "(true: ", "coverage of dose", "group a", "group b"):
         assert words in result.output
     result = invoke("table", tmp_path / "own.csv", "--target", "doze")

@@ -40,6 +40,9 @@ def table(
     plot: Annotated[
         Path | None, typer.Option(help="Picture of the coverage, .svg, .png or .pdf; needs the extra 'figures'.")
     ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="File for the fitted regressor, for ConformalRegressor.load; extra 'save'.")
+    ] = None,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
     frame, notes = read_table(file)
@@ -67,6 +70,9 @@ def table(
         report_line(line)
     if plot is not None:
         _draw(found, plot)
+    if model is not None:
+        reg.save(model)
+        report_line(f"regressor: {model.resolve()}")
 
 
 def _draw(found: Diagnosis, plot: Path) -> None:

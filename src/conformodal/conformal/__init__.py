@@ -19,7 +19,9 @@ from .calibration.split import SplitConformal
 from .calibration.weighted import WeightedConformal, weighted_quantile
 from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnostics.diagnosis import Diagnosis, diagnose
+from .drift import DriftMonitor
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
+from .intervals import MaxIntervals
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, OnlineConformal
 from .predictive import PredictiveDensity
@@ -30,6 +32,7 @@ from .scores import Aps, Density, Lac, LinearDensity, Score
 if TYPE_CHECKING:
     from conformodal.conformal.learning.quick import QuickDensity
     from conformodal.conformal.learning.regressor import ConformalRegressor
+    from conformodal.conformal.learning.scorers import RegionScorer, region_scorers
     from conformodal.conformal.learning.stacked import StackedDensity
 
 __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
@@ -37,15 +40,18 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
     {
         "ConformalRegressor": ".learning.regressor",
         "QuickDensity": ".learning.quick",
+        "RegionScorer": ".learning.scorers",
         "StackedDensity": ".learning.stacked",
+        "region_scorers": ".learning.scorers",
     },
 )
 
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "Lac", "LinearDensity", "MondrianConformal", "NotCalibratedError",
-    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity", "Regions", "Score",
-    "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
-    "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
-    "grouped_maximum_quantile", "grouped_quantile", "weighted_quantile",
+    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LinearDensity", "MaxIntervals",
+    "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity",
+    "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal",
+    "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage", "conformal_quantile",
+    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "grouped_maximum_quantile",
+    "grouped_quantile", "region_scorers", "weighted_quantile",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.ranges import RANGES
 
-from .checks import as_count, as_doubles, as_number, as_targets
+from .checks import as_count, as_doubles, as_number, as_targets, brief
 from .errors import ConformalError, NotCalibratedError
 
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
@@ -40,10 +40,14 @@ class QuantileBins:
         Width, as a share of the training range, of one more bin beyond the outer bin at either end; 0 for none. A
         smooth density gives these bins little probability, so that values far out get finite scores.
 
+    y_min, y_max
+        Bounds that no value can pass, such as 0 for a weight: one for all targets, or one per target.
+
     Attributes
     ----------
     edges_ : list of d arrays (K_d + 1,), strictly increasing, in the target's own unit
     names : the targets' names in tables and reports, or None
+    limits : (d, 2) bounds of the targets, infinite if there are none: of unbounded sets, and of all bins
 
     Examples
     --------
@@ -57,27 +61,38 @@ class QuantileBins:
 
     edges_: list[FloatArray]
     names: list[str] | None = None
+    limits: FloatArray
 
-    def __init__(self, n_bins: int = 50, margin: float = 0.0, tail: float = 0.0) -> None:
+    def __init__(
+        self,
+        n_bins: int = 50,
+        margin: float = 0.0,
+        tail: float = 0.0,
+        y_min: npt.ArrayLike = -np.inf,
+        y_max: npt.ArrayLike = np.inf,
+    ) -> None:
         self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
         self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
         self.tail = as_number(tail, "tail", "a share of the range, at least 0", lambda t: 0 <= t < np.inf)
+        self.y_min, self.y_max = y_min, y_max
 
     def fit(self, y: npt.ArrayLike) -> Self:
         """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
         arr = as_targets(y)
         if arr.shape[0] == 0:
             raise ConformalError("y must hold at least one sample to place bins, got shape (0, d)")
+        self._bound(arr.shape[1])
+        self.check_limits(arr)
         levels = np.linspace(0.0, 1.0, self.n_bins + 1)
         placed = []
         with np.errstate(over="ignore", invalid="ignore"):  # checked below
-            for column in arr.T:
+            for column, limits in zip(arr.T, self.limits, strict=True):
                 edges = _place(np.quantile(column, levels), column)
                 edges[[0, -1]] += self.margin * (edges[-1] - edges[0]) * np.array([-1.0, 1.0])
                 if self.tail:
                     reach = self.tail * (edges[-1] - edges[0])
                     edges = np.concatenate(([edges[0] - reach], edges, [edges[-1] + reach]))
-                placed.append(edges)
+                placed.append(np.unique(np.clip(edges, *limits)))
         for j, edges in enumerate(placed):
             _check_edges(edges, f"bins of target {j}, values from {arr[:, j].min():g} to {arr[:, j].max():g}, edges")
         self.edges_ = placed
@@ -96,7 +111,27 @@ class QuantileBins:
             _check_edges(e, f"edges of target {j}")
         bins = cls(max(e.size for e in arrays) - 1)
         bins.edges_ = arrays
+        bins._bound(len(arrays))
         return bins
+
+    def _bound(self, n_targets: int) -> None:
+        ends = []
+        for name, given in (("y_min", self.y_min), ("y_max", self.y_max)):
+            end = as_doubles(given, name)
+            if end.shape not in ((), (n_targets,)) or np.isnan(end).any():
+                raise ConformalError(f"{name} must be a number, or one per target ({n_targets}), got {brief(given)}")
+            ends.append(np.broadcast_to(end, n_targets))
+        self.limits = np.stack(ends, axis=1)
+        if not (self.limits[:, 0] < self.limits[:, 1]).all():
+            raise ConformalError(f"y_min must be below y_max, got {brief(self.y_min)} and {brief(self.y_max)}")
+
+    def check_limits(self, y: FloatArray) -> None:
+        """Refuse values (n, d) beyond the bounds."""
+        beyond = (y < self.limits[:, 0]) | (y > self.limits[:, 1])
+        if beyond.any():
+            row, j = np.argwhere(beyond)[0]
+            low, high = self.limits[j]
+            raise ConformalError(f"y must lie in [{low:g}, {high:g}], found {y[row, j]:g} in row {row}, target {j}")
 
     def _edges(self) -> list[FloatArray]:
         if not hasattr(self, "edges_"):
@@ -130,7 +165,7 @@ class QuantileBins:
         if cells == 1:
             return self
         found = QuantileBins.from_edges(fine)
-        found.names = self.names
+        found.names, found.limits = self.names, self.limits
         return found
 
     def encode(self, y: npt.ArrayLike) -> IntArray:

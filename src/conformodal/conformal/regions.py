@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,8 @@ class Regions:
     masks
         One (n, K_j) boolean array per target, or one (n, d, K) for all: the bins in the set. Not copied.
     unbounded
-        (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask holds.
+        (n, d): where True, the set is the whole real line, beyond the outer edges too, whatever the mask holds; or all
+        that the bins' ``limits`` allow.
     """
 
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
@@ -94,8 +95,23 @@ class Regions:
             raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
         codes, at = self.bins.encode(values), np.arange(len(self))
         held = [mask[at, code] & (code >= 0) for mask, code in zip(self.masks, codes.T, strict=True)]
-        inside = np.stack(held, axis=1) | self.unbounded
+        low, high = self.bins.limits.T
+        inside = np.stack(held, axis=1) | (self.unbounded & (low <= values) & (values <= high))
         return np.asarray(inside.all(axis=1)) if joint else inside
+
+    def mapped(self, function: Callable[[FloatArray], npt.ArrayLike]) -> Regions:
+        """Regions of the targets after strictly monotone functions of each; `function` takes and returns (m, d).
+
+        An unbounded set becomes the whole real line. Regions of a ``TransformedTargetRegressor`` `t` are
+        ``t.regressor_.predict_region(X).mapped(t.transformer_.inverse_transform)``.
+        """
+        edges, most = self.bins.edges_, max(self.bins.sizes)
+        given = np.column_stack([np.pad(e, (0, most + 1 - e.size), mode="edge") for e in edges])
+        ends = as_targets(function(given), n_targets=len(edges))
+        steps = [slice(None, None, 1 if end[0] < end[1] else -1) for end in ends.T]
+        bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
+        bins.names = self.bins.names
+        return Regions(bins, [mask[:, s] for mask, s in zip(self.masks, steps, strict=True)], self.unbounded)
 
     def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
@@ -103,26 +119,26 @@ class Regions:
         return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
 
     def intervals(self, i: int) -> list[FloatArray]:
-        """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; ``[-inf, inf]`` where unbounded.
+        """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; the bins' limits where unbounded.
 
         An interval holds its lower end; it holds its upper end only if that is the target's last edge.
         """
         i = self._row(i)
         found = []
         for j, (edges, runs) in enumerate(zip(self.bins.edges_, self.runs(i), strict=True)):
-            whole = np.array([[-np.inf, np.inf]])
-            found.append(whole if self.unbounded[i, j] else edges[runs])
+            whole = self.bins.limits[j : j + 1]
+            found.append(whole.copy() if self.unbounded[i, j] else edges[runs])
         return found
 
     def flat_intervals(self, target: int = 0) -> tuple[IntArray, FloatArray]:
-        """All intervals of one target: offsets (n + 1,) and ends (m, 2), ``[-inf, inf]`` where unbounded.
+        """All intervals of one target: offsets (n + 1,) and ends (m, 2), the bins' limits where unbounded.
 
         Sample i has the rows ``offsets[i]:offsets[i + 1]`` of the ends.
         """
         target = as_count(target, "target", 0, len(self.masks) - 1)
         counts, runs = _flat_runs(self.masks[target])
         ends = self.bins.edges_[target][runs]
-        ends[np.repeat(self.unbounded[:, target], counts)] = (-np.inf, np.inf)
+        ends[np.repeat(self.unbounded[:, target], counts)] = self.bins.limits[target]
         return np.concatenate(([0], np.cumsum(counts))), ends
 
     def _row(self, i: int) -> int:
@@ -138,8 +154,7 @@ class Regions:
             ends[:, j, 0] = edges[mask.argmax(axis=1)]
             ends[:, j, 1] = edges[mask.shape[1] - mask[:, ::-1].argmax(axis=1)]
             ends[~mask.any(axis=1), j] = np.nan
-        ends[self.unbounded] = (-np.inf, np.inf)
-        return ends
+        return np.where(self.unbounded[..., None], self.bins.limits, ends)
 
     @property
     def n_intervals(self) -> IntArray:
@@ -149,10 +164,9 @@ class Regions:
 
     @property
     def length(self) -> FloatArray:
-        """Total length of the intervals in the target's unit, (n, d); ``inf`` where unbounded."""
+        """Total length of the intervals in the target's unit, (n, d); that of the bins' limits where unbounded."""
         lengths = np.stack([mask @ width for mask, width in zip(self.masks, self.bins.widths, strict=True)], axis=1)
-        lengths[self.unbounded] = np.inf
-        return lengths
+        return np.where(self.unbounded, np.diff(self.bins.limits)[:, 0], lengths)
 
     @property
     def volume(self) -> FloatArray:
@@ -171,7 +185,7 @@ class Regions:
         """As an Arrow table with one row per sample; needs the extra ``arrow``.
 
         Columns, named as the targets or ``target_J``, are of ``list<fixed_size_list<double>[2]>`` and hold the sorted,
-        disjoint intervals: ``[-inf, inf]`` if unbounded, an empty list for an empty set. The schema's metadata holds
+        disjoint intervals: the bins' limits if unbounded, an empty list for an empty set. The schema's metadata holds
         the edges as JSON, key ``conformodal.edges``.
         """
         try:

@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.arrays import FloatArray, IntArray, RealArray
 
 from .checks import as_choice, as_count, as_number, as_reals, brief
 from .errors import ConformalError
@@ -188,9 +188,7 @@ class Aps:
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
         proba = as_reals(proba, "proba")
-        with np.errstate(over="ignore"):  # infinite densities rank first
-            keys = proba if self.order == "probability" else proba / as_reals(widths, "widths")
-        order = np.argsort(-keys, axis=1, kind="stable")
+        order = self.order_of(proba, widths)
         ranked = np.take_along_axis(proba, order, axis=1)
         share = (
             row_uniforms(proba, self.seed)[:, None].astype(proba.dtype)
@@ -199,8 +197,14 @@ class Aps:
         )
         before = np.cumsum(ranked, axis=1, dtype=proba.dtype) - ranked
         scores = np.empty_like(proba)
-        np.put_along_axis(scores, order, before + share * ranked, axis=1)
+        np.put_along_axis(scores, order, np.maximum.accumulate(before + share * ranked, axis=1), axis=1)
         return scores
+
+    def order_of(self, proba: RealArray, widths: FloatArray) -> IntArray:
+        """Bins from the best to the worst, (n, K)."""
+        with np.errstate(over="ignore"):  # infinite densities rank first
+            keys = proba if self.order == "probability" else proba / as_reals(widths, "widths")
+        return np.argsort(-keys, axis=1, kind="stable")
 
 
 def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:

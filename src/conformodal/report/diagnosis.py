@@ -15,7 +15,7 @@ with require_extra("figures", "the picture of a diagnosis"):
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_BAND, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
+_BAND, INSIDE, OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 
 
 def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
@@ -36,7 +36,7 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
         len(heights), 2, squeeze=False, gridspec_kw={"height_ratios": heights, "width_ratios": (3, 2)}
     )
     for (left, right), column in zip(grid, diagnosis.columns, strict=True):
-        _coverages(left, column)
+        draw_column(left, column)
         _p_values(right, column)
     sizes = "; ".join(
         f"{name}: mean length {s.mean:.3g}, {s.intervals:.2f} intervals"
@@ -55,11 +55,12 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
     return figure
 
 
-def _coverages(axis: Axes, column: ColumnDiagnosis) -> None:
+def draw_column(axis: Axes, column: ColumnDiagnosis) -> None:
+    """Draw the coverages of one guarantee beside their bands."""
     rows = column.rows()[::-1]
     for i, (_, check) in enumerate(rows):
         axis.barh(i, check.high - check.low, left=check.low, height=0.6, color=_BAND, alpha=0.5)
-        axis.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
+        axis.plot(check.coverage, i, "o" if check.inside else "X", color=INSIDE if check.inside else OUTSIDE)
     whole = column.coverage
     axis.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
     axis.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in rows])
@@ -73,7 +74,7 @@ def _p_values(axis: Axes, column: ColumnDiagnosis) -> None:
         axis.set_axis_off()
         return
     p = column.uniformity.p_values
-    axis.step(p, (np.arange(p.size) + 1) / p.size, where="post", color=_INSIDE)
+    axis.step(p, (np.arange(p.size) + 1) / p.size, where="post", color=INSIDE)
     axis.plot([0, 1], [0, 1], color="black", lw=0.8, ls="--")
     axis.set_xlabel("p-value")
     axis.set_ylabel("share of test samples")

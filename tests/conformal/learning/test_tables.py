@@ -11,7 +11,7 @@ from sklearn.compose import make_column_transformer
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import OneHotEncoder
+from sklearn.preprocessing import FunctionTransformer, OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
@@ -37,6 +37,10 @@ def frame(n=N, seed=0):
     return found, pd.Series(dose, name="dose")
 
 
+def ages(X):
+    return np.asarray(X["age"])[:, None]
+
+
 def tree(**options):
     return ConformalRegressor(DecisionTreeClassifier(max_depth=4, random_state=0), n_bins=8, random_state=0, **options)
 
@@ -53,7 +57,7 @@ def kinds(X):
     try:
         import polars as pl
 
-        found.append(pl.DataFrame(X.to_dict("list")))
+        found.append(pl.DataFrame({name: X[name].astype(object).where(X[name].notna(), None).tolist() for name in X}))
     except ImportError:
         pass
     return found
@@ -78,6 +82,19 @@ def test_every_library_gives_the_same_columns():
     expected = TableEncoder().fit(X).transform(X)
     for other in kinds(X):
         np.testing.assert_allclose(TableEncoder().fit(other).transform(other), expected)
+
+
+def test_polars_and_pandas_give_the_same_regions():
+    pl = pytest.importorskip("polars")
+    X, y = frame(200)
+    numbers = X[["age", "hospital"]].assign(age=X.age.fillna(50))
+    table, values = pl.DataFrame(numbers.to_dict("list")), pl.Series("dose", y.to_list())
+    inner = make_pipeline(FunctionTransformer(ages), DecisionTreeClassifier(max_depth=4, random_state=0))
+    found = [
+        ConformalRegressor(inner, n_bins=8, random_state=0, groups="hospital").fit(a, b).predict_region(a).masks[0]
+        for a, b in ((numbers, y), (table, values))
+    ]
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Hashable, Sequence
+from pathlib import Path
 from types import MethodType
-from typing import Any, Literal, Self, overload
+from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,21 @@ from conformodal.conformal.bins import QuantileBins
 from conformodal.conformal.calibration.joint import Joint
 from conformodal.conformal.calibration.mondrian import MondrianConformal
 from conformodal.conformal.calibration.split import SplitConformal
-from conformodal.conformal.checks import Alpha, as_array, as_doubles, as_number, as_random, as_reals, brief, shortened
+from conformodal.conformal.checks import (
+    Alpha,
+    as_alpha,
+    as_array,
+    as_doubles,
+    as_number,
+    as_random,
+    as_reals,
+    brief,
+    shortened,
+)
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.intervals import MaxIntervals
 from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
@@ -30,8 +42,11 @@ from conformodal.core.words import counted
 
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .mixture import as_sample_weight
+from .saving import load_regressor, save_regressor
 from .smoothing import proba_of_bins
 from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
+
+Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
@@ -39,6 +54,7 @@ _MARGIN = 0.02
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
+_FLOOR = 1e-6
 
 
 class _ScoreName:
@@ -48,10 +64,22 @@ class _ScoreName:
     """
 
     def __get__(self, estimator: Any, owner: type) -> Any:
-        return self if estimator is None else MethodType(RegressorMixin.score, estimator)
+        return _log_score if estimator is None else MethodType(_log_score, estimator)
 
     def __set__(self, estimator: Any, value: str | Score) -> None:
         estimator.__dict__["score"] = value
+
+
+def _log_score(self: ConformalRegressor, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None) -> float:
+    """Mean log density of true values, summed over targets: the larger, the better.
+
+    A density below a millionth of that of a uniform distribution, as beyond all bins, counts as so much.
+    """
+    values = self._table(X, y, reset=False)[1]
+    density = self.predict_density(X).pdf(values)
+    floor = [_FLOOR / np.ptp(edges) for edges in self.bins_.edges_]
+    weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
+    return float(np.average(np.log(np.maximum(density, floor)).sum(axis=1), weights=weight))
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -87,6 +115,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         :class:`SlowFitWarning` in any case.
     groups
         Name of the column of `X` whose labels are the groups that coverage is guaranteed in; it is a feature too.
+    y_min, y_max
+        Bounds that no value can pass, such as 0 for a weight: no set reaches beyond them, an unbounded one neither. A
+        number for all targets, or one per target.
+    max_intervals
+        Most intervals of a set: :class:`~conformodal.conformal.MaxIntervals` then takes the place of `score`.
 
     Attributes
     ----------
@@ -109,6 +142,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """
 
     score: Any = _ScoreName()
+    # what a pipeline passes on if scikit-learn's metadata routing is on
+    __metadata_request__predict: ClassVar = {"region": True, "alpha": True, "groups": True}
 
     def __init__(
         self,
@@ -121,6 +156,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         random_state: Any = None,
         verbose: bool = False,
         groups: Hashable = None,
+        y_min: npt.ArrayLike = -np.inf,
+        y_max: npt.ArrayLike = np.inf,
+        max_intervals: int | None = None,
     ) -> None:
         self.estimator = estimator
         self.n_bins = n_bins
@@ -131,6 +169,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
         self.verbose = verbose
         self.groups = groups
+        self.y_min = y_min
+        self.y_max = y_max
+        self.max_intervals = max_intervals
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Parameters of the estimator, and of its estimator if `deep`; as in scikit-learn."""
@@ -177,10 +218,12 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         tail = _TAIL if 0 < held.size < _FEW_TO_CALIBRATE else 0.0
-        self.bins_ = QuantileBins(n_bins, margin=_MARGIN, tail=tail).fit(values[seen])
+        bins = QuantileBins(n_bins, margin=_MARGIN, tail=tail, y_min=self.y_min, y_max=self.y_max)
+        self.bins_ = bins.fit(values[seen])
+        self.bins_.check_limits(values)
         self.bins_.names = names
         calibrator = SplitConformal if labels is None else MondrianConformal
-        self.calibrator_: Any = calibrator(self.bins_, self.alpha, self.__dict__["score"], self.joint)
+        self.calibrator_: Any = calibrator(self.bins_, self.alpha, self._score(values.shape[1]), self.joint)
         unseen, learnt = self.joint == "max", rows_of(features, seen)
         slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
         self.estimators_, out_of_fold = [], []
@@ -204,6 +247,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Calibrate on given data, none of which was learnt from; replaces the earlier calibration."""
         check_is_fitted(self, "bins_")
         features, values, _ = self._table(X_cal, y_cal, reset=False)
+        self.bins_.check_limits(values.reshape(len(values), -1))
         self._calibrate(features, values, self._labels(features, groups, len(values)))
         return self
 
@@ -221,35 +265,52 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
 
     @overload
-    def predict(self, X: Any, region: Literal[True], alpha: Any = None, groups: Any = None) -> Regions: ...
+    def predict(self, X: Any, region: Literal[True], alpha: Alpha | None = None, groups: Any = None) -> Regions: ...
+
+    @overload
+    def predict(self, X: Any, region: Literal[True], alpha: Alphas, groups: Any = None) -> list[Regions]: ...
 
     def predict(
-        self, X: Any, region: bool = False, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None
-    ) -> FloatArray | Regions:
+        self, X: Any, region: bool = False, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
+    ) -> FloatArray | Regions | list[Regions]:
         """Means of the distributions, (n,) or (n, d), which minimise the squared error, even between two modes.
 
         With ``region=True`` it is :meth:`predict_region`, for scikit-learn, which knows ``predict`` only: the regions
         of a pipeline are ``pipeline.predict(X, region=True)``.
         """
         if region:
-            return self.predict_region(X, alpha, groups)
+            found: Regions | list[Regions] = self.predict_region(X, alpha, groups)
+            return found
         for name, value in (("alpha", alpha), ("groups", groups)):
             if value is not None:
                 raise ConformalError(f"{name} must be None unless region=True, got {brief(value)}")
         means = self.predict_density(X).mean
         return means[:, 0] if self._one_target else means
 
-    def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions:
+    @overload
+    def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions: ...
+
+    @overload
+    def predict_region(self, X: Any, alpha: Alphas, groups: npt.ArrayLike | None = None) -> list[Regions]: ...
+
+    def predict_region(
+        self, X: Any, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
+    ) -> Regions | list[Regions]:
         """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate.
+
+        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
 
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
         had too few calibration samples, are unbounded.
         """
         proba, calibrator = self.predict_bins(X), self._calibrated()
         labels = self._labels(X, groups, len(proba[0]))
-        calibrator = calibrator if alpha is None else calibrator.at(alpha)
-        found: Regions = calibrator.predict(proba) if labels is None else calibrator.predict(proba, labels)
-        return found
+        several = isinstance(alpha, (list, tuple, np.ndarray))
+        found: list[Regions] = []
+        for rate in cast("Alphas", alpha) if several else [cast("Alpha | None", alpha)]:
+            own = calibrator if rate is None else calibrator.at(rate)
+            found.append(own.predict(proba) if labels is None else own.predict(proba, labels))
+        return found if several else found[0]
 
     def diagnose(
         self,
@@ -269,6 +330,35 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if self.groups is not None:
             groups = self._labels(features, groups, len(values))
         return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, names, level)
+
+    def save(self, path: str | Path) -> None:
+        """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
+
+        Estimators of scikit-learn and the named ones can be saved.
+        """
+        check_is_fitted(self, "bins_")
+        save_regressor(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, trusted: Sequence[str] = ()) -> Self:
+        """Read a saved regressor back, best with the version of scikit-learn that it was saved with.
+
+        Loading runs no code of the file. It makes objects of known types only; `trusted` names more of them, such as
+        those of an estimator of another package, which the error about them lists.
+        """
+        found = load_regressor(path, trusted)
+        if not isinstance(found, cls):
+            raise ConformalError(f"{path}: must hold a {cls.__name__}, found {type(found).__name__}")
+        return found
+
+    def _score(self, n_targets: int) -> str | Score:
+        given: str | Score = self.__dict__["score"]
+        if self.max_intervals is None:
+            return given
+        if given != "density":
+            raise ConformalError(f"score must be 'density', the default, with max_intervals, got {brief(given)}")
+        share = as_alpha(self.alpha) / (1 if self.joint == "none" else n_targets)
+        return MaxIntervals(self.max_intervals, str(share))
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""
@@ -345,6 +435,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.multi_output = True
+        tags.regressor_tags.poor_score = True  # a log density has no scale on which 0.5 is good
         named = self.estimator is None or isinstance(self.estimator, str)
         tags.input_tags.allow_nan, tags.input_tags.sparse = named, False
         if hasattr(self.estimator, "__sklearn_tags__"):

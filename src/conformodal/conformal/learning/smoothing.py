@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,14 @@ def _gaussian(values: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(gaussian_filter1d(values, sigma, axis=-1, mode="constant"))
 
 
+@dataclass
+class BinClassifier:
+    """A classifier of those of all bins that hold training values, which it knows as 0, 1, ...: some demand that."""
+
+    model: Any
+    bins: IntArray
+
+
 class SmoothedClassifier:
     """The smoothed mean of fitted classifiers (or numbers of the only bin that they saw)."""
 
@@ -114,15 +123,19 @@ def bin_codes(y: FloatArray, edges: FloatArray) -> IntArray:
 
 def fit_classifier(model: Any, X: Any, y: FloatArray, edges: FloatArray, weight: FloatArray | None = None) -> Any:
     """Fit a classifier on bin numbers; if all values are in one bin, its number stands for the classifier."""
-    codes = bin_codes(y, edges)
-    if (codes == codes[0]).all():
-        return int(codes[0])
+    bins, labels = np.unique(bin_codes(y, edges), return_inverse=True)
+    if bins.size == 1:
+        return int(bins[0])
     with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn reports overflows
-        return model.fit(X, codes, **({} if weight is None else {"sample_weight": weight}))
+        fitted = model.fit(X, labels, **({} if weight is None else {"sample_weight": weight}))
+    return BinClassifier(fitted, bins)
 
 
 def proba_of_bins(model: Any, X: Any, n_bins: int) -> FloatArray:
     """Probabilities (n, K) of all bins; 0 for bins without training values."""
+    bins: Any = None
+    if isinstance(model, BinClassifier):
+        model, bins = model.model, model.bins
     if isinstance(model, int):
         return np.tile(np.arange(n_bins) == model, (X.shape[0], 1)).astype(np.float64)
     try:
@@ -133,13 +146,13 @@ def proba_of_bins(model: Any, X: Any, n_bins: int) -> FloatArray:
     except (ValueError, TypeError) as exc:
         raise ConformalError(f"estimator cannot predict: {shortened(str(exc))}") from exc
     found = as_doubles(given, "predict_proba of the estimator")
-    if not hasattr(model, "classes_"):
+    if bins is None:
         return found
-    classes = np.asarray(model.classes_, dtype=np.int64)
+    classes = np.asarray(getattr(model, "classes_", np.arange(bins.size)), dtype=np.int64)
     if found.shape != (X.shape[0], classes.size):
         raise ConformalError(
             f"predict_proba of the estimator must have shape ({X.shape[0]}, {classes.size}), got {found.shape}"
         )
     proba = np.zeros((X.shape[0], n_bins))
-    proba[:, classes] = found
+    proba[:, bins[classes]] = found
     return proba

@@ -1,0 +1,79 @@
+"""Fitted regressors as files of skops, which hold data and the names of types, never code."""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import sklearn
+
+from conformodal.conformal.checks import shortened
+from conformodal.conformal.errors import ConformalError
+from conformodal.core.extras import require_extra
+from conformodal.core.files import replacing
+
+_FORMAT = "conformodal-table-1"
+_OWN = (
+    "bins.QuantileBins", "calibration.joint.JointRule", "calibration.mondrian.MondrianConformal",
+    "calibration.split.SplitConformal", "intervals.MaxIntervals", "learning.forest.LeafForest",
+    "learning.location.Location", "learning.location._AnisotropicProcess", "learning.process.SparseProcess",
+    "learning.quick.QuickDensity", "learning.regressor.ConformalRegressor", "learning.smoothing.BinClassifier",
+    "learning.smoothing.BinSmoothing", "learning.smoothing.SmoothedClassifier", "learning.stacked.StackedDensity",
+    "learning.stacked._oob_mean", "learning.tables.TableEncoder", "scores.Aps", "scores.Density", "scores.Lac",
+    "scores.LinearDensity",
+)  # fmt: skip
+# what skops does not trust by itself: compiled trees, kernels, and sparse arrays, of which it knows matrices
+_FOREIGN = (
+    "scipy.sparse._csr.csr_array", "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
+    *(f"sklearn.gaussian_process.kernels.{name}" for name in ("ConstantKernel", "Matern", "Product", "Sum")),
+    "sklearn.gaussian_process.kernels.WhiteKernel", "sklearn.metrics._dist_metrics.EuclideanDistance64",
+    "sklearn.neighbors._kd_tree.KDTree", "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
+    "sklearn.tree._tree.Tree", "sklearn.utils._bunch.Bunch",
+)  # fmt: skip
+_TRUSTED = (*(f"conformodal.conformal.{name}" for name in _OWN), *_FOREIGN)
+
+
+def save_regressor(regressor: Any, path: str | Path) -> None:
+    """Write a regressor into a file, whole or not at all."""
+    with require_extra("save", "saving a regressor"):
+        import skops.io  # noqa: PLC0415
+    record = {"format": _FORMAT, "scikit-learn": sklearn.__version__, "regressor": regressor}
+    try:
+        content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED)
+    except Exception as exc:  # whatever a foreign class raises
+        raise ConformalError(f"{path}: estimator cannot be saved: {shortened(str(exc))}") from exc
+    with replacing(Path(path)) as part:
+        part.write_bytes(content)
+
+
+def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
+    """Read a regressor back; `trusted` are types that may be made beside those of the named learners."""
+    with require_extra("save", "loading a regressor"):
+        import skops.io  # noqa: PLC0415
+    try:
+        content = Path(path).read_bytes()
+        unknown = sorted({*skops.io.get_untrusted_types(data=content)} - {*_TRUSTED, *trusted})
+    except OSError as exc:
+        raise ConformalError(f"{path}: cannot be read: {exc.strerror}") from None
+    except Exception as exc:  # whatever a damaged file leads to
+        raise ConformalError(f"{path}: is not a saved regressor: {type(exc).__name__}") from exc
+    if unknown:
+        raise ConformalError(
+            f"{path}: holds the types {', '.join(unknown)}: if you trust the file, load it with trusted=[...]"
+        )
+    try:
+        record = skops.io.loads(content, trusted=[*_TRUSTED, *trusted])
+        found, version = record["regressor"], record["scikit-learn"]
+        if record["format"] != _FORMAT:
+            raise ValueError(record["format"])
+    except Exception as exc:  # whatever a damaged file leads to
+        raise ConformalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {shortened(str(exc))}") from exc
+    if version != sklearn.__version__:
+        warnings.warn(
+            f"{path}: saved with scikit-learn {version}, loaded with {sklearn.__version__}: check its predictions",
+            stacklevel=3,
+        )
+    return found

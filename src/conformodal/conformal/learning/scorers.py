@@ -1,0 +1,94 @@
+"""Scorers of regions for scikit-learn's ``GridSearchCV``, ``cross_validate`` and others."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.utils.metadata_routing import MetadataRequest
+
+from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import FloatArray
+
+from .mixture import as_sample_weight
+
+ScorerName = Literal["coverage", "neg_length", "neg_interval_score"]
+
+
+class RegionScorer:
+    """One scorer of :func:`region_scorers`, called by scikit-learn; a mean over samples and targets."""
+
+    def __init__(self, name: ScorerName, alpha: Alpha = 0.1) -> None:
+        as_choice(name, ScorerName, "name")
+        as_alpha(alpha)
+        self.name: ScorerName = name
+        self.alpha = alpha
+        self._request = MetadataRequest(owner=self)
+
+    def __repr__(self) -> str:
+        return f"RegionScorer({self.name!r}, alpha={self.alpha!r})"
+
+    def __call__(
+        self,
+        estimator: Any,
+        X: Any,
+        y: npt.ArrayLike,
+        sample_weight: npt.ArrayLike | None = None,
+        groups: npt.ArrayLike | None = None,
+    ) -> float:
+        """Score a fitted regressor, or a pipeline that ends with one, on samples."""
+        options = {} if groups is None else {"groups": groups}
+        regions: Regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
+        values = as_targets(y, regions.bins.n_targets)
+        if self.name == "coverage":
+            found = regions.contains(values).astype(np.float64)
+        else:
+            found = -regions.length if self.name == "neg_length" else -interval_score(regions, values, self.alpha)
+        weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
+        return float(np.average(found.mean(axis=1), weights=weight))
+
+    def set_score_request(self, **names: bool | str | None) -> Self:
+        """Ask for ``sample_weight`` or ``groups`` if metadata routing is on, as in scikit-learn."""
+        for name, alias in names.items():
+            self._request.score.add_request(param=name, alias=alias)
+        return self
+
+    def get_metadata_routing(self) -> MetadataRequest:
+        """What the scorer asks for."""
+        return self._request
+
+
+def region_scorers(alpha: Alpha = 0.1) -> dict[str, RegionScorer]:
+    """Scorers of the regions at `alpha` by name, whatever the estimator's own rate; the larger, the better.
+
+    - ``"coverage"``: share of values in their sets; not to be maximised.
+    - ``"neg_length"``: minus the mean length.
+    - ``"neg_interval_score"``: minus the length and, for a value outside its set, ``2 / alpha`` times its distance to
+      the set (Gneiting and Raftery 2007, for one interval). From an empty set it is as far as the bins reach.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.model_selection import cross_validate
+    >>> from sklearn.tree import DecisionTreeClassifier
+    >>> from conformodal.conformal import ConformalRegressor, region_scorers
+    >>> X = np.random.default_rng(0).uniform(size=(400, 1))
+    >>> reg = ConformalRegressor(DecisionTreeClassifier(max_depth=4), n_bins=10, random_state=0)
+    >>> found = cross_validate(reg, X, X[:, 0], cv=2, scoring=region_scorers(alpha=0.2))
+    >>> bool(found["test_coverage"].mean() > 0.7)
+    True
+    """
+    return {name: RegionScorer(name, alpha) for name in get_args(ScorerName)}
+
+
+def interval_score(regions: Regions, y: FloatArray, alpha: Alpha) -> FloatArray:
+    """Lengths of sets, and ``2 / alpha`` times the distance of values (n, d) outside them, (n, d)."""
+    parts = zip(regions.masks, regions.bins.edges_, y.T, strict=True)
+    far = [
+        np.where(mask, np.maximum(np.maximum(e[:-1] - own[:, None], own[:, None] - e[1:]), 0), np.ptp(e)).min(axis=1)
+        for mask, e, own in parts
+    ]
+    distance = np.where(regions.contains(y), 0, np.stack(far, axis=1))
+    return np.asarray(regions.length + 2 / float(as_alpha(alpha)) * distance)

@@ -1,0 +1,105 @@
+"""A saved regressor answers as before, and no other file is loaded."""
+
+import io
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.compose import make_column_transformer
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import OneHotEncoder
+
+from conformodal.conformal import ConformalError, ConformalRegressor, StackedDensity
+from conformodal.conformal.learning import saving
+
+skops = pytest.importorskip("skops.io")
+RNG = np.random.default_rng(0)
+X = pd.DataFrame({"a": RNG.uniform(size=200), "site": RNG.choice(["north", "south"], 200)})
+Y = X.a.to_numpy() + RNG.normal(0, 0.1, 200)
+FOREST = make_pipeline(
+    make_column_transformer((OneHotEncoder(), ["site"]), remainder="passthrough"), RandomForestClassifier(5)
+)
+KINDS = {
+    "default": {},
+    "groups, bounds, few intervals": {"groups": "site", "y_min": -1, "max_intervals": 2, "calibration_size": 0.4},
+    "classifier": {"estimator": FOREST, "n_bins": 8, "score": "hpd"},
+    "two targets": {"joint": "max", "alpha": "0.2"},
+}
+
+
+def fitted(**options):
+    targets = np.column_stack((Y, -Y)) if "joint" in options else Y
+    return ConformalRegressor(**({"random_state": 0} | options)).fit(X, targets)
+
+
+@pytest.mark.filterwarnings("ignore:The number of unique")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
+    reg = fitted(**KINDS[kind])
+    reg.save(tmp_path / "reg.cm")
+    again = ConformalRegressor.load(tmp_path / "reg.cm")
+    assert repr(again) == repr(reg)
+    for one, other in zip(again.predict_region(X, alpha=[0.1, 0.3]), reg.predict_region(X, [0.1, 0.3]), strict=True):
+        for j, mask in enumerate(other.masks):
+            np.testing.assert_array_equal(one.masks[j], mask)
+        np.testing.assert_array_equal(one.bins.limits, other.bins.limits)
+    np.testing.assert_array_equal(again.predict(X), reg.predict(X))
+    again.conformalize(X, np.column_stack((Y, -Y)) if "joint" in KINDS[kind] else Y)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::conformodal.conformal.SlowFitWarning")
+def test_the_stack_comes_back_as_it_was(tmp_path):
+    reg = ConformalRegressor(StackedDensity(5), random_state=0).fit(X[:60], Y[:60])
+    reg.save(tmp_path / "reg.cm")
+    np.testing.assert_array_equal(ConformalRegressor.load(tmp_path / "reg.cm").predict(X), reg.predict(X))
+
+
+class Foreign(RandomForestClassifier):
+    pass
+
+
+@pytest.mark.filterwarnings("ignore:The number of unique")
+def test_types_of_others_are_named_and_need_trust(tmp_path):
+    path = tmp_path / "reg.cm"
+    inner = make_pipeline(FOREST[0], Foreign(5, random_state=0))
+    reg = fitted(estimator=inner, n_bins=8)
+    reg.save(path)
+    name = f"{Foreign.__module__}.Foreign"
+    with pytest.raises(ConformalError, match=rf"reg\.cm: holds the types {name}: if you trust"):
+        ConformalRegressor.load(path)
+    np.testing.assert_array_equal(ConformalRegressor.load(path, trusted=[name]).predict(X), reg.predict(X))
+
+
+def archive():
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w") as files:
+        files.writestr("schema.json", "{}")
+    return held.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
+     (skops.dumps({"format": "x"}), "is no complete conformodal-table-1"),
+     (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "found int")],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")
+def test_other_files_are_refused(content, match, tmp_path):
+    if content is not None:
+        (tmp_path / "reg.cm").write_bytes(content)
+    with pytest.raises(ConformalError, match=rf"reg\.cm: .*{match}"):
+        ConformalRegressor.load(tmp_path / "reg.cm")
+
+
+def test_another_version_of_scikit_learn_is_a_warning(tmp_path, monkeypatch):
+    reg = fitted(estimator=FOREST, n_bins=4)
+    with monkeypatch.context() as patch:
+        patch.setattr(saving.sklearn, "__version__", "1.0")
+        reg.save(tmp_path / "reg.cm")
+    with pytest.warns(UserWarning, match=r"saved with scikit-learn 1\.0"):
+        ConformalRegressor.load(tmp_path / "reg.cm")
+    with pytest.raises(ConformalError, match="estimator cannot be saved"):
+        reg.set_params(verbose=io).save(tmp_path / "x")
