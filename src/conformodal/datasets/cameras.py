@@ -18,6 +18,7 @@ Size = tuple[int, int]
 SCALED = "intrinsics were scaled"
 
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
+_TURNED = " (are they turned, perhaps by EXIF?)"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 _OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
 _SAME_SHAPE, _MOST_PX, MOST_BENT = 0.02, 1e6, 10.0
@@ -38,6 +39,7 @@ def camera_of(
     camera raise a DatasetError; unlikely ones are added to `notes`.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
+    lens = lens if any(lens[5:]) else lens[:5]  # a rational lens whose k4 to k6 are zero is none
     scaled: list[str] = []
     if stated is not None and tuple(stated) != size:
         if min(stated) < 1:
@@ -48,7 +50,8 @@ def camera_of(
         if abs(sx / sy - 1) > _SAME_SHAPE:
             raise DatasetError(
                 f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, and the images have "
-                f"{size[0]}x{size[1]}, another shape; give the camera of these images"
+                f"{size[0]}x{size[1]}, another shape{_TURNED if stated[0] * size[0] == stated[1] * size[1] else ''}; "
+                "give the camera of these images"
             )
         fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
         scaled.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")

@@ -13,7 +13,8 @@ from .cameras import SCALED
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
-from .frame_table import INTERPOLATED
+from .euroc import SHIFTED
+from .frame_table import CONVERTED, INTERPOLATED
 from .lenses import OTHER_CAMERA, UNDISTORTED
 from .nerf import ORIGINAL_WORLD
 from .sequence import Sequence
@@ -22,7 +23,7 @@ from .sequence import Sequence
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, ORIGINAL_WORLD)
+_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, ORIGINAL_WORLD)
 
 
 @dataclass

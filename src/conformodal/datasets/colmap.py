@@ -20,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .errors import DatasetError
-from .frame_table import Damaged, FrameTable
+from .frame_table import QUATERNIONS, Damaged, FrameTable
 from .lenses import AnyCamera, fisheye_of
 from .reading import Note, PathGuard, frame_times, image_files, read_lines, reader
 from .sequence import Sequence
@@ -143,7 +143,7 @@ def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tupl
     quats = np.array([rows.get(name, unknown)[0] for name in names])
     shifts = np.array([rows.get(name, unknown)[1] for name in names])
     if doubt := length_doubt(path, np.column_stack((quats, shifts)), 0):
-        notes.append(Note("quaternions are not of unit length", doubt))
+        notes.append(Note(QUATERNIONS, doubt))
     faults = pose_faults(shifts, quats)
     known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
     known[list(faults)] = False

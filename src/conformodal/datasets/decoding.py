@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from .errors import ImageError
 
@@ -62,13 +62,35 @@ def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
     for i in sorted({round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}):
         with suppress(Exception), _opened(paths[i], "") as image:  # images that cannot be read are told elsewhere
             turned += [str(paths[i])] if _orientation(image) != 1 else []
-            if _is_wide(image):
-                white = max(white or 0, white_level(np.asarray(image)))
+            if (wide := _wide(image, paths[i])) is not None:
+                white = max(white or 0, white_level(wide[..., :3]))
     return white, turned
 
 
-def _is_wide(image: Image.Image) -> bool:
-    return image.mode == "I" or image.mode.startswith("I;16")
+def white_in(content: bytes) -> int:
+    """The level that is shown as white in an image file's content: 255 of one with 8 bits, or that is no image."""
+    with suppress(Exception), _opened(content, "") as image:
+        if (wide := _wide(image, content)) is not None:
+            return white_level(wide[..., :3])
+    return 255
+
+
+def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
+    """The numbers (height, width, 1, 3 or 4) of an image of 16 bits, not turned; None for one of 8.
+
+    Pillow keeps only the upper half of the bits of colours.
+    """
+    raw = str(image.tile[0][3]) if image.tile else ""
+    if image.mode == "I" or image.mode.startswith("I;16"):
+        return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
+    if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):
+        return None
+    image.load()  # which refuses truncated files
+    content = np.frombuffer(source if isinstance(source, bytes) else source.read_bytes(), dtype=np.uint8)
+    found = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint16 or found.shape[:2] != (image.height, image.width):
+        raise ValueError("its 16-bit colours cannot be decoded")
+    return found[..., [2, 1, 0, 3][: found.shape[2]]] if found.ndim == 3 else found[..., None]
 
 
 def common_size(paths: list[Path]) -> tuple[int, int]:
@@ -144,7 +166,7 @@ def decode(
             raise ImageError(f"{name}: image is {found[0]}x{found[1]} pixels, the camera's are {size[0]}x{size[1]}")
         try:
             with ignore_pillow_warnings():
-                return _rgb(image if _orientation(image) == 1 else ImageOps.exif_transpose(image), white)
+                return _rgb(image, source, white)
         except Exception as exc:  # decoders raise whatever damaged bytes lead them to
             raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
 
@@ -156,6 +178,8 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
         with ignore_pillow_warnings():  # of sizes, which are checked below
             image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
             fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
+    except UnidentifiedImageError as exc:
+        raise ImageError(f"{name}: is no image that is read ({', '.join(_FORMATS)})") from exc
     except Exception as exc:  # as above
         raise ImageError(f"{name}: cannot be decoded as an image: {exc}") from exc
     if fault:
@@ -192,10 +216,14 @@ def _orientation(image: Any) -> int:
     return found if 1 <= found <= 8 else 1
 
 
-def _rgb(image: Image.Image, white: int | None) -> npt.NDArray[np.uint8]:
-    if _is_wide(image):
-        wide = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
-        return np.repeat(to_eight_bits(wide, white or white_level(wide))[..., None], 3, axis=2)
+def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> npt.NDArray[np.uint8]:
+    turned = _orientation(image)
+    if (wide := _wide(image, source)) is not None:
+        eight = to_eight_bits(wide[..., :3], white or white_level(wide[..., :3]))
+        eight = np.concatenate((eight, to_eight_bits(wide[..., 3:], WIDEST)), axis=2)
+        image = Image.fromarray(np.repeat(eight, 3, axis=2) if eight.shape[2] == 1 else eight)
+        image.getexif()[_ORIENTATION] = turned
+    image = image if turned == 1 else ImageOps.exif_transpose(image)
     if not image.has_transparency_data:
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     rgba = np.asarray(image.convert("RGBA"))

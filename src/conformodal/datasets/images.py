@@ -19,7 +19,7 @@ from .reading import SUFFIXES, Note, even_times, frame_times, image_files, reade
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
-_NANOSECONDS = 1e14  # a time in seconds of this size would be the year three million
+_SINCE_1970_S = 1e9  # more than the number of any image
 
 
 @reader
@@ -30,7 +30,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     ----------
     folder
         With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
-        or the names of the files where all of these are numbers with a fraction or of nanoseconds, or else even
+        or the names of the files where all of these are numbers with a fraction or since 1970, or else even
         (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
@@ -84,9 +84,7 @@ def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np
         named = np.array([np.nan])
     if not np.isfinite(named).all():
         return images, even_times(folder, len(images))
-    if (named > _NANOSECONDS).all():
-        named = named / 1e9
-    elif not all("." in image.stem for image in images):
+    if not (named > _SINCE_1970_S).all() and not all("." in image.stem for image in images):
         return images, even_times(folder, len(images))
     order = np.argsort(named, kind="stable")
     return [images[i] for i in order], named[order]

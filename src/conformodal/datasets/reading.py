@@ -22,6 +22,7 @@ Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
 _RATES_HZ = (1e-3, 1e6)
+_NO_NUMBER = str.maketrans("[](),;", " " * 6)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
 
 
@@ -94,6 +95,8 @@ class PathGuard:
         """The file of a name, from a base in the folder."""
         if "\0" in name:
             raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
+        if "\\" in name and not os.path.lexists(os.path.join(base, name)):  # written on Windows
+            name = name.replace("\\", "/")
         path = os.path.join(base, name)
         written = Path(name)
         leads_out = written.anchor or ".." in written.parts
@@ -123,9 +126,10 @@ def read_lines(path: Path) -> list[str]:
 
 
 def read_numbers(path: Path) -> FloatArray:
-    """All numbers of a text file, in one vector."""
+    """All numbers of a text file, in one vector; brackets, commas and lines that begin with ``#`` are passed over."""
+    lines = [line for line in read_lines(path) if not line.lstrip().startswith("#")]
     try:
-        return np.array([number(x) for x in " ".join(read_lines(path)).split()])
+        return np.array([number(x) for x in " ".join(lines).translate(_NO_NUMBER).split()])
     except ValueError as exc:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 

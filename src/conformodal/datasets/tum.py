@@ -45,7 +45,7 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     place = PathGuard(folder, path, follow_outside=follow_outside)
 
     def parse(line: str) -> tuple[float, Path]:
-        time, name = line.split(maxsplit=1)
+        time, name = re.split(r"[,;\s]", line.strip(), maxsplit=1)
         return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", notes)
