@@ -80,7 +80,8 @@ def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
 
     Pillow keeps only the upper half of the bits of colours.
     """
-    raw = str(image.tile[0][3]) if image.tile else ""
+    tile = getattr(image, "tile", None)
+    raw = str(tile[0][3]) if tile else ""
     if image.mode == "I" or image.mode.startswith("I;16"):
         return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
     if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):

@@ -25,7 +25,7 @@ from conformodal.poses.text import is_header
 from .decoding import SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
 from .lenses import AnyCamera, Fisheye, brought
-from .reading import Note, read_lines, read_numbers, readable, shown
+from .reading import BETWEEN_RECORDINGS_S, Note, read_lines, read_numbers, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
@@ -35,7 +35,6 @@ INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seco
 QUATERNIONS = "quaternions are doubtful"
 _USUAL_STEP_S = (5e-4, 5.0)
 _LEFT_OUT = "left out, "
-_BETWEEN_RECORDINGS_S = 10.0
 
 
 @dataclass(eq=False)
@@ -334,7 +333,7 @@ def joined(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> tuple[li
     """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
     times: list[float] = []
     for frames in recordings:
-        start = times[-1] + _BETWEEN_RECORDINGS_S if times else 0.0
+        start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
         times += [start + i / rate_hz for i, _ in frames]
     recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
     return [path for frames in recordings for _, path in frames], np.array(times), recording

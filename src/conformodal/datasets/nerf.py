@@ -20,7 +20,7 @@ from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import FrameTable
 from .lenses import AnyCamera, fisheye_of
-from .reading import SUFFIXES, Note, PathGuard, frame_times, read_lines, reader
+from .reading import SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -89,7 +89,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         notes.append(Note(ORIGINAL_WORLD, f"{path}: applied_transform and applied_scale are undone"))
     poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
     lenses = _cameras(path, cameras, images, notes)
-    table = FrameTable(folder.name, images, frame_times(folder, len(frames)), poses=poses, why=why, notes=notes)
+    times, recording = times_by_folder(folder, images)
+    table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence(lenses, require_poses=require_poses)
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PoseError, TrajectoryFileError
 from conformodal.poses.text import number, text_lines
 
@@ -21,6 +21,7 @@ P = ParamSpec("P")
 Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
+BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
 _NO_NUMBER = str.maketrans("[](),;", " " * 6)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
@@ -143,6 +144,14 @@ def frame_times(folder: Path, n_frames: int) -> FloatArray:
     if times.size != n_frames:
         raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
     return times
+
+
+def times_by_folder(folder: Path, images: list[Path]) -> tuple[FloatArray, IntArray]:
+    """As :func:`frame_times`, and recordings (n,): images of each folder are one, in the order of the folders."""
+    places = {place: k for k, place in enumerate(dict.fromkeys(image.parent for image in images))}
+    recording = np.array([places[image.parent] for image in images], dtype=np.int64)
+    times = frame_times(folder, len(images))
+    return times if (folder / "times.txt").is_file() else times + BETWEEN_RECORDINGS_S * recording, recording
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:

@@ -67,8 +67,12 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[st
     `doubts` takes up what is unlikely; None warns of it.
     """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
-    rows = read_rows(path, lambda line: [number(f) for f in _SEPARATED.split(line.strip())], 8, expected, damaged)
+    rows = read_rows(path, _numbers, 8, expected, damaged)
     return _checked(rows, "xyzw", path, damaged, doubts)
+
+
+def _numbers(line: str) -> list[float]:
+    return [number(field) for field in _SEPARATED.split(line.strip())]
 
 
 def _checked(
@@ -97,7 +101,7 @@ def read_kitti(path: Path) -> Trajectory:
 
 def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of a file, as :func:`tum_table`."""
-    rows = read_rows(path, lambda t: [number(f) for f in _SEPARATED.split(t.strip())], 12, "twelve numbers", damaged, by_line=True)
+    rows = read_rows(path, _numbers, 12, "twelve numbers", damaged, by_line=True)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows.reshape(-1, 3, 4)
     drop_faults(poses, matrix_faults(poses), path, damaged)

@@ -92,8 +92,8 @@ def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
     if size < _NO_SECONDS:
         return times, ""
     step = float(np.median(np.diff(known))) if known.size > 1 else 0.0
-    for unit, least, per_second in (("milliseconds", 5e11, 1e3), ("microseconds", 5e14, 1e6), ("nanoseconds", 5e17, 1e9)):
-        if least < size < 10 * least and step < 10 * per_second:  # 1985 to 2128
+    for unit, per_second in _UNITS.items():
+        if 0.5 < size / (1e9 * per_second) < 5 and step < 10 * per_second:  # 1985 to 2128
             return times / per_second, unit
     unit = next((unit for unit, per_second in _UNITS.items() if step >= per_second / 1000), "milliseconds")
     return times / _UNITS[unit], unit
