@@ -19,11 +19,12 @@ from .reading import SUFFIXES, Note, even_times, frame_times, image_files, reade
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
+POSE_FILES = (*_TUM, *_KITTI)
 _SINCE_1970_S = 1e9  # more than the number of any image
 
 
 @reader
-def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequence:
+def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_px: float | None = None) -> Sequence:
     """Read images of one camera, in the natural order of their names (2 before 10), without decoding them.
 
     Parameters
@@ -35,6 +36,8 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
+    focal_px
+        Focal length where there is no ``camera-intrinsics.txt``; else that which EXIF says.
     """
     folder = Path(folder).resolve()
     if not folder.is_dir():
@@ -44,7 +47,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
     images, times = _times(folder, images)
-    camera = camera_beside(folder, common_size(images), None, notes)
+    camera = camera_beside(folder, common_size(images), None, notes, focal_px=focal_px, images=images)
     damaged: Damaged = {}
     poses = _poses(folder, times, damaged, notes)
     if require_poses and poses is None:
