@@ -7,15 +7,15 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2620,
+    "cli": 2650,
     "conformal": 5630,
     "core": 410,
-    "datasets": 5010,
+    "datasets": 5400,
     "localization": 2590,
     "model": 1440,
     "motion": 990,
     "networks": 730,
-    "poses": 960,
+    "poses": 1010,
     "quality": 810,
     "reasoning": 1570,
     "report": 870,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19020
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19000

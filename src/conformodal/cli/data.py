@@ -32,7 +32,7 @@ from conformodal.vision.features import FeatureCache
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
-from .sources import FollowOutside, MaxGap, TimeOffset, cache_folder, open_sequence, open_source, read_poses
+from .sources import Focal, FollowOutside, MaxGap, TimeOffset, cache_folder, open_sequence, open_source, read_poses
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
 _FOUND = 1
@@ -56,19 +56,28 @@ def check(
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder, with --model; ~/.cache/conformodal by default.")
     ] = None,
+    focal: Focal = None,
     follow_outside: FollowOutside = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else lock_output(out, "data", apart=[folder]):
-        _check(folder, layout, out, model, cache, follow_outside)
+        _check(folder, layout, out, model, cache, follow_outside, focal)
 
 
 def _check(
-    folder: Path, layout: Layout, out: Path | None, model: Path | None, cache: Path | None, follow_outside: bool
+    folder: Path,
+    layout: Layout,
+    out: Path | None,
+    model: Path | None,
+    cache: Path | None,
+    follow_outside: bool,
+    focal: str | None,
 ) -> None:
     if out is not None:
         import conformodal.report.quality  # noqa: F401, PLC0415 - refuse to begin where what draws is not installed
-    sequence = open_sequence(folder, layout, require_poses=False, follow_outside=follow_outside, notes=False)
+    sequence = open_sequence(
+        folder, layout, require_poses=False, follow_outside=follow_outside, focal=focal, notes=False
+    )
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)

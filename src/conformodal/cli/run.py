@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -14,8 +14,9 @@ import numpy as np
 import typer
 
 from conformodal.datasets import Layout, Sequence
-from conformodal.datasets.lenses import as_camera
+from conformodal.datasets.lenses import as_camera, describe_change
 from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
+from conformodal.datasets.streams.opening import SeenBy
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.model.errors import OdometryError
@@ -100,12 +101,11 @@ def run(
             source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
         )
         if isinstance(stream, SequenceStream):
-            sequence = stream.sequence if part is not Part.ALL else _as_trained(loaded, stream.sequence)
-            stream = SequenceStream(sequence, part_frames(loaded, sequence, part))
+            stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
         elif part is not Part.ALL:
             raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
-            loaded.check_camera(stream.camera)
+            stream = _as_trained(loaded, stream, bring=part is Part.ALL)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
@@ -119,14 +119,21 @@ def run(
         raise typer.Exit(BROKE_OFF)
 
 
-def _as_trained(model: PoseModel, sequence: Sequence) -> Sequence:
-    """Images of another camera as the model's camera would have seen them."""
+def _as_trained(model: PoseModel, stream: FrameStream, *, bring: bool) -> FrameStream:
+    """Images of another camera as the model's camera would have seen them, or an error if they are not to be."""
+    camera = stream.camera
+    assert camera is not None
     try:
-        model.check_camera(sequence.camera)
+        model.check_camera(camera)
+        return stream
     except OdometryError as exc:
-        report_line(f"{exc}: its images are brought to the model's camera")
-        sequence = as_camera(sequence, model.camera)
-    return sequence
+        if not bring:
+            raise
+        change = describe_change(camera, model.camera)
+        report_line(f"{exc}: its images are brought to the model's camera, those of {change}")
+    if isinstance(stream, SequenceStream):
+        return replace(stream, sequence=as_camera(stream.sequence, model.camera))
+    return SeenBy(stream, model.camera)
 
 
 class FrameSink(Protocol):

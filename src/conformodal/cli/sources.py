@@ -38,6 +38,9 @@ FollowOutside = Annotated[
 ]
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
+Focal = Annotated[
+    str | None, typer.Option(help="Focal length, pixels, of images without a camera; auto: from poses and images.")
+]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 
 
@@ -61,7 +64,13 @@ def _report_warnings(notes: Iterable[Note]) -> None:
 
 
 def open_sequence(
-    path: Path, layout: Layout, *, require_poses: bool, follow_outside: bool = False, notes: bool = True
+    path: Path,
+    layout: Layout,
+    *,
+    require_poses: bool,
+    follow_outside: bool = False,
+    focal: str | None = None,
+    notes: bool = True,
 ) -> Sequence:
     """Read a data set in a layout; says what was recognised, and the reader's notes."""
     if layout is Layout.AUTO:
@@ -69,7 +78,7 @@ def open_sequence(
         report_line(f"{path}: {layout} layout")
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
-        sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside)
+        sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
     if notes:
         _report_warnings(sequence.notes)
     return sequence

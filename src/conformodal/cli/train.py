@@ -42,7 +42,7 @@ from .model_notes import (
     distances,
 )
 from .options import was_given
-from .sources import Cache, Data, DataLayout, FollowOutside, cache_folder, open_sequence
+from .sources import Cache, Data, DataLayout, Focal, FollowOutside, cache_folder, open_sequence
 
 _MOST_ADVICE = 3
 # Settings whose options have other names.
@@ -123,6 +123,7 @@ def train(
         Runtime, typer.Option(help="What runs the network: onnx, int8 (smaller, less exact), or torch.")
     ] = ModelConfig.runtime,
     seed: Annotated[int, typer.Option(help="Of the split and of training.")] = 0,
+    focal: Focal = None,
     follow_outside: FollowOutside = False,
     cache: Cache = None,
 ) -> None:
@@ -156,7 +157,7 @@ def train(
     _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[data]):
         cache_dir = cache_folder(cache)
-        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
+        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside, focal=focal)
         with progress_bars() as report:
             train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)

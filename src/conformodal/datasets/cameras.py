@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import atan, degrees, hypot
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from conformodal.poses import PinholeCamera, PoseError
 
+from .decoding import exif_focal_px
 from .errors import DatasetError
 from .reading import Note, read_numbers
 
@@ -18,6 +19,7 @@ Size = tuple[int, int]
 SCALED = "intrinsics were scaled"
 
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
+_TURNED = " (are they turned, perhaps by EXIF?)"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 _OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
 _SAME_SHAPE, _MOST_PX, MOST_BENT = 0.02, 1e6, 10.0
@@ -38,6 +40,7 @@ def camera_of(
     camera raise a DatasetError; unlikely ones are added to `notes`.
     """
     fx, fy, cx, cy = (float(v) for v in pixels)
+    lens = lens if any(lens[5:]) else lens[:5]  # a rational lens whose k4 to k6 are zero is none
     scaled: list[str] = []
     if stated is not None and tuple(stated) != size:
         if min(stated) < 1:
@@ -48,7 +51,8 @@ def camera_of(
         if abs(sx / sy - 1) > _SAME_SHAPE:
             raise DatasetError(
                 f"{source}: gives its camera for {stated[0]}x{stated[1]} pixels, and the images have "
-                f"{size[0]}x{size[1]}, another shape; give the camera of these images"
+                f"{size[0]}x{size[1]}, another shape{_TURNED if stated[0] * size[0] == stated[1] * size[1] else ''}; "
+                "give the camera of these images"
             )
         fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
         scaled.append(f"intrinsics are scaled from {stated[0]}x{stated[1]} pixels to the images' {size[0]}x{size[1]}")
@@ -64,18 +68,40 @@ def camera_of(
 
 
 def camera_beside(
-    folder: Path, size: Size, default: PinholeCamera | None, notes: list[Note] | None = None
+    folder: Path,
+    size: Size,
+    default: PinholeCamera | None,
+    notes: list[Note] | None = None,
+    *,
+    focal_px: float | None = None,
+    images: Sequence[Path] = (),
 ) -> PinholeCamera:
     """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    The default must be of the images' size.
+    The default must be of the images' size. Without either, the focal length is `focal_px`, or what EXIF says in the
+    first of `images`, with a note.
     """
     path = folder / "camera-intrinsics.txt"
+    if focal_px is not None and path.is_file():
+        raise DatasetError(f"{path}: gives the camera, and a focal length of {focal_px:g} pixels is given too")
     if not path.is_file():
-        if default is not None and (default.width, default.height) == size:
+        if default is not None and (default.width, default.height) == size and focal_px is None:
             return default
+        told = "as given"
+        if focal_px is None and images:
+            focal_px, told = exif_focal_px(images[0], size)
+        if focal_px == 0:  # to begin a fit with
+            focal_px, notes = 1.2 * max(size), None
+        if focal_px is not None:
+            where = f"{folder}: {focal_px:.0f} pixels, {told}; without distortion, and the middle as principal point"
+            if notes is not None:
+                notes.append(Note("the camera is not calibrated", where))
+            middle = size[0] / 2, size[1] / 2
+            return camera_of(f"{folder}: focal length", (focal_px, focal_px, *middle), size, notes=notes)
         known = "is known" if default is None else f"is known for {size[0]}x{size[1]} pixels"
-        raise DatasetError(f"{folder}: no camera {known}; write its 3x3 matrix into {path}")
+        raise DatasetError(
+            f"{folder}: no camera {known}; write its 3x3 matrix into {path}, or estimate it from poses by --focal auto"
+        )
     k = read_numbers(path)
     lens_path = folder / "camera-distortion.txt"
     lens = tuple(read_numbers(lens_path).tolist()) if lens_path.is_file() else ()

@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .cameras import SCALED
+from .colmap import TWICE
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
-from .frame_table import INTERPOLATED
+from .euroc import SHIFTED
+from .frame_table import CONVERTED, INTERPOLATED
 from .lenses import OTHER_CAMERA, UNDISTORTED
 from .nerf import ORIGINAL_WORLD
 from .sequence import Sequence
@@ -22,7 +24,8 @@ from .sequence import Sequence
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = (SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, ORIGINAL_WORLD)
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE}
+_NOTES |= {ORIGINAL_WORLD}
 
 
 @dataclass

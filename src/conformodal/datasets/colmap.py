@@ -20,13 +20,15 @@ from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .errors import DatasetError
-from .frame_table import Damaged, FrameTable
+from .frame_table import QUATERNIONS, Damaged, FrameTable
 from .lenses import AnyCamera, fisheye_of
-from .reading import Note, PathGuard, frame_times, image_files, read_lines, reader
+from .reading import Note, PathGuard, image_files, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
 
+TWICE = "the model is there twice"
+_LEVELS = 3
 _MANY = 10  # cameras, whose notes are told once
 # model: (numbers of fx, fy, cx, cy among the parameters; numbers of k1, k2, p1, p2 and perhaps k3, or of a fisheye
 # lens's k1 to k4, None where the lens has none)
@@ -48,13 +50,12 @@ _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 def model_folders(folder: Path) -> list[Path]:
     """Where in a folder models lie: COLMAP writes one for every part that it could not join, ``sparse/1`` and so on."""
     parts = sorted((folder / "sparse").glob("[0-9]*"), key=lambda place: natural_key(place.name))
-    return [place for place in (folder, folder / "sparse", *parts, folder / "text") if _ending(place)]
+    return [place for place in (folder, folder / "sparse", *parts, folder / "text") if _endings(place)]
 
 
-def _ending(place: Path) -> str | None:
-    """``txt`` or ``bin``, of a folder that holds a model; the text where there are both."""
-    whole = (e for e in ("txt", "bin") if all((place / f"{n}.{e}").is_file() for n in ("images", "cameras")))
-    return next(whole, None)
+def _endings(place: Path) -> list[str]:
+    """``bin`` and ``txt``, of a folder that holds a model; COLMAP reads the first where there are both."""
+    return [e for e in ("bin", "txt") if all((place / f"{n}.{e}").is_file() for n in ("images", "cameras"))]
 
 
 @reader
@@ -66,8 +67,9 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     folder
         With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``; or the
         model's own folder, with ``images`` above it. Of several models the one of most images is read. Images
-        in ``images`` that the model does not name are frames without a pose. Times are those of ``times.txt`` (seconds,
-        one a line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's own: metres only if the
+        in ``images`` that the model does not name are frames without a pose; folders in it are recordings. Times are
+        those of ``times.txt`` (seconds, one a line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the
+        model's own: metres only if the
         model was scaled. Images of fisheye lenses and of other cameras than most have are brought to that, once.
     require_poses
         True leaves out images that are missing, or have no pose or one that is no rigid motion. False keeps them.
@@ -90,10 +92,9 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         raise DatasetError(
             f"{of_images}: uses cameras {missing}, expected some of {sorted(cameras)} ({of_cameras.name})"
         )
-    # a model's own folder, as sparse/0, lies below that of the images
-    bases = [base for base in (folder, folder.parent, folder.parent.parent) if (base / "images").is_dir()]
-    inside = (folder / next(iter(rows))).is_file() or not bases
-    base = folder if inside and not (folder / "images").is_dir() else bases[0] / "images"
+    if len(_endings(place)) > 1:
+        notes.append(Note(TWICE, f"{place}: the binary model is read, as COLMAP does, and not the text"))
+    base = _base(folder, of_images, list(rows))
     image = PathGuard(folder if base.is_relative_to(folder) else base, of_images, follow_outside=follow_outside)
     registered = {name: image(base, name) for name in rows}
     unregistered = [] if base == folder else _unregistered(base, list(registered.values()))
@@ -105,13 +106,28 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         of_cameras, cameras, {name: (registered[name], rows[name][2]) for name in names if name in rows}, notes
     )
     most = Counter(lenses.values()).most_common(1)[0][0]  # images that the model does not name are taken for its
-    table = FrameTable(folder.name, images, frame_times(folder, len(names)), poses=poses, why=why, notes=notes)
+    times, recording = times_by_folder(folder, images)
+    table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence([lenses.get(name, most) for name in names], require_poses=require_poses)
+
+
+def _base(folder: Path, of_images: Path, names: list[str]) -> Path:
+    """The folder that a model's names start from: ``images`` beside or above it, or another that has them."""
+    # a model's own folder, as sparse/0, lies below that of the images
+    above = [folder, *folder.parents[:_LEVELS]]
+    usual = [base / "images" for base in above if (base / "images").is_dir()]
+    others = sorted(path for path in folder.iterdir() if path.is_dir())
+    for base in (*usual, folder, *others, *above):
+        if any(os.path.isfile(base / name.replace("\\", "/")) for name in names):
+            return base
+    if usual:  # which names each image that is missing
+        return usual[0]
+    raise DatasetError(f"{of_images}: names {names[0]}, expected it in {folder / 'images'}, or in another folder there")
 
 
 def _model(place: Path) -> tuple[Path, _Rows, Path, dict[int, tuple[str, list[str]]]]:
     """Files and contents of a model."""
-    ending = _ending(place)
+    ending = _endings(place)[0]
     of_images, of_cameras = place / f"images.{ending}", place / f"cameras.{ending}"
     if ending == "txt":
         return of_images, _images(of_images), of_cameras, _lines_of_cameras(of_cameras)
@@ -143,7 +159,7 @@ def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tupl
     quats = np.array([rows.get(name, unknown)[0] for name in names])
     shifts = np.array([rows.get(name, unknown)[1] for name in names])
     if doubt := length_doubt(path, np.column_stack((quats, shifts)), 0):
-        notes.append(Note("quaternions are not of unit length", doubt))
+        notes.append(Note(QUATERNIONS, doubt))
     faults = pose_faults(shifts, quats)
     known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
     known[list(faults)] = False
@@ -204,9 +220,12 @@ def _lines_of_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
         if not line.strip() or line.startswith("#"):
             continue
         try:
-            found[whole_number(line.split()[0])] = (f"line {at}", line.split())
+            camera = whole_number(line.split()[0])
         except ValueError:
             raise DatasetError(f"{path}, line {at}: is no camera: {line[:80]!r}") from None
+        if camera in found:
+            raise DatasetError(f"{path}, line {at}: gives camera {camera} a second time, expected each once")
+        found[camera] = (f"line {at}", line.split())
     if not found:
         raise DatasetError(f"{path}: holds no camera")
     return found

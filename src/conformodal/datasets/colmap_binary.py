@@ -93,6 +93,8 @@ def binary_cameras(path: Path) -> dict[int, tuple[str, list[str]]]:
     found = {}
     for k in file.records("camera"):
         camera, model, width, height = (int(v) for v in file.take("iiQQ"))
+        if camera in found:
+            raise DatasetError(f"{path}: gives camera {camera} a second time, expected each once")
         if not 0 <= model < len(_MODELS):  # of a later COLMAP: nobody knows how long its record is
             if not 0 <= model < _MOST_MODELS:
                 raise file.damaged(f"camera {camera} has the model {model}, expected 0 to {len(_MODELS) - 1}")

@@ -1,21 +1,30 @@
-"""Which convention given poses have: camera-to-world or its inverse, axes of OpenCV or of OpenGL."""
+"""What matched corners tell of given poses and cameras: the poses' convention, and a focal length that is not known."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
+from conformodal.poses import Trajectory
+from conformodal.poses.text import table_of
 
-from .errors import ImageError
+from .errors import DatasetError, ImageError
 from .lenses import on_plane
+from .reading import Note
 from .sequence import Sequence
 
 AS_GIVEN = "camera-to-world, OpenCV axes"
+FITTED = "the focal length is an estimate"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-_PAIRS, _STEPS, _LEAST_FLOW_PX, _CORNERS, _LEAST_MATCHES = 16, (1, 2, 4, 8), 4.0, 300, 200
+_PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 16, (1, 2, 4, 8), 300, 200
+_FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
 _BETTER, _EQUAL = 0.2, 0.02  # share of the matches
+_FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
+_CUT_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 3.0, 200, 0.5, 0.1
 
 
 def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
@@ -34,19 +43,20 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
         Share of the matches within 2 pixels of their epipolar line, by convention; empty where there are too few.
     """
     given = sequence.require_truth().poses_se3
-    back = np.linalg.inv(given)
+    back: FloatArray = np.linalg.inv(given)
     poses = {
         AS_GIVEN: given,
         "world-to-camera, OpenCV axes": back,
         "camera-to-world, OpenGL axes": given @ _OPENGL,
         "world-to-camera, OpenGL axes": back @ _OPENGL,
     }
+    for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
+        poses[f"quaternions {order}"] = _rolled(given, by)
+        inverse: FloatArray = _rolled(back, by)
+        poses[f"quaternions {order} of world-to-camera"] = np.linalg.inv(inverse)
     near: dict[str, list[FloatArray]] = {name: [] for name in poses}
-    for first in np.unique(np.linspace(0, len(sequence) - 2, _PAIRS).astype(int)).tolist():
-        pair = _matches(sequence, first)
-        if pair is None:
-            continue
-        second, a, b = pair
+    for first, second, *corners in _pairs(sequence, _FLOW_PX):
+        a, b = (on_plane(sequence.camera, pixels) for pixels in corners)
         for name, path in poses.items():
             near[name].append(_epipolar_px(np.linalg.inv(path[second]) @ path[first], a, b, sequence.camera.fx))
     if sum(len(errors) for errors in near[AS_GIVEN]) < _LEAST_MATCHES:
@@ -57,8 +67,61 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
     return best if most > shares[AS_GIVEN] + _BETTER else AS_GIVEN, shares
 
 
-def _matches(sequence: Sequence, first: int) -> tuple[int, FloatArray, FloatArray] | None:
-    """A later frame of the same recording, and corners of both on the plane at depth 1; None where nothing moves."""
+def with_fitted_focal(sequence: Sequence) -> Sequence:
+    """The sequence with the focal length under which matched corners lie best on the poses' epipolar lines.
+
+    Its lens has no distortion, and its principal point is that of the camera. A note gives twice the standard error,
+    from drawing the pairs of frames again; what poses and lens have wrong
+    comes on top.
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses, too few matches, or neither poses nor images determine it within 10 per cent.
+    """
+    if sequence.truth is None:
+        raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")
+    camera, poses = sequence.camera, sequence.truth.poses_se3
+    focals = _FOCALS * max(camera.width, camera.height)
+    costs, near, n_matches = [], [], 0
+    for first, second, a, b in _pairs(sequence, _FLOW_FOR_FOCAL_PX):
+        motion, centre = np.linalg.inv(poses[second]) @ poses[first], (camera.cx, camera.cy)
+        errors = np.array([_epipolar_px(motion, (a - centre) / f, (b - centre) / f, f) for f in focals])
+        costs.append(np.minimum(errors, _CUT_PX).sum(axis=1))
+        near.append((errors < _NEAR_PX).sum(axis=1))
+        n_matches += len(a)
+    if n_matches < _LEAST_MATCHES:
+        raise DatasetError(f"{sequence.name}: {n_matches} matched corners tell no focal length, expected more")
+    best = int(np.argmin(np.sum(costs, axis=0)))
+    share = float(np.sum(near, axis=0)[best] / n_matches)
+    drawn = np.random.default_rng(0).multinomial(len(costs), np.full(len(costs), 1 / len(costs)), size=_DRAWS)
+    spread = float(np.std(np.log(focals[np.argmin(drawn @ np.array(costs), axis=1)])))
+    found = f"{focals[best]:.0f} pixels, give or take {200 * spread:.0f} % (95 %)"
+    if share < _LEAST_NEAR or spread > _MOST_UNSURE or best in (0, len(focals) - 1):
+        raise DatasetError(
+            f"{sequence.name}: poses and images do not tell the focal length: {found}; {100 * share:.0f} % of the "
+            "matched corners fit it. Write camera-intrinsics.txt"
+        )
+    where = f"{sequence.name}: {found}, from poses and {n_matches} matched corners; without distortion"
+    fitted = replace(camera, fx=float(focals[best]), fy=float(focals[best]))
+    return replace(sequence, camera=fitted, notes=(*sequence.notes, Note(FITTED, where)))
+
+
+def _rolled(poses: FloatArray, by: int) -> FloatArray:
+    """Poses (n, 4, 4) whose quaternions, ``wxyz``, are in another order."""
+    rows = table_of(poses)
+    times = np.arange(len(rows), dtype=np.float64)
+    return Trajectory(times, rows[:, :3], np.roll(rows[:, 3:], by, axis=1)).poses_se3
+
+
+def _pairs(sequence: Sequence, least_flow_px: float) -> list[tuple[int, int, FloatArray, FloatArray]]:
+    """Frames, evenly spread, with a later one, and corners of both in pixels."""
+    firsts = np.unique(np.linspace(0, len(sequence) - 2, _PAIRS).astype(int)).tolist()
+    return [pair for first in firsts if first >= 0 and (pair := _matches(sequence, first, least_flow_px)) is not None]
+
+
+def _matches(sequence: Sequence, first: int, least_flow_px: float) -> tuple[int, int, FloatArray, FloatArray] | None:
+    """A frame, a later one of the same recording, and corners of both in pixels; None where nothing moves."""
     try:
         grey = cv2.cvtColor(sequence.image(first), cv2.COLOR_RGB2GRAY)
         corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
@@ -70,8 +133,8 @@ def _matches(sequence: Sequence, first: int) -> tuple[int, FloatArray, FloatArra
             again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, moved, None)  # type: ignore[call-overload]
             kept = (found & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
             a, b = corners[kept, 0].astype(np.float64), moved[kept, 0].astype(np.float64)
-            if len(a) and np.median(np.linalg.norm(a - b, axis=1)) >= _LEAST_FLOW_PX:
-                return second, on_plane(sequence.camera, a), on_plane(sequence.camera, b)
+            if len(a) and np.median(np.linalg.norm(a - b, axis=1)) >= least_flow_px:
+                return first, second, a, b
     except ImageError:
         pass
     return None

@@ -10,13 +10,14 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from math import hypot
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from .errors import ImageError
 
@@ -29,6 +30,9 @@ _WHITES = (1023, 4095, 16383, 65535)
 WIDEST = _WHITES[-1]
 TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
 _SIDEWAYS = 5
+_EXIF, _FOCAL_MM, _FOCAL_35_MM = 0x8769, 0x920A, 0xA405
+_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 0xA20E, 0xA210, 0xA002
+_UNIT_MM, _DIAGONAL_MM = {2: 25.4, 3: 10.0, 4: 1.0}, hypot(36, 24)
 _DIGITS = re.compile(r"([0-9]+)")
 _SAMPLES = 9
 THUMBNAIL = (32, 24)
@@ -62,13 +66,36 @@ def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
     for i in sorted({round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}):
         with suppress(Exception), _opened(paths[i], "") as image:  # images that cannot be read are told elsewhere
             turned += [str(paths[i])] if _orientation(image) != 1 else []
-            if _is_wide(image):
-                white = max(white or 0, white_level(np.asarray(image)))
+            if (wide := _wide(image, paths[i])) is not None:
+                white = max(white or 0, white_level(wide[..., :3]))
     return white, turned
 
 
-def _is_wide(image: Image.Image) -> bool:
-    return image.mode == "I" or image.mode.startswith("I;16")
+def white_in(content: bytes) -> int:
+    """The level that is shown as white in an image file's content: 255 of one with 8 bits, or that is no image."""
+    with suppress(Exception), _opened(content, "") as image:
+        if (wide := _wide(image, content)) is not None:
+            return white_level(wide[..., :3])
+    return 255
+
+
+def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
+    """The numbers (height, width, 1, 3 or 4) of an image of 16 bits, not turned; None for one of 8.
+
+    Pillow keeps only the upper half of the bits of colours.
+    """
+    tile = getattr(image, "tile", None)
+    raw = str(tile[0][3]) if tile else ""
+    if image.mode == "I" or image.mode.startswith("I;16"):
+        return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
+    if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):
+        return None
+    image.load()  # which refuses truncated files
+    content = np.frombuffer(source if isinstance(source, bytes) else source.read_bytes(), dtype=np.uint8)
+    found = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint16 or found.shape[:2] != (image.height, image.width):
+        raise ValueError("its 16-bit colours cannot be decoded")
+    return found[..., [2, 1, 0, 3][: found.shape[2]]] if found.ndim == 3 else found[..., None]
 
 
 def common_size(paths: list[Path]) -> tuple[int, int]:
@@ -144,7 +171,7 @@ def decode(
             raise ImageError(f"{name}: image is {found[0]}x{found[1]} pixels, the camera's are {size[0]}x{size[1]}")
         try:
             with ignore_pillow_warnings():
-                return _rgb(image if _orientation(image) == 1 else ImageOps.exif_transpose(image), white)
+                return _rgb(image, source, white)
         except Exception as exc:  # decoders raise whatever damaged bytes lead them to
             raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
 
@@ -156,6 +183,8 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
         with ignore_pillow_warnings():  # of sizes, which are checked below
             image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
             fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
+    except UnidentifiedImageError as exc:
+        raise ImageError(f"{name}: is no image that is read ({', '.join(_FORMATS)})") from exc
     except Exception as exc:  # as above
         raise ImageError(f"{name}: cannot be decoded as an image: {exc}") from exc
     if fault:
@@ -192,10 +221,34 @@ def _orientation(image: Any) -> int:
     return found if 1 <= found <= 8 else 1
 
 
-def _rgb(image: Image.Image, white: int | None) -> npt.NDArray[np.uint8]:
-    if _is_wide(image):
-        wide = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
-        return np.repeat(to_eight_bits(wide, white or white_level(wide))[..., None], 3, axis=2)
+def exif_focal_px(path: Path, size: tuple[int, int]) -> tuple[float | None, str]:
+    """The focal length in pixels that EXIF says, and how well it does; None if it says none."""
+    try:
+        with ignore_pillow_warnings(), _opened(path, "") as image:
+            exif = image.getexif().get_ifd(_EXIF)
+            film_mm, mm = (float(exif.get(tag, 0)) for tag in (_FOCAL_35_MM, _FOCAL_MM))
+            per_unit, unit = float(exif.get(_PLANE_RESOLUTION, 0)), int(exif.get(_PLANE_UNIT, 2))
+            width = float(exif.get(_EXIF_WIDTH, 0))
+    except Exception:  # damaged notes, as above
+        return None, ""
+    if 1 < film_mm < 10_000:  # which has the view of this length across the diagonal of 36 x 24 mm
+        rounded = 50 / film_mm
+        return film_mm / _DIAGONAL_MM * hypot(
+            *size
+        ), f"of EXIF's {film_mm:g} mm on film, give or take {5 + rounded:.0f} %"
+    if mm > 0 and per_unit > 0 and width > 0 and unit in _UNIT_MM:
+        return mm * per_unit / _UNIT_MM[unit] * max(size) / width, "of EXIF's sensor and lens, give or take 5 %"
+    return None, ""
+
+
+def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> npt.NDArray[np.uint8]:
+    turned = _orientation(image)
+    if (wide := _wide(image, source)) is not None:
+        eight = to_eight_bits(wide[..., :3], white or white_level(wide[..., :3]))
+        eight = np.concatenate((eight, to_eight_bits(wide[..., 3:], WIDEST)), axis=2)
+        image = Image.fromarray(np.repeat(eight, 3, axis=2) if eight.shape[2] == 1 else eight)
+        image.getexif()[_ORIENTATION] = turned
+    image = image if turned == 1 else ImageOps.exif_transpose(image)
     if not image.has_transparency_data:
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     rgba = np.asarray(image.convert("RGBA"))

@@ -28,7 +28,8 @@ from .sequence import Sequence
 _BESIDE = "camera-intrinsics.txt"
 _MOST_BYTES = 16_000  # a calibration has a tenth of that
 _TRUTHS = ("state_groundtruth_estimate0", "mocap0")
-_RADIAL, _FISHEYE = ("radial-tangential", "radtan"), "equidistant"
+_RADIAL, _FISHEYE, _NO_LENS = ("radial-tangential", "radtan"), "equidistant", "none"
+_NO_MOUNTING, SHIFTED = "no mounting of the camera", "times are shifted"
 
 
 @reader
@@ -38,8 +39,9 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     Parameters
     ----------
     folder
-        ``mav0``, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, ``camchain.yaml`` (in the folder
-        or in ``dso``), or ``camera-intrinsics.txt``, which says no mounting: the body's poses are then the camera's.
+        ``mav0``, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's ``camchain.yaml`` (in
+        the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves the body's poses as
+        the camera's.
     require_poses
         True leaves out images without a pose by time: ground truth starts later than the camera. False keeps all
         of them; the sequence has a truth only if every one has a pose.
@@ -61,12 +63,12 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         return nanoseconds(time) / 1e9, place(data, name)
 
     images, times = listed(path, parse, "'timestamp [ns], file'", notes)
-    camera, T_body_cam = _calibration(root, common_size(images), notes)
+    camera, T_body_cam, shift_s = _calibration(root, common_size(images), notes)
     poses, why = None, Damaged()
     if require_poses and not truth.is_file():
         raise DatasetError(f"{truth}: poses are missing")
     if truth.is_file():
-        poses, why = paired_by_time(euroc_table, truth, times, notes)
+        poses, why = paired_by_time(euroc_table, truth, times + shift_s, notes)
         known = np.isfinite(poses).all(axis=1)
         body = Trajectory(times[known], poses[known, :3], poses[known, 3:])
         poses[known] = table_of(body.poses_se3 @ T_body_cam)
@@ -74,16 +76,16 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     return table.sequence(camera, require_poses=require_poses)
 
 
-def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, FloatArray]:
-    """The camera, and its pose on the body (4, 4)."""
+def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, FloatArray, float]:
+    """The camera, its pose on the body (4, 4), and the seconds by which the body's clock is ahead of its own."""
     sensor = root / "cam0" / "sensor.yaml"
-    chains = [place / "camchain.yaml" for place in (root, root.parent, root / "dso", root.parent / "dso")]
+    places = (root / "cam0", root, root.parent, root / "dso", root.parent / "dso")
+    chains = [path for place in places for path in sorted(place.glob("*chain*.y*ml"))]
     path = next((place for place in (sensor, *chains) if place.is_file()), sensor)
     beside = next((place for place in (root / "cam0", root, root.parent) if (place / _BESIDE).is_file()), None)
     if not path.is_file() and beside is not None:
-        where = f"{sensor}: is missing, so the body's poses are taken as the camera's"
-        notes.append(Note("no mounting of the camera", where))
-        return camera_beside(beside, size, None, notes), np.eye(4)
+        notes.append(Note(_NO_MOUNTING, f"{sensor}: is missing, so the body's poses are taken as the camera's"))
+        return camera_beside(beside, size, None, notes), np.eye(4), 0.0
     lines = read_lines(path)
     text = "\n".join(lines[1:] if lines and lines[0].startswith("%YAML") else lines).replace("!!opencv-matrix", "")
     if len(text) > _MOST_BYTES:
@@ -94,9 +96,16 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         content = content["cam0"] if kalibr else content
         pixels = _numbers(content["intrinsics"], 4)
         lens = _numbers(content.get("distortion_coeffs" if kalibr else "distortion_coefficients") or (), None)
-        rows = [v for row in content["T_cam_imu"] for v in row] if kalibr else content["T_BS"]["data"]
+        name, shift_s = "T_cam_imu" if kalibr else "T_BS", 0.0
+        if name not in content:  # a calibration of cameras alone
+            notes.append(Note(_NO_MOUNTING, f"{path}: has no {name}, so the body's poses are taken as the camera's"))
+        found = content.get(name, {"data": np.eye(4).ravel().tolist()})
+        rows = found["data"] if isinstance(found, dict) else [v for row in found for v in row]
         mounting = np.array(_numbers(rows, 16)).reshape(4, 4)
-        models = (content.get("camera_model", "pinhole"), content.get("distortion_model", _RADIAL[0]))
+        models = content.get("camera_model", "pinhole"), content.get("distortion_model") or _RADIAL[0]
+        if kalibr and content.get("timeshift_cam_imu"):
+            (shift_s,) = _numbers([content["timeshift_cam_imu"]], 1)
+            notes.append(Note(SHIFTED, f"{path}: timeshift_cam_imu, {shift_s:g} s, is added to the images' for poses"))
         stated = _numbers(content["resolution"], 2) if "resolution" in content else None
     except (
         yaml.YAMLError,
@@ -109,21 +118,25 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         RecursionError,
     ) as exc:
         raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    if models[0] != "pinhole" or models[1] not in (*_RADIAL, _FISHEYE) or (models[1] == _FISHEYE and len(lens) != 4):
+    if (
+        models[0] != "pinhole"
+        or models[1] not in (*_RADIAL, _FISHEYE, _NO_LENS)
+        or (models[1] == _FISHEYE and len(lens) != 4)
+    ):
         raise DatasetError(
             f"{path}: has camera model {models[0]}, {models[1]}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
             f"numbers: {UNDISTORT}"
         )
     faults = matrix_faults(mounting[None])
-    if faults or not np.isfinite(mounting).all():
-        raise DatasetError(f"{path}: {'T_cam_imu' if kalibr else 'T_BS'} {faults.get(0, 'holds NaN or infinity')}")
+    if faults:
+        raise DatasetError(f"{path}: {name} {faults[0]}")
     whole = None if stated is None else (int(stated[0]), int(stated[1]))
     source = f"{path}: intrinsics"
     if models[1] == _FISHEYE:
         camera: AnyCamera = fisheye_of(source, pixels, size, lens, stated=whole, notes=notes)
     else:
         camera = camera_of(source, pixels, size, lens if any(lens) else (), stated=whole, notes=notes)
-    return camera, np.linalg.inv(mounting) if kalibr else mounting
+    return camera, np.linalg.inv(mounting) if kalibr else mounting, shift_s
 
 
 def _numbers(values: Any, count: int | None) -> tuple[float, ...]:

@@ -19,20 +19,22 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, poses_at
-from conformodal.poses.metrics import MAX_GAP_S, clock_hint, nearest_in_time
+from conformodal.poses.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
+from conformodal.poses.text import is_header
 
 from .decoding import SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
 from .lenses import AnyCamera, Fisheye, brought
-from .reading import Note, read_lines, read_numbers, readable, shown
+from .reading import BETWEEN_RECORDINGS_S, Note, read_lines, read_numbers, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
 
 NO_POSE = "no pose"
-INTERPOLATED = "poses are interpolated"
+INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
+QUATERNIONS = "quaternions are doubtful"
+_USUAL_STEP_S = (5e-4, 5.0)
 _LEFT_OUT = "left out, "
-_BETWEEN_RECORDINGS_S = 10.0
 
 
 @dataclass(eq=False)
@@ -77,6 +79,7 @@ class FrameTable:
         Frames without a time in order, or with a name that is no text, are left out. With `require_poses`, so are
         those without a pose or an image.
         """
+        self.times = _converted(self.times, self.name, self.notes)
         camera = self._one_camera(camera if isinstance(camera, list) else [camera] * len(self.images))
         out = self._without_time()
         posed = np.zeros(len(self.images), dtype=np.bool_)
@@ -94,7 +97,7 @@ class FrameTable:
         if not kept.size:
             first = out[min(out)].where if out else f"{self.name}: holds no frame"
             raise DatasetError(f"{first} ({len(out)} of {len(self.images)} frames cannot be used)")
-        notes = [*self.notes, *(out[i] for i in sorted(out))]
+        notes = [*self.notes, *(out[i] for i in sorted(out)), *self._unlikely_rate(kept)]
         if not require_poses and posed[kept].any():
             notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
         _warn(self.name, notes)
@@ -129,6 +132,14 @@ class FrameTable:
             self.images = brought(self.images, cameras, camera, white, self.notes)
         return camera
 
+    def _unlikely_rate(self, kept: IntArray) -> list[Note]:
+        steps = np.diff(self.times[kept])
+        usual = float(np.median(steps)) if steps.size else 1.0
+        if _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
+            return []
+        where = f"{self.name}: frames are {usual:.3g} s apart; are their times in another unit than seconds?"
+        return [Note("frame rate is unlikely", where)]
+
     def _pose_fault(self, i: int) -> str:
         return f"{self.images[i].name}: {self.why.get(i, 'has no pose')}"
 
@@ -150,11 +161,20 @@ class FrameTable:
         back = np.setdiff1d(left, left[_longest_rise(self.times[left])])
         if back.size * 2 > left.size:
             i = int(left[np.flatnonzero(np.diff(self.times[left]) <= 0)[0] + 1])
-            raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.images[i]}) goes back")
+            what = f"frame {i} ({self.images[i]}) goes back, or has the time of the one before"
+            raise DatasetError(f"{self.name}: timestamps must increase; {what}: {self.times[i]:.9g} s")
         for i in back.tolist():
             what = f"{self.images[i].name}: its time, {self.times[i]:.9g} s, does not lie between its neighbours'"
             out[i] = Note(_LEFT_OUT + "time goes back or occurs twice", what)
         return out
+
+
+def _converted(times: FloatArray, source: str, notes: list[Note]) -> FloatArray:
+    """Times in seconds, with a note where they were not."""
+    found, unit = in_seconds(times)
+    if unit:
+        notes.append(Note(CONVERTED, f"{source}: {np.nanmedian(times):.6g} looks like {unit}"))
+    return found
 
 
 def _longest_rise(times: FloatArray) -> IntArray:
@@ -201,8 +221,8 @@ def listed(
         except DatasetError:
             raise
         except (ValueError, IndexError):
-            if not images and not faults and line.lstrip()[:1].isalpha():
-                continue  # a header
+            if not images and not faults and is_header(line):
+                continue
             faults.append(f"{path}, line {number}: expected {expected}, got {line[:80]!r}")
             continue
         stamps.append(stamp)
@@ -222,13 +242,15 @@ def paired_by_time(
     its third. A frame at the time of a damaged row has no pose. A file ``max-gap.txt`` beside it holds the longest gap
     between two poses that is bridged, in seconds, instead of 0.15.
     """
+    times, _ = in_seconds(times)  # of which the table tells
     damaged: Damaged = {}
     doubts: list[str] = []
     try:
         rows = read(path, damaged, doubts)
         notes += [Note("pose cannot be used", damaged[i]) for i in sorted(damaged)]
-        notes += [Note("quaternions are not of unit length", doubt) for doubt in doubts]
+        notes += [Note(QUATERNIONS, doubt) for doubt in doubts]
         rows = rows[np.isfinite(rows[:, 0])]
+        rows[:, 0] = _converted(rows[:, 0], str(path), notes)
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         twice = np.flatnonzero((np.diff(rows[:, 0]) == 0) & (np.diff(rows, axis=0) != 0).any(axis=1))
         for t in np.unique(rows[twice, 0]):
@@ -311,7 +333,7 @@ def joined(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> tuple[li
     """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
     times: list[float] = []
     for frames in recordings:
-        start = times[-1] + _BETWEEN_RECORDINGS_S if times else 0.0
+        start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
         times += [start + i / rate_hz for i, _ in frames]
     recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
     return [path for frames in recordings for _, path in frames], np.array(times), recording

@@ -19,22 +19,25 @@ from .reading import SUFFIXES, Note, even_times, frame_times, image_files, reade
 from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
-_NANOSECONDS = 1e14  # a time in seconds of this size would be the year three million
+POSE_FILES = (*_TUM, *_KITTI)
+_SINCE_1970_S = 1e9  # more than the number of any image
 
 
 @reader
-def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequence:
+def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_px: float | None = None) -> Sequence:
     """Read images of one camera, in the natural order of their names (2 before 10), without decoding them.
 
     Parameters
     ----------
     folder
         With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
-        or the names of the files where all of these are numbers with a fraction or of nanoseconds, or else even
+        or the names of the files where all of these are numbers with a fraction or since 1970, or else even
         (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
+    focal_px
+        Focal length where there is no ``camera-intrinsics.txt``; else that which EXIF says.
     """
     folder = Path(folder).resolve()
     if not folder.is_dir():
@@ -44,7 +47,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True) -> Sequ
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
     images, times = _times(folder, images)
-    camera = camera_beside(folder, common_size(images), None, notes)
+    camera = camera_beside(folder, common_size(images), None, notes, focal_px=focal_px, images=images)
     damaged: Damaged = {}
     poses = _poses(folder, times, damaged, notes)
     if require_poses and poses is None:
@@ -84,9 +87,7 @@ def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np
         named = np.array([np.nan])
     if not np.isfinite(named).all():
         return images, even_times(folder, len(images))
-    if (named > _NANOSECONDS).all():
-        named = named / 1e9
-    elif not all("." in image.stem for image in images):
+    if not (named > _SINCE_1970_S).all() and not all("." in image.stem for image in images):
         return images, even_times(folder, len(images))
     order = np.argsort(named, kind="stable")
     return [images[i] for i in order], named[order]

@@ -12,9 +12,10 @@ from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
 
 from .colmap import model_folders, read_colmap
+from .convention import with_fitted_focal
 from .errors import DatasetError
 from .euroc import read_euroc_mav
-from .images import read_image_folder
+from .images import POSE_FILES, read_image_folder
 from .kitti import read_kitti_odometry
 from .nerf import FILE, read_nerf, transforms_file
 from .reading import image_files, readable, shown
@@ -47,7 +48,8 @@ class _Reader(NamedTuple):
 def _is_image_folder(folder: Path) -> bool:
     """Images that no other layout claims: some of those have images and intrinsics in one folder too."""
     claimed = any(reader.fits(folder) for layout, reader in _READERS.items() if layout is not Layout.IMAGES)
-    return not claimed and (folder / "camera-intrinsics.txt").is_file() and bool(image_files(folder))
+    known = any((folder / name).is_file() for name in ("camera-intrinsics.txt", *POSE_FILES))
+    return not claimed and known and bool(image_files(folder))
 
 
 _READERS = {
@@ -76,10 +78,11 @@ _READERS = {
         read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: bool(model_folders(f))
     ),
     Layout.NERF: _Reader(read_nerf, FILE, lambda f: transforms_file(f) is not None),
-    Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt", _is_image_folder),
+    Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt or poses", _is_image_folder),
 }
 
 
+_WITHOUT_CAMERA, _TO_BE_FITTED = (Layout.IMAGES, Layout.TUM), 0.0
 _LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
 # Folders of images inside other layouts, which lack something else than a camera.
 _INSIDE_LAYOUTS = ("image_0", "image_2", "images", "rgb", "cam0", "data", "imgs")
@@ -128,6 +131,7 @@ def read_sequence(
     *,
     require_poses: bool = True,
     follow_outside: bool = False,
+    focal: float | str | None = None,
 ) -> Sequence:
     """Read a data set in a layout, or in the one it is found to be in.
 
@@ -141,6 +145,8 @@ def read_sequence(
         False also reads frames without poses.
     follow_outside
         Whether files of the data set may name images outside its folder, by ``..`` or absolute paths.
+    focal
+        Focal length in pixels of ``images`` and ``tum`` without a camera; ``auto`` fits it to poses and images.
 
     Raises
     ------
@@ -152,4 +158,15 @@ def read_sequence(
     kind = recognise(place) if kind is Layout.AUTO else kind
     reader = _READERS[kind]
     outside = {"follow_outside": follow_outside} if kind in _LISTED else {}
-    return reader.read(place, require_poses=require_poses, **outside)
+    if focal is None:
+        return reader.read(place, require_poses=require_poses, **outside)
+    if kind not in _WITHOUT_CAMERA:
+        raise DatasetError(f"{place}: {kind} has a camera, and a focal length is given; expected {_WITHOUT_CAMERA}")
+    try:
+        focal_px = _TO_BE_FITTED if focal == "auto" else float(focal)
+    except ValueError:
+        focal_px = -1.0
+    if focal != "auto" and not focal_px > 0:
+        raise DatasetError(f"focal must be a positive number of pixels or auto, got {focal!r}")
+    sequence = reader.read(place, require_poses=require_poses or focal == "auto", focal_px=focal_px, **outside)
+    return with_fitted_focal(sequence) if focal == "auto" else sequence

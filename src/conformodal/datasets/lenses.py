@@ -174,15 +174,7 @@ def brought(
     """
     for camera, count in Counter(cameras).items():
         if isinstance(camera, PinholeCamera) and camera != target:
-            x, y = _maps(camera, target)
-            inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
-            notes.append(
-                Note(
-                    OTHER_CAMERA,
-                    f"{counted(count, 'image')} of fx = {camera.fx:g}, {camera.width}x{camera.height} as of fx = "
-                    f"{target.fx:g}, {target.width}x{target.height}; they fill {100 * inside.mean():.0f} % of its view",
-                )
-            )
+            notes.append(Note(OTHER_CAMERA, f"{counted(count, 'image')} of {describe_change(camera, target)}"))
     place = default_cache_dir() / "undistorted"
     try:
         with ThreadPoolExecutor(max_workers=2) as pool:
@@ -209,18 +201,35 @@ def _brought(image: Path, camera: AnyCamera, *, place: Path, target: PinholeCame
         pixels: npt.NDArray[Any] = decode(content, str(image), (own.width, own.height), white)
     except ImageError:
         return image
-    if camera != target:
-        x, y = _maps(camera, target)
-        finer = own.fx / target.fx
-        if finer > _SHRINK:  # what a pixel covers is averaged, not one point of it taken
-            pixels = cv2.resize(pixels, None, fx=1 / finer, fy=1 / finer, interpolation=cv2.INTER_AREA)
-            scale = pixels.shape[1] / own.width, pixels.shape[0] / own.height
-            x, y = (x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5
-        pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    pixels = seen_by(pixels, camera, target)
     written = io.BytesIO()
     Image.fromarray(pixels).save(written, "PNG", compress_level=1)
     write_whole(made, written.getvalue())
     return made
+
+
+def describe_change(camera: PinholeCamera, target: PinholeCamera) -> str:
+    """From which camera to which images are brought, and how much of the view there is in them."""
+    x, y = _maps(camera, target)
+    inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
+    return (
+        f"fx = {camera.fx:g}, {camera.width}x{camera.height} as of fx = {target.fx:g}, {target.width}x{target.height}; "
+        f"they fill {100 * inside.mean():.0f} % of its view"
+    )
+
+
+def seen_by(pixels: npt.NDArray[Any], camera: AnyCamera, target: PinholeCamera) -> npt.NDArray[Any]:
+    """An image as another camera would have seen it; unchanged if it is not of its own camera's size."""
+    own = camera.pinhole if isinstance(camera, Fisheye) else camera
+    if camera == target or pixels.shape[:2] != (own.height, own.width):
+        return pixels
+    x, y = _maps(camera, target)
+    finer = own.fx / target.fx
+    if finer > _SHRINK:  # what a pixel covers is averaged, not one point of it taken
+        pixels = cv2.resize(pixels, None, fx=1 / finer, fy=1 / finer, interpolation=cv2.INTER_AREA)
+        scale = pixels.shape[1] / own.width, pixels.shape[0] / own.height
+        x, y = (x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5
+    return cv2.remap(pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
 
 
 def as_camera(sequence: Sequence, camera: PinholeCamera) -> Sequence:

@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses.text import matrix_faults, table_of
+from conformodal.poses.text import matrix_faults, number, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import FrameTable
 from .lenses import AnyCamera, fisheye_of
-from .reading import Note, PathGuard, frame_times, read_lines, reader
+from .reading import SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 FILE = "transforms.json"
 ORIGINAL_WORLD = "poses are in the original world"
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg")
+_SUFFIXES = ("", *SUFFIXES, *map(str.upper, SUFFIXES))
 _LENS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE, _FISHEYE_LENS = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")
 _SIZE_AND_ANGLES = ("w", "h", "camera_angle_x", "camera_angle_y")
@@ -60,6 +60,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
         world = _original_world(path, content)
         cameras = [{**content, **{k: frame[k] for k in _OWN_CAMERA if k in frame}} for frame in frames]
+    except DatasetError:
+        raise
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as exc:
         raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if not frames:
@@ -69,9 +71,11 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
     images = [_image(place, name) for name in names]
     if not any(map(os.path.isfile, images)):  # False for names that are too long, too
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    first: dict[str, str] = {}
+    first: dict[Any, str] = {}
     for name, image in zip(names, images, strict=True):
-        if (other := first.setdefault(os.path.realpath(image), name)) is not name:
+        there = image.stat() if os.path.isfile(image) else None
+        key = os.path.realpath(image) if there is None else (there.st_dev, there.st_ino)
+        if (other := first.setdefault(key, name)) is not name:
             raise DatasetError(f"{path}: names {other} twice, as {name} too; expected one pose for an image")
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
@@ -85,7 +89,8 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         notes.append(Note(ORIGINAL_WORLD, f"{path}: applied_transform and applied_scale are undone"))
     poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
     lenses = _cameras(path, cameras, images, notes)
-    table = FrameTable(folder.name, images, frame_times(folder, len(frames)), poses=poses, why=why, notes=notes)
+    times, recording = times_by_folder(folder, images)
+    table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence(lenses, require_poses=require_poses)
 
 
@@ -114,8 +119,10 @@ def _original_world(path: Path, content: dict[str, Any]) -> tuple[FloatArray, Fl
     rows = content.get("applied_transform", moved[:3].tolist())
     moved[:3] = np.array([[_number(v) for v in row] for row in rows], dtype=np.float64)[:3]
     scale = _number(content.get("applied_scale", 1.0))
-    if fault := matrix_faults(moved[None]).get(0, "" if np.isfinite(moved).all() and scale > 0 else "is none"):
-        raise DatasetError(f"{path}: applied_transform {fault}, expected a rigid motion and a positive scale")
+    if fault := matrix_faults(moved[None]).get(0, "" if np.isfinite(moved).all() else "holds NaN or infinity"):
+        raise DatasetError(f"{path}: applied_transform {fault}, expected a rigid motion")
+    if not 0 < scale < np.inf:
+        raise DatasetError(f"{path}: applied_scale is {scale}, expected a positive number")
     return moved[:3, :3], moved[:3, 3], scale
 
 
@@ -123,12 +130,15 @@ def _matrix(rows: Any) -> list[list[float]]:
     if rows is None:  # a frame without a pose
         return [[float("nan")] * 4] * 4
     found = [[_number(v) for v in row] for row in rows if isinstance(row, list)]
+    found += [[0.0, 0.0, 0.0, 1.0]] if len(found) == 3 else []
     if not isinstance(rows, list) or [len(row) for row in found] != [4] * 4:
         raise ValueError("transform_matrix must be a list of 4 lists of 4 numbers")
     return found
 
 
 def _number(value: Any) -> float:
+    if isinstance(value, str):
+        return number(value)
     if not isinstance(value, (int, float)) or isinstance(value, bool):
         raise ValueError(f"{str(value)[:40]!r} is no number")
     return float(value)
@@ -145,20 +155,26 @@ def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) 
     fisheye = _is_fisheye(path, content)
     try:
         stated = None
-        if "w" in content or "h" in content:
+        if "w" in content and "h" in content:
             stated = round(_number(content["w"])), round(_number(content["h"]))
         width, height = stated or size
-        if "fl_x" in content:
-            fx = _number(content["fl_x"])
-        else:
-            fx = float(0.5 * width / np.tan(0.5 * _number(content["camera_angle_x"])))
-        fy = _number(content.get("fl_y", fx))
-        if "fl_x" not in content and "fl_y" not in content and "camera_angle_y" in content:
-            fy = float(0.5 * height / np.tan(0.5 * _number(content["camera_angle_y"])))
+        sides = {"x": width, "y": height}
+        focal = {
+            axis: _number(content[f"fl_{axis}"])
+            if f"fl_{axis}" in content
+            else _focal(path, f"camera_angle_{axis}", content, side, notes)
+            for axis, side in sides.items()
+            if f"fl_{axis}" in content or (f"camera_angle_{axis}" in content and "fl_x" not in content)
+        }
+        if not focal:
+            raise ValueError("found neither, nor fl_y or camera_angle_y")
+        fx, fy = focal.get("x", focal.get("y", 0.0)), focal.get("y", focal.get("x", 0.0))
         cx, cy = _number(content.get("cx", width / 2)), _number(content.get("cy", height / 2))
         lens = tuple(_number(content.get(k, 0.0)) for k in (_FISHEYE_LENS if fisheye else _LENS))
-    except (KeyError, ValueError, OverflowError, ZeroDivisionError) as exc:
-        raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {type(exc).__name__}: {exc}") from exc
+    except DatasetError:
+        raise
+    except (ValueError, OverflowError) as exc:
+        raise DatasetError(f"{path}: says no camera (fl_x or camera_angle_x): {exc}") from exc
     source, pixels = f"{path}: fl_x, fl_y, cx, cy", (fx, fy, cx, cy)
     if fisheye:
         return fisheye_of(source, pixels, size, lens, stated=stated, notes=notes)
@@ -166,8 +182,21 @@ def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) 
     return camera_of(source, pixels, size, lens if any(lens) else (), stated=stated, notes=notes)
 
 
+def _focal(path: Path, name: str, content: dict[str, Any], side: int, notes: list[Note]) -> float:
+    """Focal length of a field of view; what is too large for radians is degrees."""
+    angle = _number(content[name])
+    if np.pi <= angle < 180:
+        notes.append(Note("angle is in degrees", f"{path}: {name} = {angle:g} is read as degrees, expected radians"))
+        angle = float(np.radians(angle))
+    if not 0 < angle < np.pi:
+        raise DatasetError(f"{path}: {name} is {angle:g}, expected radians between 0 and 3.14")
+    return float(0.5 * side / np.tan(0.5 * angle))
+
+
 def _is_fisheye(path: Path, content: dict[str, Any]) -> bool:
     """Whether the file says a fisheye lens; refuses what it does not say clearly."""
+    if other := next((key for key in content if "distort" in key and content[key]), None):
+        raise DatasetError(f"{path}: has {other[:40]}; expected the lens as {', '.join(_LENS)}")
     model = content.get("camera_model", _FISHEYE if content.get("is_fisheye") else "OPENCV")
     if model == _FISHEYE:
         if "fl_x" not in content or content.get("p1") or content.get("p2"):

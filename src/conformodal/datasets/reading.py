@@ -10,7 +10,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PoseError, TrajectoryFileError
 from conformodal.poses.text import number, text_lines
 
@@ -21,7 +21,9 @@ P = ParamSpec("P")
 Read = TypeVar("Read")
 
 FRAME_RATE_HZ = 30.0
+BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
+_NO_NUMBER = str.maketrans("[](),;", " " * 6)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
 
 
@@ -94,6 +96,8 @@ class PathGuard:
         """The file of a name, from a base in the folder."""
         if "\0" in name:
             raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
+        if "\\" in name and not os.path.lexists(os.path.join(base, name)):  # written on Windows
+            name = name.replace("\\", "/")
         path = os.path.join(base, name)
         written = Path(name)
         leads_out = written.anchor or ".." in written.parts
@@ -123,9 +127,10 @@ def read_lines(path: Path) -> list[str]:
 
 
 def read_numbers(path: Path) -> FloatArray:
-    """All numbers of a text file, in one vector."""
+    """All numbers of a text file, in one vector; brackets, commas and lines that begin with ``#`` are passed over."""
+    lines = [line for line in read_lines(path) if not line.lstrip().startswith("#")]
     try:
-        return np.array([number(x) for x in " ".join(read_lines(path)).split()])
+        return np.array([number(x) for x in " ".join(lines).translate(_NO_NUMBER).split()])
     except ValueError as exc:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 
@@ -139,6 +144,14 @@ def frame_times(folder: Path, n_frames: int) -> FloatArray:
     if times.size != n_frames:
         raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
     return times
+
+
+def times_by_folder(folder: Path, images: list[Path]) -> tuple[FloatArray, IntArray]:
+    """As :func:`frame_times`, and recordings (n,): images of each folder are one, in the order of the folders."""
+    places = {place: k for k, place in enumerate(dict.fromkeys(image.parent for image in images))}
+    recording = np.array([places[image.parent] for image in images], dtype=np.int64)
+    times = frame_times(folder, len(images))
+    return times if (folder / "times.txt").is_file() else times + BETWEEN_RECORDINGS_S * recording, recording
 
 
 def even_times(folder: Path, n_frames: int) -> FloatArray:

@@ -24,7 +24,9 @@ CAMERAS = {
 
 
 @reader
-def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Sequence:
+def read_tum_rgbd(
+    folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False, focal_px: float | None = None
+) -> Sequence:
     """Read a sequence, without decoding images.
 
     Parameters
@@ -37,6 +39,8 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
         if every one has a pose.
     follow_outside
         Whether ``rgb.txt`` may name files outside the folder.
+    focal_px
+        Focal length where the camera is not known; else that which EXIF says.
     """
     folder = Path(folder).resolve()
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
@@ -45,12 +49,13 @@ def read_tum_rgbd(folder: Path | str, *, require_poses: bool = True, follow_outs
     place = PathGuard(folder, path, follow_outside=follow_outside)
 
     def parse(line: str) -> tuple[float, Path]:
-        time, name = line.split(maxsplit=1)
+        time, name = re.split(r"[,;\s]", line.strip(), maxsplit=1)
         return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", notes)
     match = re.search(r"(?:freiburg|fr)([123])", folder.name)
-    camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, notes)
+    default = CAMERAS[match[1]] if match else None
+    camera = camera_beside(folder, common_size(images), default, notes, focal_px=focal_px, images=images)
     poses, why = None, Damaged()
     if require_poses or truth.is_file():
         poses, why = paired_by_time(tum_table, truth, times, notes)

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
+from .metrics import in_seconds
 from .text import (
     drop_faults,
     length_doubt,
@@ -21,6 +23,7 @@ from .text import (
     nanoseconds,
     number,
     pose_faults,
+    quaternion_order,
     read_rows,
     table_of,
     trajectory_of,
@@ -28,6 +31,7 @@ from .text import (
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0  # of KITTI
+_SEPARATED = re.compile(r"\s*[,;\s]\s*")
 _TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
 
 
@@ -50,7 +54,11 @@ def read_tum(path: Path) -> Trajectory:
     rows = tum_table(path, damaged)
     if damaged:
         warnings.warn(f"{len(damaged)} x left out, pose cannot be used: {damaged[min(damaged)]}", stacklevel=2)
-    return trajectory_of(path, rows[np.isfinite(rows).all(axis=1)])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows[:, 0], unit = in_seconds(rows[:, 0])
+    if unit:
+        warnings.warn(f"{path}: its times look like {unit}, and are read as such", stacklevel=2)
+    return trajectory_of(path, rows)
 
 
 def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[str] | None = None) -> FloatArray:
@@ -59,21 +67,29 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[st
     `doubts` takes up what is unlikely; None warns of it.
     """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
-    rows = read_rows(path, lambda line: [number(f) for f in line.replace(",", " ").split()], 8, expected, damaged)
-    return _checked(rows[:, [0, 1, 2, 3, 7, 4, 5, 6]], length_doubt(path, rows[:, 1:], 3), path, damaged, doubts)
+    rows = read_rows(path, _numbers, 8, expected, damaged)
+    return _checked(rows, "xyzw", path, damaged, doubts)
+
+
+def _numbers(line: str) -> list[float]:
+    return [number(field) for field in _SEPARATED.split(line.strip())]
 
 
 def _checked(
-    rows: FloatArray, doubt: str, path: Path, damaged: dict[int, str] | None, doubts: list[str] | None
+    rows: FloatArray, order: str, path: Path, damaged: dict[int, str] | None, doubts: list[str] | None
 ) -> FloatArray:
-    """Rows (n, 8) without faulty poses, which keep their times; tells a doubt."""
-    times = rows[:, 0].copy()
-    drop_faults(rows, pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
-    rows[:, 0] = times
-    if doubt and doubts is None:
-        warnings.warn(doubt, stacklevel=4)
-    elif doubt and doubts is not None:
-        doubts.append(doubt)
+    """Rows (n, 8) with ``wxyz`` and without faulty poses, which keep their times; tells doubts of lengths and order."""
+    found = [doubt] if (doubt := length_doubt(path, rows[:, 1:], 3)) else []
+    named = quaternion_order(path) or order
+    if named != order:
+        found.append(f"{path}: its quaternions are read as {named}, as its head names them; usual is {order}")
+    rows = rows[:, [0, 1, 2, 3, *(4 + named.index(letter) for letter in "wxyz")]]
+    drop_faults(rows[:, 1:], pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    if doubts is not None:
+        doubts += found
+    else:
+        for doubt in found:
+            warnings.warn(doubt, stacklevel=4)
     return rows
 
 
@@ -85,7 +101,7 @@ def read_kitti(path: Path) -> Trajectory:
 
 def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of a file, as :func:`tum_table`."""
-    rows = read_rows(path, lambda t: [number(f) for f in t.split()], 12, "twelve numbers", damaged, by_line=True)
+    rows = read_rows(path, _numbers, 12, "twelve numbers", damaged, by_line=True)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows.reshape(-1, 3, 4)
     drop_faults(poses, matrix_faults(poses), path, damaged)
@@ -103,9 +119,9 @@ def read_euroc(path: Path) -> Trajectory:
 def euroc_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[str] | None = None) -> FloatArray:
     """As :func:`tum_table`, of EuRoC's format."""
     rows = read_rows(path, _parse_euroc, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", damaged)
-    return _checked(rows, length_doubt(path, rows[:, 1:], 3), path, damaged, doubts)
+    return _checked(rows, "wxyz", path, damaged, doubts)
 
 
 def _parse_euroc(line: str) -> list[float]:
-    fields = line.split(",")[:8]
+    fields = _SEPARATED.split(line.strip())[:8]
     return [nanoseconds(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from decimal import Decimal
 from math import isfinite
 from pathlib import Path
@@ -19,6 +20,8 @@ from .trajectory import Trajectory
 # Farther away than any place, in metres: squares of larger numbers overflow.
 _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
+_HEAD_LINES = 5
+_COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
@@ -57,6 +60,21 @@ def text_lines(path: Path) -> list[str]:
         raise OSError("is not a regular file")
     lines = _END_OF_LINE.split(path.read_bytes().decode("utf-8-sig"))
     return lines if lines[-1] else lines[:-1]
+
+
+def is_header(line: str) -> bool:
+    """Whether a line begins as no number does."""
+    return line.lstrip()[:1] not in "+-.0123456789"
+
+
+def quaternion_order(path: Path) -> str:
+    """The letters w, x, y, z in the order in which the head of a file names a quaternion's columns, or nothing."""
+    with suppress(OSError, ValueError):
+        for line in text_lines(path)[:_HEAD_LINES]:
+            found = "".join(_COLUMN.findall(line)).lower()
+            if sorted(found) == sorted("wxyz"):
+                return found
+    return ""
 
 
 def read_rows(
@@ -102,8 +120,8 @@ def read_rows(
         except (ValueError, IndexError):
             row = []
         if len(row) != width or not all(map(isfinite, row)):
-            if not rows and not by_line and len(row) != width and line.lstrip()[:1].isalpha():
-                continue  # a header
+            if not rows and not bad and not by_line and len(row) != width and is_header(line):
+                continue
             bad[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
             n_unread += len(row) != width
             row = [row[0] if len(row) == width and not by_line else np.nan, *[np.nan] * (width - 1)]
@@ -124,7 +142,7 @@ def length_doubt(path: Path, values: FloatArray, at: int) -> str:
     """
     with np.errstate(over="ignore"):
         lengths = np.array([np.linalg.norm(values[:, k : k + 4], axis=1) for k in range(4)])
-    off = np.flatnonzero(np.abs(lengths[at] - 1) > _LENGTH_OFF)
+    off = np.flatnonzero((np.abs(lengths[at] - 1) > _LENGTH_OFF) & (lengths[at] > 0))
     if not off.size:
         return ""
     apart = np.nanmedian(np.abs(lengths - 1), axis=1)

@@ -18,8 +18,9 @@ from typing import Any
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
+from conformodal.datasets.lenses import Fisheye
 from conformodal.datasets.streams.frames import SourceError
-from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of
+from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
 from conformodal.model.errors import OdometryError
 from conformodal.model.store import load_model
 from conformodal.running.estimates import Estimate
@@ -69,7 +70,7 @@ class PoseNode:
         self._kind = COMPRESSED if compressed else RAW
         self._last_s: float | None = None
         self._seen_ns: int | None = None
-        self._camera: Any = None  # as it was last published
+        self._camera = ""  # as it was last published
         self._refused = ""
         odometry.reset()
         topic = self._conversion.how.topic
@@ -84,13 +85,15 @@ class PoseNode:
 
     def on_camera_info(self, message: Any) -> None:
         """Compare the camera with the model's; images of another one are answered as lost."""
-        lens = tuple(message.k), tuple(message.d), tuple(message.p), message.distortion_model
-        camera = message.width, message.height, lens
+        camera = key_of_info(message)
         if camera == self._camera:
             return
         self._camera, before = camera, self._refused
         try:
-            self.odometry.model.check_camera(camera_of_info(message, "camera_info", self._topic))
+            found = camera_of_info(message, "camera_info", self._topic)
+            if isinstance(found, Fisheye):
+                raise SourceError("camera_info: has a fisheye lens, expected undistorted images")
+            self.odometry.model.check_camera(found)
             self._refused = ""
             if before:
                 self._log.info("the camera is the model's again")

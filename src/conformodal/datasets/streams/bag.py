@@ -5,27 +5,41 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from conformodal.datasets.cameras import Size
+from conformodal.datasets.lenses import AnyCamera, Fisheye, seen_by
 from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
 from .frames import Frame, SourceError
-from .ros_messages import COMPRESSED, INFO, RAW, camera_of_info, check_encoding, image_of, stamp_s, white_of
+from .ros_messages import (
+    COMPRESSED,
+    INFO,
+    RAW,
+    camera_of_info,
+    check_encoding,
+    image_of,
+    key_of_info,
+    stamp_s,
+    white_of,
+)
 
-SUFFIXES = (".bag", ".mcap", ".db3")
-# What rosbags says of recordings that were never closed, and what repairs them.
+SUFFIXES = (".bag", ".mcap", ".db3", ".bag.active")
+# What repairs recordings that cannot be opened, as those that were never closed.
 _REPAIRS = {
-    "File end magic": "; it was never closed: repair it with 'mcap recover IN.mcap -o OUT.mcap'",
-    "not indexed": "; it was never closed: repair it with 'rosbag reindex'",
+    ".mcap": "; if it was never closed, repair it with 'mcap recover IN.mcap -o OUT.mcap'",
+    ".bag": "; if it was never closed, repair it with 'rosbag reindex'",
+    ".active": "; it was never closed: call it .bag, and repair it with 'rosbag reindex'",
 }
+_LOOKED_AT, _SET_BACK_S = 12, 1.0  # messages; a clock that goes back by more was set
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a ROS recording: a bag file, or a folder with ``metadata.yaml``."""
-    return path.suffix in SUFFIXES or (path.is_dir() and (path / "metadata.yaml").is_file())
+    return path.name.endswith(SUFFIXES) or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
 @dataclass(frozen=True)
@@ -39,9 +53,13 @@ class BagStream:
     topic
         Of the images; may be left out if there is only one.
     camera
-        Intrinsics; by default those of the first ``CameraInfo`` beside the images.
+        Intrinsics; by default those of the first ``CameraInfo`` beside the images, to whose camera images of a fisheye
+        lens, and of a later ``CameraInfo``, are brought.
     received
-        Whether times are those at which messages were received: the first header has no stamp. Else the headers'.
+        Whether times are those at which messages were received: the first headers have no stamps, or the same. Else
+        the headers'.
+    infos
+        Topics of the ``CameraInfo`` that is followed; none where `camera` is given.
     notes
         Which camera and which times are used, and what is unlikely.
 
@@ -55,6 +73,7 @@ class BagStream:
     topic: str | None = None
     camera: PinholeCamera | None = None
     received: bool = False
+    infos: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
     live = False
 
@@ -75,8 +94,8 @@ class BagStream:
                 raise SourceError(f"{self.path}: holds no images on {chosen}; there are {', '.join(topics)}")
             object.__setattr__(self, "topic", chosen)
             size = self._look_at_first(reader, [c for c in images if c.topic == chosen], notes)
-            if self.camera is None:
-                object.__setattr__(self, "camera", self._info(reader, size, notes))
+            if self.camera is None and (lens := self._info(reader, size, notes)) is not None:
+                object.__setattr__(self, "camera", lens.pinhole if isinstance(lens, Fisheye) else lens)
         object.__setattr__(self, "notes", tuple(notes))
 
     @property
@@ -91,56 +110,91 @@ class BagStream:
             return sum(c.msgcount for c in reader.connections if c.topic == self.topic)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Decode message after message; one that cannot be decoded comes without an image."""
-        done, white = 0, 0
+        """Decode message after message; one that cannot be decoded comes without an image.
+
+        A clock that is set back, for two messages or more, begins a new recording, whose times follow those before.
+        """
+        done, white, recording, shift_s = 0, 0, 0, 0.0
+        last: tuple[float, float] | None = None  # time and reception of the last frame in order
+        back: float | None = None  # header stamp of the frame before, if it was far back
+        known, info = "", None  # what the last CameraInfo says, and the message until it is used
+        lens: AnyCamera | None = None
         with _reader(self.path) as reader:
-            wanted = [c for c in reader.connections if c.topic == self.topic]
+            wanted = [c for c in reader.connections if c.topic == self.topic or c.topic in self.infos]
             messages = iter(reader.messages(connections=wanted))
             while True:
                 try:
                     item = next(messages, None)
                     if item is None:
                         return
-                    message = reader.deserialize(item[2], item[0].msgtype)
-                    time_s = item[1] / 1e9 if self.received else stamp_s(message)
+                    message, received_s = reader.deserialize(item[2], item[0].msgtype), item[1] / 1e9
+                    if item[0].msgtype == INFO:
+                        known, info = (key, message) if (key := key_of_info(message)) != known else (known, info)
+                        continue
+                    stamp = received_s if self.received else stamp_s(message)
                 except Exception as exc:  # damaged bytes lead a decoder to any error
                     raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
+                time_s = stamp + shift_s
+                if last is not None and time_s < last[0] - _SET_BACK_S:
+                    if back is not None and stamp > back:
+                        recording, shift_s = recording + 1, last[0] + max(received_s - last[1], 1e-3) - stamp
+                        time_s = stamp + shift_s
+                    back = stamp
+                if last is None or time_s > last[0]:
+                    last, back = (time_s, received_s), None
                 image, problem = None, ""
                 try:
                     white = max(white, white_of(message))
                     image = image_of(message, item[0].msgtype, white)
+                    if info is not None:
+                        size = image.shape[1], image.shape[0]
+                        lens, info = camera_of_info(info, self.infos[0], str(self.topic), size), None
+                    if self.camera is not None and lens is not None:
+                        image = seen_by(image, lens, self.camera)
                 except ValueError as exc:
-                    problem = f"{self.path}, message {done} of {self.topic}: {exc}"
-                yield Frame(f"{self.path.stem}-{done:06d}", time_s, image, problem)
+                    image, problem = None, f"{self.path}, message {done} of {self.topic}: {exc}"
+                yield Frame(f"{self.path.stem}-{done:06d}", time_s, image, problem, recording)
                 done += 1
 
     def _look_at_first(self, reader: Any, connections: list[Any], notes: list[Note]) -> Size | None:
-        """Refuse an encoding that cannot be decoded; choose the times. The size of the images, if it is said."""
-        for connection, _, raw in reader.messages(connections=connections):
+        """Refuse an encoding that cannot be decoded; choose the times. The size of the images, if it is known."""
+        place, stamps, size = f"{self.path}: {self.topic}", list[float](), None
+        fault, white = "", 0
+        for connection, _, raw in islice(reader.messages(connections=connections), _LOOKED_AT):
             try:
                 message = reader.deserialize(raw, connection.msgtype)
             except Exception:  # it is told where the frames are read
-                return None
+                break
             if connection.msgtype == RAW:
-                check_encoding(message.encoding, f"{self.path}: {self.topic}")
-            if stamp_s(message) == 0:
-                object.__setattr__(self, "received", True)
-                notes.append(Note("no header stamps", f"{self.path}: {self.topic}: times are those of reception"))
-            if (white := white_of(message)) > 255:
-                notes.append(Note("16-bit images", f"{self.path}: {self.topic}: {white} of 65535 is shown as white"))
-            return (int(message.width), int(message.height)) if connection.msgtype == RAW else None
-        return None
+                check_encoding(message.encoding, place)
+            stamps.append(stamp_s(message))
+            try:
+                white = max(white, white_of(message))
+                height, width = image_of(message, connection.msgtype).shape[:2]
+                size = size or (width, height)
+            except ValueError as exc:
+                fault = fault or str(exc)
+        if fault and size is None and connections[0].msgtype == COMPRESSED:
+            raise SourceError(f"{place}: {fault}")
+        if len(stamps) < 2 * stamps.count(0) or (len(stamps) > 1 and len(set(stamps)) == 1):
+            object.__setattr__(self, "received", True)
+            notes.append(Note("no header stamps", f"{place}: times are those of reception"))
+        if white > 255:
+            notes.append(Note("16-bit images", f"{place}: {white} of 65535 is shown as white"))
+        return size
 
-    def _info(self, reader: Any, size: Size | None, notes: list[Note]) -> PinholeCamera | None:
+    def _info(self, reader: Any, size: Size | None, notes: list[Note]) -> AnyCamera | None:
         """The camera of the first CameraInfo in the images' name space."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
         infos = [c for c in reader.connections if c.msgtype == INFO and c.topic.rpartition("/")[0] == space]
+        object.__setattr__(self, "infos", tuple(sorted({c.topic for c in infos})))
         for connection, _, raw in reader.messages(connections=infos) if infos else ():
             try:
                 message = reader.deserialize(raw, connection.msgtype)
             except Exception as exc:  # as above
                 raise SourceError(f"{self.path}: {connection.topic} cannot be decoded: {exc}") from exc
             return camera_of_info(message, f"{self.path}: {connection.topic}", str(self.topic), size, notes)
+        notes.append(Note("no CameraInfo", f"{self.path}: {self.topic}: its camera is not known"))
         return None
 
 
@@ -156,7 +210,7 @@ def _reader(path: Path) -> Iterator[Any]:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except Exception as exc:  # as above
-        hint = next((hint for sign, hint in _REPAIRS.items() if sign in str(exc)), "")
+        hint = _REPAIRS.get(path.suffix, "") if path.stat().st_size else ""
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{hint}") from exc
     with closing(reader):
         yield reader

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import cv2
@@ -9,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets.cameras import UNDISTORT, Size, camera_of, check_matrix
-from conformodal.datasets.decoding import decode, to_eight_bits, white_level
+from conformodal.datasets.decoding import decode, to_eight_bits, white_in, white_level
 from conformodal.datasets.errors import DatasetError
+from conformodal.datasets.lenses import AnyCamera, fisheye_of
 from conformodal.datasets.reading import Note
-from conformodal.poses import PinholeCamera
 
 from .frames import SourceError
 
@@ -39,7 +40,8 @@ _ENCODINGS: dict[str, tuple[int, int, int, int | None]] = {
     "nv12": (1, 1, 3, cv2.COLOR_YUV2RGB_NV12),
     "nv21": (1, 1, 3, cv2.COLOR_YUV2RGB_NV21),
 }
-_LENSES = ("plumb_bob", "radtan", "rational_polynomial")  # the last with k4 to k6 zero, as the first
+_LENSES = ("plumb_bob", "radtan", "rational_polynomial", "")  # the third with k4 to k6 zero, as the first
+_FISHEYES = ("equidistant", "fisheye", "kannala_brandt4")
 
 
 def stamp_s(message: Any) -> float:
@@ -49,13 +51,20 @@ def stamp_s(message: Any) -> float:
 
 def check_encoding(encoding: str, place: str) -> None:
     """Refuse an encoding that cannot be decoded, with the list of those that can."""
-    if encoding not in _ENCODINGS:
+    if _known(encoding) not in _ENCODINGS:
         raise SourceError(f"{place}: encoding {encoding} is none of {', '.join(_ENCODINGS)}")
+
+
+def _known(encoding: str) -> str:
+    """An encoding as the list has it: some drivers write capitals."""
+    return encoding if encoding in _ENCODINGS else encoding.strip().lower()
 
 
 def white_of(message: Any) -> int:
     """The level that is shown as white: of the bits that a 16-bit image uses, else 255."""
-    if getattr(message, "encoding", "") in _ENCODINGS and _ENCODINGS[message.encoding][0] == 2:
+    if not hasattr(message, "encoding"):
+        return white_in(bytes(message.data))
+    if _ENCODINGS.get(_known(message.encoding), (1,))[0] == 2:
         return white_level(_pixels(message))
     return 255
 
@@ -78,11 +87,16 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
         If its encoding is not known, or its bytes do not make such an image.
     """
     if kind == COMPRESSED:
-        return decode(bytes(message.data), f"{message.format} data")
+        image = decode(bytes(message.data), f"{message.format!r} data", white=white)
+        mosaic, _, target = message.format.lower().partition(";")
+        known = _ENCODINGS.get(f"{mosaic.strip().rstrip('16').rstrip('8')}8")
+        if not mosaic.startswith("bayer") or known is None or "8" in target.partition("compressed")[2]:
+            return image
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., 0]), known[3] or 0), dtype=np.uint8)
     image = _pixels(message)
     if image.dtype.itemsize == 2:
         image = to_eight_bits(image, white or white_level(image))
-    conversion = _ENCODINGS[message.encoding][3]
+    conversion = _ENCODINGS[_known(message.encoding)][3]
     found = image if conversion is None else cv2.cvtColor(image.squeeze(), conversion)
     return np.asarray(found, dtype=np.uint8)
 
@@ -90,7 +104,7 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
 def _pixels(message: Any) -> npt.NDArray[Any]:
     """The values (rows, width, n) of a raw image."""
     check_encoding(message.encoding, "image")
-    n_bytes, n_values, halves, _ = _ENCODINGS[message.encoding]
+    n_bytes, n_values, halves, _ = _ENCODINGS[_known(message.encoding)]
     width, height = message.width * n_bytes * n_values, message.height * halves // 2
     data = np.frombuffer(message.data, dtype=np.uint8)
     if data.size != height * message.step or message.step < width or not data.size:
@@ -101,74 +115,81 @@ def _pixels(message: Any) -> npt.NDArray[Any]:
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether a topic's images are rectified by its name, as ``image_proc`` names them: ``image_rect_color``."""
-    return any(part.startswith("image_rect") for part in topic.split("/"))
+    """Whether a topic's images are rectified by its name, as ``image_rect_color`` of ``image_proc``."""
+    return re.search(r"(^|[/_])rect(ified)?($|[/_])", topic) is not None
 
 
 def camera_of_info(
     message: Any, place: str, topic: str = "", size: Size | None = None, notes: list[Note] | None = None
-) -> PinholeCamera:
-    """The camera of a ``sensor_msgs/CameraInfo``, ROS 1 or 2.
-
-    Rectified images have the camera of P and no distortion, raw ones that of K and D. Both are for the sensor's full
-    resolution: the window (``roi``) is cut out of it first, then ``binning`` makes its pixels fewer.
+) -> AnyCamera:
+    """The camera of a ``sensor_msgs/CameraInfo``.
 
     Parameters
     ----------
     message
-        Read already.
+        Of ROS 1 or 2. Its window (``roi``) and binning are applied.
     place
-        Where it comes from, for errors.
+        Where it comes from, for messages.
     topic
-        Of the images.
+        Of the images: for rectified ones P is the camera, without distortion; for others K and D, unless D says the
+        same by zeros.
     size
-        Width and height of the images, where they are known; numbers for images of another size are scaled.
+        Of the images; the camera is scaled to it.
     notes
         Takes up which matrix was used, and what is unlikely.
 
     Raises
     ------
     SourceError
-        If the camera is no pinhole with a lens that is known, or its numbers are none of a camera.
+        If the camera is no pinhole or fisheye with a lens that is known, or its numbers are none of a camera.
     """
-    source = f"{place} holds a camera that cannot be used"
-    rectified = is_rectified(topic)
-    name = "P" if rectified else "K"
-    columns = 4 if rectified else 3
-    k = np.array(_field(message, name), dtype=np.float64).reshape(3, columns)[:, :3]
-    lens = () if rectified else tuple(np.asarray(_field(message, "D"), dtype=np.float64).tolist())
-    lens = lens if any(lens) else ()
-    lens = lens if any(lens[5:]) else lens[:5]  # a rational lens whose k4 to k6 are zero is none
-    if lens and (len(lens) > 5 or message.distortion_model not in _LENSES):
-        raise SourceError(f"{source}: {message.distortion_model}, expected {_LENSES[0]}: {UNDISTORT}")
+    found: list[Note] = []
+    lens = tuple(np.asarray(_field(message, "D"), dtype=np.float64).tolist())
+    P = np.array(_field(message, "P"), dtype=np.float64).reshape(3, 4)[:, :3]
+    rectified, model = is_rectified(topic), message.distortion_model
+    if rectified and not P.any() and any(lens):
+        raise SourceError(f"{place}: P is zero, and {topic} has rectified images, whose camera K and D are not")
+    by_p = rectified and P.any()
+    k = P if by_p else np.array(_field(message, "K"), dtype=np.float64).reshape(3, 3)
+    if not k.any():
+        raise SourceError(f"{place}: the camera is not calibrated: {'P' if by_p else 'K'} is zero")
+    fisheye = model in _FISHEYES and not rectified
+    lens = () if rectified or not (any(lens) or fisheye) else lens
+    bad = len(lens) > 4 if fisheye else any(lens[5:]) or bool(lens and model not in _LENSES)
+    if bad:
+        raise SourceError(
+            f"{place}: lens {model!r} of {len(lens)} numbers, expected {_LENSES[0]} or {_FISHEYES[0]}: {UNDISTORT}"
+        )
     roi = message.roi
-    window = (
-        (int(roi.width), int(roi.height)) if roi.width and roi.height else (int(message.width), int(message.height))
-    )
+    whole = int(message.width), int(message.height)
+    window = (int(roi.width), int(roi.height)) if roi.width and roi.height else whole
     binning = max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     stated = window[0] // binning[0], window[1] // binning[1]
+    if min(stated) < 1:
+        raise SourceError(f"{place}: gives its camera for {stated[0]}x{stated[1]} pixels, expected sides of at least 1")
     try:
-        check_matrix(source, k)
+        check_matrix(place, k)
         fx, fy, cx, cy = (k[0, 0], k[1, 1], k[0, 2] - roi.x_offset, k[1, 2] - roi.y_offset)
         pixels = fx / binning[0], fy / binning[1], cx / binning[0], cy / binning[1]
-        if min(stated) < 1:
-            raise DatasetError(f"{source}: it has {stated[0]}x{stated[1]} pixels")
-        camera = camera_of(source, pixels, size or stated, lens, stated=stated, notes=notes)
+        camera: AnyCamera = (
+            fisheye_of(place, pixels, size or stated, (*lens, 0.0, 0.0, 0.0, 0.0)[:4], stated=stated, notes=found)
+            if fisheye
+            else camera_of(place, pixels, size or stated, lens, stated=stated, notes=found)
+        )
     except DatasetError as exc:
         raise SourceError(str(exc)) from exc
     if notes is not None:
-        cut = (
-            f", window {window[0]}x{window[1]}, binning {binning[0]}x{binning[1]}"
-            if stated != (message.width, message.height)
-            else ""
-        )
-        how = (
-            "P, for rectified images, without distortion"
-            if rectified
-            else f"K and D{'' if lens else ', which is zero'}"
-        )
-        notes.append(Note("camera of CameraInfo", f"{place}: {how}{cut}"))
+        cut = "" if stated == whole else f", window {window[0]}x{window[1]}, binning {binning[0]}x{binning[1]}"
+        zero = "" if lens else ", which is zero"
+        how = "P, for rectified images, without distortion" if by_p else f"K and D{zero}"
+        notes += [*found, Note("camera of CameraInfo", f"{place}: {how}{cut}")]
     return camera
+
+
+def key_of_info(message: Any) -> str:
+    """What a CameraInfo says of the camera, to tell when that changes."""
+    values = [np.asarray(_field(message, name)).tolist() for name in "KPD"]
+    return repr((values, message.distortion_model, message.width, message.height, message.binning_x, message.roi))
 
 
 def _field(message: Any, name: str) -> Any:
