@@ -55,9 +55,13 @@ class Posterior:
         return self.elsewhere > 0.5
 
     def with_image(self, candidates: Candidates) -> Candidates:
-        """All hypotheses, and after them those of the image alone, which stand where none of these is right."""
-        known = self.hypotheses.normalised(np.log1p(-self.elsewhere))
-        return Candidates.concatenate((known, candidates.normalised(np.log(self.elsewhere))))
+        """All hypotheses, and after them those of the image alone, which stand where none of these is right.
+
+        The image's keep a share whatever the posterior claims: it may be sure and wrong through a whole stretch.
+        """
+        share = max(self.elsewhere, FILTER.least_own)
+        known = self.hypotheses.normalised(np.log1p(-share))
+        return Candidates.concatenate((known, candidates.normalised(np.log(share))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,6 +69,8 @@ class _FilterSettings:
     common
         Share of the variance of errors that consecutive images have in common; with 0, the filter is Kalman's. This and
         `wrong_if_unknown` were chosen on seeds 20 to 22 of redkitchen `blocks` and 20 of the demo.
+    least_own
+        Least share of the image's own belief in a region from a posterior. Chosen on the same seeds.
     lag
         Frames of a stream whose answer is revised in hindsight.
     """
@@ -90,6 +92,7 @@ class _FilterSettings:
     most_reliable: float = 0.99
     sure_and_wrong: float = 0.01
     common: float = 1.0
+    least_own: float = 0.02
     lag: int = 10
 
 
