@@ -15,6 +15,7 @@ import numpy.typing as npt
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
 from conformodal.reasoning.filter import Posterior
+from conformodal.reasoning.settings import FILTER
 
 from .fusion import Mixture
 from .measurement import PoseMeasurement
@@ -52,11 +53,14 @@ class Beliefs:
         return Beliefs([p[rows] for p in self.proba], self.mixtures[rows], self.estimates[rows])
 
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
-        """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief."""
+        """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.
+
+        The latter keeps a share whatever the posterior claims, which may be sure and wrong through a whole stretch.
+        """
         mixtures = []
         for own, posterior in zip(self.mixtures, posteriors, strict=True):
             known = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
-            joined = posterior.with_image(own.candidates)
+            joined = posterior.with_image(own.candidates, FILTER.least_own)
             mixtures.append(Mixture(joined, np.concatenate((known, own.measured))))
         return Beliefs(self.proba, mixtures, self.estimates)
 

@@ -54,12 +54,12 @@ class Posterior:
         """Whether the pose is most probably elsewhere: no known place was seen, or too long ago."""
         return self.elsewhere > 0.5
 
-    def with_image(self, candidates: Candidates) -> Candidates:
+    def with_image(self, candidates: Candidates, least: float = 0.0) -> Candidates:
         """All hypotheses, and after them those of the image alone, which stand where none of these is right.
 
-        The image's keep a share whatever the posterior claims: it may be sure and wrong through a whole stretch.
+        The image's have a probability of at least `least`.
         """
-        share = max(self.elsewhere, FILTER.least_own)
+        share = max(self.elsewhere, least)
         known = self.hypotheses.normalised(np.log1p(-share))
         return Candidates.concatenate((known, candidates.normalised(np.log(share))))
 
