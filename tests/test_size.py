@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2620,
+    "cli": 2610,
     "conformal": 5030,
     "core": 410,
     "datasets": 4920,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18370
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18270
