@@ -11,13 +11,13 @@ BUDGET = {
     "conformal": 5630,
     "core": 410,
     "datasets": 5400,
-    "localization": 2590,
+    "localization": 2600,
     "model": 1440,
     "motion": 990,
     "networks": 730,
     "poses": 1010,
     "quality": 810,
-    "reasoning": 1570,
+    "reasoning": 1580,
     "report": 870,
     "ros": 710,
     "running": 2390,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19000
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19010
