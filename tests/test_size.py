@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 2680,
-    "conformal": 5625,
+    "conformal": 5780,
     "core": 430,
     "datasets": 4920,
     "localization": 2570,
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6690
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6740
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19100
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19210
