@@ -26,7 +26,7 @@ _PRIOR_ROWS = 5
 class LevelSets:
     """Regions of n samples in d targets: values whose joint density is at least a level.
 
-    :meth:`LevelSetConformal.predict` makes them. A set may be of any shape; it may fall apart.
+    :class:`LevelSetConformal` makes them. A set may be of any shape; it may fall apart.
     """
 
     def __init__(self, density: PredictiveDensity, correlation: FloatArray, level: float) -> None:
