@@ -22,6 +22,7 @@ from .diagnostics.diagnosis import Diagnosis, diagnose
 from .drift import DriftMonitor
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .intervals import MaxIntervals
+from .level_sets import LevelSetConformal, LevelSets
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, OnlineConformal
 from .predictive import PredictiveDensity
@@ -48,10 +49,10 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LinearDensity", "MaxIntervals",
-    "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity",
-    "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal",
-    "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage", "conformal_quantile",
-    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "grouped_maximum_quantile",
-    "grouped_quantile", "region_scorers", "weighted_quantile",
+    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LevelSetConformal", "LevelSets",
+    "LinearDensity", "MaxIntervals", "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal",
+    "PredictiveDensity", "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning",
+    "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
+    "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
+    "grouped_maximum_quantile", "grouped_quantile", "region_scorers", "weighted_quantile",
 ]  # fmt: skip

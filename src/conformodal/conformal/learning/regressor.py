@@ -34,6 +34,7 @@ from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.intervals import MaxIntervals
+from conformodal.conformal.level_sets import LevelSetConformal
 from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
@@ -104,8 +105,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     score
         ``"density"`` (shortest sets), ``"linear_density"``, ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
     joint
-        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
-        every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
+        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. ``"density"``
+        gives level sets of the joint density, :class:`~conformodal.conformal.LevelSetConformal`, which are smaller and
+        of any shape. With these and ``"max"`` every density is fitted twice: scales, or the dependence of the targets,
+        come from rows that one of the fits has not seen.
     calibration_size
         Share of the samples that ``fit`` holds out for calibration, in [0, 1). With 0, call :meth:`conformalize` next.
     random_state
@@ -125,7 +128,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ----------
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
-    calibrator_ : SplitConformal, or MondrianConformal with groups
+    calibrator_ : SplitConformal, MondrianConformal with groups, or LevelSetConformal with ``joint="density"``
 
     Examples
     --------
@@ -151,7 +154,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         n_bins: int | None = None,
         alpha: Alpha = 0.1,
         score: str | Score = "density",
-        joint: Joint = "none",
+        joint: Joint | Literal["density"] = "none",
         calibration_size: float = 0.2,
         random_state: Any = None,
         verbose: bool = False,
@@ -222,9 +225,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_ = bins.fit(values[seen])
         self.bins_.check_limits(values)
         self.bins_.names = names
-        calibrator = SplitConformal if labels is None else MondrianConformal
-        self.calibrator_: Any = calibrator(self.bins_, self.alpha, self._score(values.shape[1]), self.joint)
-        unseen, learnt = self.joint == "max", rows_of(features, seen)
+        self.calibrator_: Any = self._calibrator(labels is not None)
+        unseen, learnt = self.joint in ("max", "density"), rows_of(features, seen)
         slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
@@ -234,11 +236,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self.estimators_.append(model)
             out_of_fold.append(proba)
         if unseen:
-            known = [proba for proba in out_of_fold if proba is not None]
-            if known:
-                self.calibrator_.fit_scale(known, values[seen[: len(known[0])]])
-            else:  # too few rows to leave any out
-                self.calibrator_.fit_scale(self._proba(learnt), values[seen])
+            known = [proba for proba in out_of_fold if proba is not None] or self._proba(learnt)  # too few to leave out
+            calibrator = self.calibrator_
+            adapt = calibrator.fit_copula if self.joint == "density" else calibrator.fit_scale
+            adapt(known, values[seen[: len(known[0])]])
         if held.size:
             self._calibrate(rows_of(features, held), values[held], None if labels is None else labels[held])
         return self
@@ -298,7 +299,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ) -> Regions | list[Regions]:
         """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate.
 
-        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
+        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one. With
+        ``joint="density"`` they are :class:`~conformodal.conformal.LevelSets`.
 
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
         had too few calibration samples, are unbounded.
@@ -351,14 +353,21 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformalError(f"{path}: must hold a {cls.__name__}, found {type(found).__name__}")
         return found
 
-    def _score(self, n_targets: int) -> str | Score:
-        given: str | Score = self.__dict__["score"]
-        if self.max_intervals is None:
-            return given
-        if given != "density":
-            raise ConformalError(f"score must be 'density', the default, with max_intervals, got {brief(given)}")
-        share = as_alpha(self.alpha) / (1 if self.joint == "none" else n_targets)
-        return MaxIntervals(self.max_intervals, str(share))
+    def _calibrator(self, grouped: bool) -> Any:
+        score: str | Score = self.__dict__["score"]
+        level_sets = self.joint == "density"
+        for name, given in (("joint='density'", level_sets), ("max_intervals", self.max_intervals is not None)):
+            if given and score != "density":
+                raise ConformalError(f"score must be 'density', the default, with {name}, got {brief(score)}")
+        if level_sets:
+            if grouped or self.max_intervals is not None:
+                raise ConformalError("joint='density' takes neither groups nor max_intervals")
+            return LevelSetConformal(self.bins_, self.alpha)
+        if self.max_intervals is not None:
+            share = as_alpha(self.alpha) / (1 if self.joint == "none" else self.bins_.n_targets)
+            score = MaxIntervals(self.max_intervals, str(share))
+        kind = MondrianConformal if grouped else SplitConformal
+        return kind(self.bins_, self.alpha, score, cast("Joint", self.joint))
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from sklearn.utils.metadata_routing import MetadataRequest
 
 from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets
+from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray
 
@@ -40,10 +41,12 @@ class RegionScorer:
     ) -> float:
         """Score a fitted regressor, or a pipeline that ends with one, on samples."""
         options = {} if groups is None else {"groups": groups}
-        regions: Regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
-        values = as_targets(y, regions.bins.n_targets)
+        regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
+        values = as_targets(y)
         if self.name == "coverage":
-            found = regions.contains(values).astype(np.float64)
+            found = regions.contains(values).astype(np.float64).reshape(len(values), -1)
+        elif not isinstance(regions, Regions):
+            raise ConformalError(f"scorer {self.name} needs intervals of each target, got {type(regions).__name__}")
         else:
             found = -regions.length if self.name == "neg_length" else -interval_score(regions, values, self.alpha)
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
