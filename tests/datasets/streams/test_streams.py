@@ -358,7 +358,7 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
     (path,) = write_bag(tmp_path / "a", "mcap").glob("*.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(SourceError, match="never closed: repair it with 'mcap recover"):
+    with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
         open_stream(cut)
 
 
