@@ -282,6 +282,23 @@ def test_of_a_model_in_both_formats_the_binary_is_read_as_by_colmap(tmp_path):
     assert "the model is there twice" in dict(sequence.notes)
 
 
+def test_colmap_does_not_turn_images(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    for path in (folder / "images").glob("*.png"):
+        Image.open(path).save(path, exif=exif)
+    with pytest.warns(DatasetWarning, match="COLMAP does not turn"):
+        read_sequence(folder)
+
+
+def test_files_that_are_not_read_are_named(tmp_path):
+    for name in ("a.heic", "b.heic", "camera-intrinsics.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"2 \.heic files; .* images as \.png"):
+        read_sequence(tmp_path)
+
+
 def test_a_camera_that_is_given_twice_is_refused(tmp_path):
     with pytest.raises(DatasetError, match="line 2: gives camera 3 a second time"):
         read_sequence(colmap(tmp_path, [f"3 {PINHOLE}", "3 PINHOLE 64 48 50 50 32 24"], [3] * N))
