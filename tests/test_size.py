@@ -10,7 +10,7 @@ BUDGET = {
     "cli": 2650,
     "conformal": 5790,
     "core": 410,
-    "datasets": 5400,
+    "datasets": 5410,
     "localization": 2600,
     "model": 1440,
     "motion": 990,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19130
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19690

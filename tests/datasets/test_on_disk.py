@@ -135,14 +135,10 @@ def test_quaternions_that_are_not_of_unit_length_are_told(tmp_path, change, said
         read_sequence(tum(tmp_path, change(path_at(stamps) + ([0, 3, 0] + [0] * 4)), stamps))
 
 
-@pytest.mark.parametrize(
-    ("clock", "said"), [(lambda t: t * 1e9, "looks like nanoseconds"), (lambda t: t + 1.6e9, "from 1970")]
-)
-def test_poses_by_another_clock_are_told(tmp_path, clock, said):
+def test_poses_by_another_clock_are_told(tmp_path):
     stamps = 1000 + 0.1 * np.arange(N)
-    factor = 1e7 if "nano" in said else 1
-    with pytest.raises(DatasetError, match=said):
-        read_sequence(tum(tmp_path, path_at(stamps), clock(stamps * factor)))
+    with pytest.raises(DatasetError, match="from 1970"):
+        read_sequence(tum(tmp_path, path_at(stamps), stamps + 1.6e9))
 
 
 @pytest.mark.parametrize("suffix", [".webp", ".pgm"])

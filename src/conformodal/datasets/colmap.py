@@ -18,7 +18,7 @@ from conformodal.poses.text import length_doubt, number, pose_faults, table_of, 
 
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
-from .decoding import common_size, natural_key
+from .decoding import common_size, looked_at, natural_key
 from .errors import DatasetError
 from .frame_table import QUATERNIONS, Damaged, FrameTable
 from .lenses import AnyCamera, fisheye_of
@@ -106,6 +106,9 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         of_cameras, cameras, {name: (registered[name], rows[name][2]) for name in names if name in rows}, notes
     )
     most = Counter(lenses.values()).most_common(1)[0][0]  # images that the model does not name are taken for its
+    if turned := looked_at(images)[1]:
+        where = f"{turned[0]}: EXIF turns it, and COLMAP's poses and cameras are of images as they are stored"
+        notes.append(Note("COLMAP does not turn images", where))
     times, recording = times_by_folder(folder, images)
     table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence([lenses.get(name, most) for name in names], require_poses=require_poses)

@@ -43,7 +43,7 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
         Share of the matches within 2 pixels of their epipolar line, by convention; empty where there are too few.
     """
     given = sequence.require_truth().poses_se3
-    back: FloatArray = np.linalg.inv(given)
+    back = np.asarray(np.linalg.inv(given), dtype=np.float64)
     poses = {
         AS_GIVEN: given,
         "world-to-camera, OpenCV axes": back,
@@ -52,8 +52,7 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
         poses[f"quaternions {order}"] = _rolled(given, by)
-        inverse: FloatArray = _rolled(back, by)
-        poses[f"quaternions {order} of world-to-camera"] = np.linalg.inv(inverse)
+        poses[f"quaternions {order} of world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
     near: dict[str, list[FloatArray]] = {name: [] for name in poses}
     for first, second, *corners in _pairs(sequence, _FLOW_PX):
         a, b = (on_plane(sequence.camera, pixels) for pixels in corners)

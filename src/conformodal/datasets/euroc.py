@@ -118,11 +118,9 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         RecursionError,
     ) as exc:
         raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    if (
-        models[0] != "pinhole"
-        or models[1] not in (*_RADIAL, _FISHEYE, _NO_LENS)
-        or (models[1] == _FISHEYE and len(lens) != 4)
-    ):
+    lensless = models[1] == _NO_LENS and not any(lens)
+    known = models[0] == "pinhole" and (models[1] in (*_RADIAL, _FISHEYE) or lensless)
+    if not known or (models[1] == _FISHEYE and len(lens) != 4):
         raise DatasetError(
             f"{path}: has camera model {models[0]}, {models[1]}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
             f"numbers: {UNDISTORT}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from enum import StrEnum
@@ -18,7 +19,7 @@ from .euroc import read_euroc_mav
 from .images import POSE_FILES, read_image_folder
 from .kitti import read_kitti_odometry
 from .nerf import FILE, read_nerf, transforms_file
-from .reading import image_files, readable, shown
+from .reading import SUFFIXES, image_files, readable, shown
 from .rgbd_scenes import looks_like_scenes, read_rgbd_scenes
 from .sequence import Sequence
 from .sevenscenes import looks_like_scene, read_sevenscenes
@@ -122,6 +123,11 @@ def _pictures_without_camera(folder: Path) -> str:
                 lacks = not (place / "camera-intrinsics.txt").is_file()
                 what = "put camera-intrinsics.txt beside them" if lacks else "name that folder"
                 return f": {shown(str(place))} holds {counted(len(pictures), 'picture')}; {what}"
+        kinds = Counter(path.suffix for path in folder.iterdir() if path.is_file() and path.suffix)
+        if kinds:
+            kind, n = kinds.most_common(1)[0]
+            what = f"name a recording itself, or write images as {', '.join(SUFFIXES)}"
+            return f": it holds {counted(n, shown(kind) + ' file')}; {what}"
     return ""
 
 
@@ -161,7 +167,8 @@ def read_sequence(
     if focal is None:
         return reader.read(place, require_poses=require_poses, **outside)
     if kind not in _WITHOUT_CAMERA:
-        raise DatasetError(f"{place}: {kind} has a camera, and a focal length is given; expected {_WITHOUT_CAMERA}")
+        both = " and ".join(_WITHOUT_CAMERA)
+        raise DatasetError(f"{place}: {kind} has a camera, and a focal length is for {both}")
     try:
         focal_px = _TO_BE_FITTED if focal == "auto" else float(focal)
     except ValueError:

@@ -155,7 +155,9 @@ def _camera(path: Path, content: dict[str, Any], size: Size, notes: list[Note]) 
     fisheye = _is_fisheye(path, content)
     try:
         stated = None
-        if "w" in content and "h" in content:
+        if ("w" in content) != ("h" in content):
+            raise ValueError("found only one of 'w' and 'h'")
+        if "w" in content:
             stated = round(_number(content["w"])), round(_number(content["h"]))
         width, height = stated or size
         sides = {"x": width, "y": height}

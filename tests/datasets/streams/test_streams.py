@@ -10,9 +10,9 @@ import pytest
 from conformodal.datasets import DatasetError, read_sequence
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, SourceError
-from conformodal.datasets.streams.opening import open_stream
+from conformodal.datasets.streams.opening import SeenBy, open_stream
 from conformodal.datasets.streams.prefetch import Pace, prefetch
-from conformodal.datasets.streams.ros_messages import RAW, camera_of_info, image_of
+from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, white_of
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import CameraStream, VideoStream
 from conformodal.poses import PinholeCamera
@@ -346,6 +346,134 @@ def test_images_smaller_than_their_camera_info_scale_it(tmp_path, monkeypatch):
     assert any("scaled" in what for what, _ in stream.notes)
 
 
+def ramp(width, height, scale):
+    y, x = np.mgrid[:height, :width] * scale
+    return np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)
+
+
+def write_ramps(path, changes):
+    """A bag of one ramp per change of the CameraInfo that comes before it."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = {"/cam/camera_info": "sensor_msgs/msg/CameraInfo", "/cam/image_raw": "sensor_msgs/msg/Image"}
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        to = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
+        for i, (change, scale) in enumerate(changes):
+            (head, _), *_ = messages(store, header_times=[100.0 + i])
+            made = camera_info(store, head)
+            for name, value in {
+                "d": np.zeros(5),
+                "width": round(64 / scale),
+                "height": round(48 / scale),
+                **change,
+            }.items():
+                object.__setattr__(made, name, value)
+            pixels = ramp(made.width, made.height, scale)[..., ::-1]
+            size = {"height": made.height, "width": made.width, "step": 3 * made.width}
+            image = store.types[kinds["/cam/image_raw"]](
+                header=head, encoding="bgr8", is_bigendian=0, data=pixels.ravel(), **size
+            )
+            for k, (name, message) in enumerate([("/cam/camera_info", made), ("/cam/image_raw", image)]):
+                writer.write(to[name], int((100 + i) * 1e9) + k, store.serialize_cdr(message, kinds[name]))
+    return path
+
+
+def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path):
+    twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
+    frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({"k": twice}, 0.5), ({"k": np.zeros(9)}, 1)])))
+    for frame in frames[:2]:
+        np.testing.assert_allclose(frame.image[2:-2, 2:-2].astype(int), ramp(64, 48, 1)[2:-2, 2:-2], atol=4)
+    assert frames[2].image is None
+    assert "not calibrated" in frames[2].problem
+
+
+@pytest.mark.parametrize(("model", "lens"), [("equidistant", (0.05, -0.01, 0.0, 0.0)), ("kannala_brandt4", ())])
+def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
+    stream = BagStream(write_ramps(tmp_path / "a", [({"distortion_model": model, "d": np.array(lens)}, 1)]))
+    assert (stream.camera.fx, stream.camera.distortion) == (40, ())
+    at = np.array([[20, 10], [45, 40], [32, 24]])
+    rays = (at - (32, 24)) / (40, 41)
+    k = np.array((*lens, 0, 0, 0, 0)[:4], dtype=float)
+    bent = cv2.fisheye.distortPoints(rays[:, None], stream.camera.matrix, k)[:, 0]
+    (frame,) = stream
+    np.testing.assert_allclose(frame.image[at[:, 1], at[:, 0], :2], bent * (4, 5), atol=3)
+    brought = list(SeenBy(stream, PinholeCamera(20, 20.5, 16, 12, 32, 24)))
+    np.testing.assert_allclose(brought[0].image[12, 16, :2], frame.image[24, 32, :2], atol=8)
+
+
+@pytest.mark.parametrize(
+    ("change", "topic", "match"),
+    [
+        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero"),
+        ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
+        ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
+        ({"width": 0}, "/cam/image_raw", "0x96 pixels"),
+    ],
+)
+def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
+    message = info()
+    vars(message).update(change)
+    with pytest.raises(SourceError, match=match):
+        camera_of_info(message, "info", topic)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times", "recordings"),
+    [
+        ([7] * 6, 100 + np.arange(6), [0] * 6),  # of reception, a second apart
+        ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
+        ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 0, 101, 101.5, 102], [0] * 6),
+        ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 50, 203, 203.5], [0, 0, 0, 0, 1, 1]),
+        ([0, 100, 100.5, 101, 101.5, 102], [0, 100, 100.5, 101, 101.5, 102], [0] * 6),
+    ],
+)
+def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
+    frames = list(
+        BagStream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)}))
+    )
+    np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=1e-6)
+    assert [frame.recording for frame in frames] == recordings
+
+
+def compressed(image, form, suffix=".png"):
+    return SimpleNamespace(format=form, data=cv2.imencode(suffix, image)[1].ravel())
+
+
+def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
+    wide = compressed(np.linspace(0, 1023, 48).astype(np.uint16).reshape(6, 8), "mono16; png compressed ")
+    assert white_of(wide) == 1023
+    np.testing.assert_allclose(image_of(wide, COMPRESSED, 4095).max(), 64, atol=1)
+    mosaic = in_encoding(RED, "bayer_rggb8").squeeze()
+    found = image_of(compressed(mosaic, "bayer_rggb8; png compressed "), COMPRESSED)
+    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+    done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
+    np.testing.assert_array_equal(done, RED)
+
+
+@pytest.mark.parametrize("form", ["h264", "16UC1; compressedDepth"])
+def test_compressed_images_that_cannot_be_decoded_are_refused_at_opening(tmp_path, monkeypatch, form):
+    made = messages
+
+    def other(store, **options):
+        found = made(store, **options, compressed=True)
+        for _, message in found:
+            object.__setattr__(message, "format", form)
+            object.__setattr__(message, "data", np.arange(99, dtype=np.uint8))
+        return found
+
+    monkeypatch.setitem(globals(), "messages", other)
+    with pytest.raises(SourceError, match=rf"{form}.*is read \(PNG, JPEG"):
+        BagStream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
+
+
+def test_packed_recordings_are_named(tmp_path):
+    (tmp_path / "a.db3.zstd").write_bytes(b"x")
+    with pytest.raises(SourceError, match="unpack it first"):
+        open_stream(tmp_path / "a.db3.zstd")
+
+
 @pytest.mark.parametrize("kind", ["ros1", "sqlite"])
 def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
     options = {"header_times": np.zeros(6)}
@@ -358,7 +486,7 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
     (path,) = write_bag(tmp_path / "a", "mcap").glob("*.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(SourceError, match="never closed: repair it with 'mcap recover"):
+    with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
         open_stream(cut)
 
 

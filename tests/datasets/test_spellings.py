@@ -1,0 +1,428 @@
+"""Sound data as different programs write it, and damage to every file of every layout: the right value or a word."""
+
+import json
+import os
+from collections import Counter
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from conformodal.conformal import ConformodalError
+from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_image, read_sequence
+from conformodal.datasets.convention import FITTED
+from conformodal.datasets.images import read_image_folder
+from conformodal.poses import PinholeCamera, read_tum
+from conformodal.poses.metrics import in_seconds
+
+from .test_layouts import PLACES, QUATS, WRITERS, N, as_binary, matrices, picture
+from .test_on_disk import PINHOLE, colmap, nerf, path_at
+
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
+STAMPS = 100 + 0.1 * np.arange(N)
+
+
+def right(sequence):
+    """Every frame has its pose."""
+    assert len(sequence) == N
+    np.testing.assert_allclose(sequence.truth.poses_se3, matrices(), atol=1e-6)
+
+
+def edit(path, *changes):
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+
+
+# ---- times and poses as text
+
+
+@pytest.mark.parametrize("since", [0.0, 1.6e9, 500.0])
+@pytest.mark.parametrize(("factor", "unit"), [(1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")])
+@pytest.mark.parametrize("where", ["images", "poses", "both"])
+def test_times_in_another_unit_are_converted_or_told(tmp_path, since, factor, unit, where):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    times = dict.fromkeys(("images", "poses"), STAMPS + since)
+    scaled = {name: t * factor if where in (name, "both") else t for name, t in times.items()}
+    lines = [f"{t:.6f} rgb/{i}.png" for i, t in enumerate(scaled["images"])]
+    (folder / "rgb.txt").write_text("\n".join(lines))
+    np.savetxt(folder / "groundtruth.txt", np.column_stack((scaled["poses"], path_at(STAMPS))), fmt="%.9f")
+    known = since > 1e9 or (unit == "nanoseconds" and since > 0)  # 500 s of nanoseconds are too large for seconds
+    try:
+        sequence = read_sequence(folder)
+    except DatasetError as exc:
+        assert not known, exc  # noqa: PT017
+        assert unit in str(exc)  # noqa: PT017
+        return
+    right(sequence)
+    told = dict(sequence.notes)
+    if in_seconds(scaled["images"])[1] or in_seconds(scaled["poses"])[1]:
+        np.testing.assert_allclose(sequence.timestamps_s, times["images"], atol=1e-6)
+        assert unit in told["times are converted to seconds"]
+    else:
+        assert "another unit" in told["frame rate is unlikely"]
+
+
+def test_times_of_a_trajectory_file_are_converted(tmp_path):
+    np.savetxt(tmp_path / "t.txt", np.column_stack(((STAMPS + 1.6e9) * 1e9, path_at(STAMPS))), fmt="%.9f")
+    with pytest.warns(UserWarning, match="look like nanoseconds"):
+        np.testing.assert_allclose(read_tum(tmp_path / "t.txt").timestamps_s, STAMPS + 1.6e9, atol=1e-6)
+
+
+ORDERED = np.column_stack((STAMPS, PLACES, QUATS))  # w first
+
+
+@pytest.mark.parametrize(
+    ("head", "separator", "rows"),
+    [
+        ("# timestamp tx ty tz qx qy qz qw", ",", ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]]),
+        ("% t,x,y,z", " ; ", ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]]),
+        ('"timestamp","tx"', "\t", ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]]),
+        ("# time x y z qw qx qy qz", " ", ORDERED),
+        ("timestamp,p_x,p_y,p_z,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []", ", ", ORDERED),
+    ],
+)
+def test_poses_in_other_spellings_and_orders(tmp_path, head, separator, rows):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    lines = [separator.join(f"{v:.9f}" for v in row) for row in rows.tolist()]
+    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *lines]))
+    edit(folder / "rgb.txt", ("0 rgb/", "0,rgb\\"))
+    (folder / "camera-intrinsics.txt").write_text("# mine\n[[40, 0, 32],\n [0, 40, 24], [0, 0, 1]]\n")
+    (folder / "camera-distortion.txt").write_text("-0.1, 0.02, 0, 0, 0.001, 0, 0, 0")
+    sequence = read_sequence(folder)
+    right(sequence)
+    assert sequence.camera == PinholeCamera(40, 40, 32, 24, 64, 48, (-0.1, 0.02, 0, 0, 0.001))
+    assert ("wxyz" in dict(sequence.notes).get("quaternions are doubtful", "")) == (rows is ORDERED)
+
+
+def test_a_quaternion_of_zeros_costs_its_row_and_is_not_normalised(tmp_path):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    rows = np.column_stack((STAMPS, path_at(STAMPS)))
+    rows[2, 4:] = 0
+    np.savetxt(folder / "groundtruth.txt", rows)
+    sequence = read_sequence(folder)
+    assert len(sequence) == N - 1
+    assert not any("normalised" in where for _, where in sequence.notes)
+
+
+# ---- images
+
+
+@pytest.mark.parametrize("suffix", ["png", "tiff", "ppm"])
+@pytest.mark.parametrize("white", [1023, 4095, 65535])
+def test_colours_of_16_bits_are_scaled_by_the_bits_in_use(tmp_path, suffix, white):
+    rgb = np.empty((6, 8, 3), np.uint16)
+    rgb[...] = np.array([1.0, 0.5, 0.25]) * white
+    cv2.imwrite(str(tmp_path / f"a.{suffix}"), rgb[..., ::-1])
+    np.testing.assert_allclose(read_image(tmp_path / f"a.{suffix}")[0, 0], [255, 127.5, 63.75], atol=0.6)
+
+
+def test_transparent_and_turned_colours_of_16_bits(tmp_path):
+    rgba = np.full((6, 8, 4), 65535, np.uint16)
+    rgba[:, :4, 3] = 0
+    cv2.imwrite(str(tmp_path / "a.png"), rgba)
+    assert read_image(tmp_path / "a.png")[0, [0, 7]].tolist() == [[0] * 3, [255] * 3]
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    content = (tmp_path / "a.png").read_bytes()
+    with Image.open(tmp_path / "a.png") as image:
+        image.load()
+    stream = tmp_path / "b.png"
+    Image.new("RGB", (8, 6)).save(stream, exif=exif)
+    chunk = stream.read_bytes()
+    at = chunk.index(b"eXIf") - 4
+    size = int.from_bytes(chunk[at : at + 4]) + 12
+    stream.write_bytes(content[:33] + chunk[at : at + size] + content[33:])
+    assert read_image(stream)[[0, 7], 0].tolist() == [[0] * 3, [255] * 3]
+
+
+# ---- EuRoC and Kalibr
+
+CHAIN = (
+    "cam0:\n{mounting}  camera_model: pinhole\n  distortion_model: {model}\n  distortion_coeffs: [{lens}]\n"
+    "  intrinsics: [40, 40, 32, 24]\n  resolution: [64, 48]\n{shift}"
+)
+
+
+@pytest.mark.parametrize(("name", "shift"), [("camchain-imucam.yaml", 0.0), ("rig-camchain.yml", 0.05)])
+def test_calibrations_of_kalibr_with_their_clock(tmp_path, name, shift):
+    folder = WRITERS[Layout.EUROC](tmp_path)
+    (tmp_path / "mav0" / "cam0" / "sensor.yaml").unlink()
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = Rotation.from_euler("z", 90, degrees=True).as_matrix(), [0.1, 0.02, 0]
+    mounting = f"  T_cam_imu: {np.linalg.inv(back).tolist()}\n"
+    text = CHAIN.format(mounting=mounting, model="none", lens="", shift=f"  timeshift_cam_imu: {shift}\n")
+    (tmp_path / name).write_text(text)
+    sequence = read_sequence(folder)
+    late = round(shift / 0.05)  # poses are 0.05 s apart
+    assert len(sequence) == N - late
+    np.testing.assert_allclose(sequence.truth.poses_se3, matrices()[late:], atol=1e-6)
+    assert any("timeshift" in where for _, where in sequence.notes) == bool(shift)
+
+
+@pytest.mark.parametrize("where", ["sensor.yaml", "camchain.yaml"])
+def test_a_calibration_without_a_mounting_says_so(tmp_path, where):
+    folder = WRITERS[Layout.EUROC](tmp_path)
+    path = tmp_path / "mav0" / "cam0" / "sensor.yaml"
+    path.unlink()
+    text = "intrinsics: [40, 40, 32, 24]\ndistortion_coefficients: [0, 0, 0, 0]\n"
+    lens = "0, 0, 0, 0"
+    text = text if where == "sensor.yaml" else CHAIN.format(mounting="", model="radtan", lens=lens, shift="")
+    path.with_name(where).write_text(text)
+    with pytest.warns(DatasetWarning, match="no mounting"):
+        read_sequence(folder)
+
+
+# ---- NeRF
+
+OWN = dict.fromkeys(("camera_angle_x", "cx", "cy"))
+WIDE = 2 * np.arctan(32 / 40)
+
+
+@pytest.mark.parametrize(
+    ("top", "frame", "focal"),
+    [
+        ({"camera_angle_x": float(np.degrees(WIDE))}, {}, (40, 40)),
+        ({"camera_angle_x": None, "camera_angle_y": 2 * np.arctan(24 / 44)}, {}, (44, 44)),
+        ({"camera_angle_x": None, "fl_y": 44}, {}, (44, 44)),
+        ({"camera_angle_x": None, "fl_x": "40.0", "w": "64", "h": 48.0}, {}, (40, 40)),
+        (OWN, {"fl_x": 40, "fl_y": 41}, (40, 41)),
+    ],
+)
+def test_cameras_of_nerf_in_other_spellings(tmp_path, top, frame, focal):
+    sequence = read_sequence(nerf(tmp_path, top=top, frames=[frame] * N))
+    assert (sequence.camera.fx, sequence.camera.fy) == pytest.approx(focal)
+    right(sequence)
+
+
+@pytest.mark.parametrize(
+    ("top", "match"),
+    [
+        ({"camera_angle_x": 0}, "radians between"),
+        ({"distortion_params": [0.1, 0, 0, 0]}, "distortion_params"),
+        ({"applied_scale": 0}, "applied_scale is 0"),
+        ({"camera_angle_x": None}, "says no camera"),
+    ],
+)
+def test_what_nerf_cannot_mean_is_refused(tmp_path, top, match):
+    with pytest.raises(DatasetError, match=match):
+        read_sequence(nerf(tmp_path, top=top))
+
+
+@pytest.mark.parametrize("how", ["suffix left out", "backslashes", "three rows"])
+def test_frames_of_nerf_in_other_spellings(tmp_path, how):
+    frames = [{}] * N
+    opengl = (matrices() * [1, -1, -1, 1])[:, :3]
+    if how == "three rows":
+        frames = [{"transform_matrix": pose.tolist()} for pose in opengl]
+    nerf(
+        tmp_path, frames=frames if how != "backslashes" else [{"file_path": f".\\images\\000{i}.png"} for i in range(N)]
+    )
+    if how == "suffix left out":
+        for path in (tmp_path / "images").glob("*.png"):
+            Image.open(path).save(path.with_suffix(".WEBP"), "WEBP")
+            path.unlink()
+    right(read_sequence(tmp_path))
+
+
+def test_one_image_by_a_hard_link_is_refused(tmp_path):
+    nerf(tmp_path)
+    (tmp_path / "images" / "0001.png").unlink()
+    os.link(tmp_path / "images" / "0000.png", tmp_path / "images" / "0001.png")
+    with pytest.raises(DatasetError, match="twice"):
+        read_sequence(tmp_path)
+
+
+# ---- COLMAP
+
+
+@pytest.mark.parametrize("how", ["images_2", "rgb", "prefix", "backslash"])
+def test_images_of_colmap_are_found_where_they_are(tmp_path, how):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    images, model = folder / "images", folder / "sparse" / "0"
+    if how in ("images_2", "rgb"):
+        images.rename(folder / how)
+    elif how == "prefix":
+        edit(model / "images.txt", (" 3 0", " 3 images/0"))
+    else:
+        images.rename(folder / "left")
+        images.mkdir()
+        (folder / "left").rename(images / "left")
+        edit(model / "images.txt", (" 3 0", " 3 left\\0"))
+    right(read_sequence(folder))
+
+
+def test_folders_of_images_are_recordings(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    names = [f"{'left' if i < 3 else 'right'}/000{i}.png" for i in range(N)]
+    for i, name in enumerate(names):
+        (folder / "images" / name).parent.mkdir(exist_ok=True)
+        (folder / "images" / f"000{i}.png").rename(folder / "images" / name)
+    edit(folder / "sparse" / "0" / "images.txt", *((f" 3 000{i}.png", f" 3 {name}") for i, name in enumerate(names)))
+    sequence = read_sequence(folder)
+    right(sequence)
+    assert sequence.recording.tolist() == [0, 0, 0, 1, 1]
+    assert sequence.timestamps_s[3] - sequence.timestamps_s[2] > 5
+
+
+def test_of_a_model_in_both_formats_the_binary_is_read_as_by_colmap(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    place = folder / "sparse" / "0"
+    texts = {path: path.read_text() for path in place.glob("*.txt")}
+    as_binary(folder)
+    for path, text in texts.items():
+        path.write_text(text.replace("40 40", "55 55"))
+    sequence = read_sequence(folder)
+    right(sequence)
+    assert sequence.camera.fx == 40
+    assert "the model is there twice" in dict(sequence.notes)
+
+
+def test_colmap_does_not_turn_images(tmp_path):
+    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    for path in (folder / "images").glob("*.png"):
+        Image.open(path).save(path, exif=exif)
+    with pytest.warns(DatasetWarning, match="COLMAP does not turn"):
+        read_sequence(folder)
+
+
+def test_files_that_are_not_read_are_named(tmp_path):
+    for name in ("a.heic", "b.heic", "camera-intrinsics.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"2 \.heic files; .* images as \.png"):
+        read_sequence(tmp_path)
+
+
+def test_a_camera_that_is_given_twice_is_refused(tmp_path):
+    with pytest.raises(DatasetError, match="line 2: gives camera 3 a second time"):
+        read_sequence(colmap(tmp_path, [f"3 {PINHOLE}", "3 PINHOLE 64 48 50 50 32 24"], [3] * N))
+
+
+# ---- focal length
+
+
+def without_camera(root, exif=None):
+    for i in range(N):
+        picture(root / f"{i}.jpg", i)
+        Image.new("RGB", (64, 48)).save(root / f"{i}.jpg", exif=Image.Exif() if exif is None else exif)
+    np.savetxt(root / "poses.tum", np.column_stack((np.arange(N) / 30, path_at(STAMPS))))
+    return root
+
+
+@pytest.mark.parametrize(
+    ("tags", "focal"),
+    [({0xA405: 26}, 26 / np.hypot(36, 24) * 80), ({0x920A: 4.0, 0xA20E: 10.0, 0xA210: 4, 0xA002: 128}, 20.0)],
+)
+def test_without_intrinsics_the_focal_length_is_that_of_exif(tmp_path, tags, focal):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update(tags)
+    sequence = read_sequence(without_camera(tmp_path, exif))
+    assert sequence.camera.fx == pytest.approx(focal, rel=1e-6)
+    assert (sequence.camera.cx, sequence.camera.cy) == (32, 24)
+    assert "give or take" in dict(sequence.notes)["the camera is not calibrated"]
+
+
+def test_a_focal_length_is_taken_from_the_user_or_refused(tmp_path):
+    folder = without_camera(tmp_path)
+    with pytest.raises(DatasetError, match="--focal auto"):
+        read_sequence(folder)
+    assert read_sequence(folder, focal="50").camera.fx == 50
+    for focal, match in (("-1", "positive"), ("x", "positive"), ("auto", "tell no focal length")):
+        with pytest.raises(DatasetError, match=match):
+            read_sequence(folder, focal=focal)
+    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
+    with pytest.raises(DatasetError, match="is given too"):
+        read_image_folder(folder, focal_px=50.0)
+    with pytest.raises(DatasetError, match="nerf has a camera"):
+        read_sequence(nerf(tmp_path / "nerf"), focal=50)
+
+
+def test_a_focal_length_is_fitted_to_poses_and_images(tmp_path, redkitchen):
+    """The published truth by COLMAP has 525.5 pixels for these images."""
+    given = read_sequence(redkitchen)
+    for path in given.image_paths:
+        (tmp_path / path.name).symlink_to(path)
+    np.savetxt(tmp_path / "poses.txt", given.truth.poses_se3[:, :3].reshape(-1, 12))
+    sequence = read_sequence(tmp_path, "images", focal="auto")
+    assert sequence.camera.fx == pytest.approx(525.5, rel=0.1)
+    assert "give or take" in dict(sequence.notes)[FITTED]
+
+
+# ---- damage
+
+KEEPS = {
+    "mark": lambda text: "\ufeff" + text,
+    "line ends": lambda text: text.replace("\n", "\r\n"),
+    "blank lines at the end": lambda text: text.rstrip("\n") + "\n\n\n",
+    "spaces at line ends": lambda text: text.replace("\n", "  \n"),
+}
+
+
+def on_lines(change):
+    def changed(text):
+        lines = text.splitlines()
+        return "\n".join(change(lines, max(0, len(lines) // 2))) + "\n"
+
+    return changed
+
+
+HURTS = {
+    "empty": lambda text: "",
+    "cut": lambda text: text[: len(text) // 2],
+    "no number": on_lines(lambda lines, k: [*lines[:k], lines[k].replace("0", "nan", 1), *lines[k + 1 :]]),
+    "a word": on_lines(lambda lines, k: [*lines[:k], "oops", *lines[k + 1 :]]),
+    "short line": on_lines(lambda lines, k: [*lines[:k], lines[k][: len(lines[k]) // 2], *lines[k + 1 :]]),
+    "huge": on_lines(lambda lines, k: [*lines[:k], lines[k].replace("0", "9e99", 1), *lines[k + 1 :]]),
+}
+STAMPED = {  # of files whose lines do not stand for frames by their number
+    "line gone": on_lines(lambda lines, k: [*lines[:k], *lines[k + 1 :]]),
+    "line twice": on_lines(lambda lines, k: [*lines[:k], lines[k], *lines[k:]]),
+    "backwards": on_lines(lambda lines, k: lines[::-1]),
+}
+FILES = {
+    Layout.SEVENSCENES: ("frame-000002.pose.txt", "camera-intrinsics.txt"),
+    Layout.RGBD_SCENES: ("02.pose",),
+    Layout.KITTI: ("calib.txt", "times.txt", "07.txt"),
+    Layout.TUM: ("rgb.txt", "groundtruth.txt"),
+    Layout.EUROC: ("sensor.yaml", "cam0/data.csv", "estimate0/data.csv"),
+    Layout.COLMAP: ("cameras.txt", "images.txt"),
+    Layout.NERF: ("transforms.json",),
+    Layout.IMAGES: ("poses.tum",),
+}
+BY_TIME = ("rgb.txt", "groundtruth.txt", "data.csv", "poses.tum")
+
+
+@pytest.mark.parametrize("layout", FILES)
+def test_damage_to_any_file_is_told_and_no_frame_gets_another_pose(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    whole = read_sequence(folder, layout)
+    poses = dict(zip((path.name for path in whole.image_paths), whole.truth.poses_se3, strict=True))
+    seen = Counter()
+    for name in FILES[layout]:
+        path = max(p for p in tmp_path.rglob("*") if str(p).endswith(name))
+        text = path.read_text()
+        for what, damage in {**KEEPS, **HURTS, **(STAMPED if name.endswith(BY_TIME) else {})}.items():
+            path.write_bytes(damage(text).encode())
+            try:
+                sequence = read_sequence(folder, layout, require_poses=True)
+            except ConformodalError as exc:
+                assert what not in KEEPS, (name, what, exc)  # noqa: PT017
+                assert "\n" not in str(exc)  # noqa: PT017
+                seen["refused"] += 1
+                continue
+            finally:
+                path.write_text(text)
+            assert sequence.notes or sequence.camera == whole.camera, (name, what)
+            assert sequence.notes or len(sequence) == N or what in STAMPED, (name, what)
+            for image, pose in zip(sequence.image_paths, sequence.truth.poses_se3, strict=True):
+                # the neighbours of a row without a time are interpolated between, which is told
+                atol = 1e-3 if "poses are interpolated" in dict(sequence.notes) else 1e-6
+                np.testing.assert_allclose(pose, poses[image.name], atol=atol, err_msg=f"{name}, {what}")
+            seen["read"] += 1
+    assert min(seen["refused"], seen["read"]) > 0, json.dumps(seen)
