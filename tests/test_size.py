@@ -7,16 +7,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2670,
+    "cli": 2750,
     "conformal": 5030,
     "core": 430,
-    "datasets": 4920,
+    "datasets": 5110,
     "localization": 2570,
     "model": 1360,
     "motion": 990,
     "networks": 760,
     "poses": 990,
-    "quality": 930,
+    "quality": 1070,
     "reasoning": 1550,
     "report": 820,
     "ros": 750,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18550
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18760

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -16,6 +17,7 @@ import typer
 from conformodal.datasets import Layout, Sequence
 from conformodal.datasets.lenses import as_camera
 from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
+from conformodal.datasets.streams.joined import join_streams
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.model.errors import OdometryError
@@ -50,8 +52,13 @@ MATCH_EVERY_LIVE = 6
 @report_errors
 def run(
     model: SavedModel,
-    source: Annotated[
-        str, typer.Argument(help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0.")
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0. Several run one "
+            "after the other.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
@@ -86,26 +93,28 @@ def run(
     ] = None,
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
-    """Compute regions and the trajectory of a source with a saved model, frame by frame.
+    """Compute regions and the trajectory of sources with a saved model, frame by frame.
 
     Ctrl-C stops it and keeps the results.
     """
-    with lock_output(out, "run", apart=[model, Path(source)]):
+    with lock_output(out, "run", apart=[model, *map(Path, sources)]):
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
         _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
-        as_trained = part is not Part.ALL
-        stream = open_source(
-            source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
-        )
+        open_one = partial(open_source, topic=topic, as_trained=part is not Part.ALL, follow_outside=follow_outside)
+        opened = [open_one(source, layout, camera=loaded.camera) for source in sources]
+        for its in opened[1:]:
+            if its.camera is not None and not isinstance(its, SequenceStream):
+                loaded.check_camera(its.camera)
+        stream = join_streams(opened)
         if isinstance(stream, SequenceStream):
             sequence = stream.sequence if part is not Part.ALL else _as_trained(loaded, stream.sequence)
             stream = SequenceStream(sequence, part_frames(loaded, sequence, part))
         elif part is not Part.ALL:
-            raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
+            raise OdometryError(f"{stream.name}: only a data set has a {part} part; run on all of it")
         if stream.camera is not None:
             loaded.check_camera(stream.camera)
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))

@@ -32,7 +32,7 @@ Damaged = dict[int, str]
 NO_POSE = "no pose"
 INTERPOLATED = "poses are interpolated"
 _LEFT_OUT = "left out, "
-_BETWEEN_RECORDINGS_S = 10.0
+BETWEEN_RECORDINGS_S = 10.0
 
 
 @dataclass(eq=False)
@@ -311,7 +311,7 @@ def joined(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> tuple[li
     """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
     times: list[float] = []
     for frames in recordings:
-        start = times[-1] + _BETWEEN_RECORDINGS_S if times else 0.0
+        start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
         times += [start + i / rate_hz for i, _ in frames]
     recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
     return [path for frames in recordings for _, path in frames], np.array(times), recording
