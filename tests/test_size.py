@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5030,
     "core": 430,
     "datasets": 5110,
-    "localization": 2570,
+    "localization": 2840,
     "model": 1360,
     "motion": 990,
     "networks": 760,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18760
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 18770
