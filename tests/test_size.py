@@ -7,16 +7,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2650,
+    "cli": 2730,
     "conformal": 5790,
     "core": 410,
-    "datasets": 5410,
-    "localization": 2600,
+    "datasets": 5590,
+    "localization": 2870,
     "model": 1440,
     "motion": 990,
     "networks": 730,
     "poses": 1010,
-    "quality": 810,
+    "quality": 940,
     "reasoning": 1580,
     "report": 870,
     "ros": 710,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19690
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19860

@@ -230,3 +230,26 @@ def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_worl
     assert "What to record or train on next" in page
     assert "well covered" in page
     assert "well covered" in (out / "figures" / "plan.svg").read_text()
+
+
+@pytest.mark.slow
+def test_recordings_are_given_as_several_arguments(two_recordings, tmp_path):
+    """Two recordings train, a third tests; a run answers two, each as a recording of its own."""
+    parts = []
+    for name, folder in (("one", "seq-01"), ("two", "seq-02")):
+        shutil.copytree(two_recordings.image_paths[0].parents[1] / folder, tmp_path / name / "seq-01")
+        for file in ("camera-intrinsics.txt", "frame-rate.txt"):
+            shutil.copy(two_recordings.image_paths[0].parents[1] / file, tmp_path / name / file)
+        parts.append(tmp_path / name)
+    model, options = tmp_path / "model", ["--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
+    run_ok("train", parts[0], "--out", model, "--test", parts[1], *options)
+    found, n = load_model(model), len(read_sequence(parts[0]))
+    np.testing.assert_array_equal(found.split.test, np.arange(n, 2 * n))
+    assert found.split.kind == "given"
+    run_ok("run", model, *parts, "--out", tmp_path / "out")
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["n_answered"] == 2 * n
+    assert "errors" in metrics
+    refused = invoke("train", *parts, "--out", tmp_path / "other", "--test", parts[1])
+    assert refused.exit_code
+    assert "is in two of the data sets" in " ".join(refused.output.split())

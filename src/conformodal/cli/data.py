@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -15,6 +17,8 @@ from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
 from conformodal.datasets.cameras import camera_beside
+from conformodal.datasets.joining import join_sequences
+from conformodal.datasets.lenses import as_camera
 from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
@@ -25,9 +29,11 @@ from conformodal.poses import PinholeCamera
 from conformodal.poses.metrics import MAX_GAP_S
 from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
+from conformodal.quality.overlap import Overlap, measure_overlap
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics
+from conformodal.training.depths import measure_depths
 from conformodal.vision.features import FeatureCache
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
@@ -47,7 +53,9 @@ def data() -> None:
 @app.command()
 @report_errors
 def check(
-    folder: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a data set.")],
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DATA...", help="Data sets; of several, also how they overlap.")
+    ],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of the data set.")] = Layout.AUTO,
     out: Annotated[Path | None, typer.Option(help="Folder for metrics.json, and a page if there are poses.")] = None,
     model: Annotated[
@@ -60,12 +68,12 @@ def check(
     follow_outside: FollowOutside = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
-    with nullcontext() if out is None else lock_output(out, "data", apart=[folder]):
-        _check(folder, layout, out, model, cache, follow_outside, focal)
+    with nullcontext() if out is None else lock_output(out, "data", apart=folders):
+        _check(folders, layout, out, model, cache, follow_outside, focal)
 
 
 def _check(
-    folder: Path,
+    folders: list[Path],
     layout: Layout,
     out: Path | None,
     model: Path | None,
@@ -75,9 +83,9 @@ def _check(
 ) -> None:
     if out is not None:
         import conformodal.report.quality  # noqa: F401, PLC0415 - refuse to begin where what draws is not installed
-    sequence = open_sequence(
-        folder, layout, require_poses=False, follow_outside=follow_outside, focal=focal, notes=False
-    )
+    open_one = partial(open_sequence, layout=layout, require_poses=False, follow_outside=follow_outside, focal=focal)
+    parts = [open_one(its, notes=False) for its in folders]
+    sequence = join_sequences(parts)
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)
@@ -103,14 +111,16 @@ def _check(
     wrong = any(finding.wrong for finding in found.findings)
     if not wrong:
         console.print("nothing is wrong with it")
+    overlaps = _report_overlaps(parts)
     if quality is not None:
         _report_quality(quality)
     if out is not None:
-        configuration: dict[str, Any] = {"data": folder.name, "format": str(layout)}
+        configuration: dict[str, Any] = {"data": " + ".join(its.name for its in folders), "format": str(layout)}
         if model is not None:
             configuration |= {"model": model_digest(model)}
-        record = {"command": "data check", "provenance": provenance(), "configuration": configuration}
-        _write_findings(out, quality, sequence, found, {**record, "check": asdict(found)})
+        record: dict[str, Any] = {"command": "data check", "provenance": provenance(), "configuration": configuration}
+        record |= {"check": asdict(found)} | ({"overlaps": [asdict(its) for its in overlaps]} if overlaps else {})
+        _write_findings(out, quality, sequence, found, record)
         print_where(out)
     if wrong:
         raise typer.Exit(_FOUND)
@@ -184,6 +194,20 @@ def _quality(
         return examine(sequence, model, cache=FeatureCache(cache), progress=report)
     found = examine(sequence)
     return None if found.poses is None else found
+
+
+def _report_overlaps(parts: list[Sequence]) -> list[Overlap]:
+    """How each data set after the first overlaps with the first."""
+    known, found = parts[0], []
+    for its in parts[1:]:
+        if known.poses is None or its.poses is None:
+            report_line(f"{its.name}: whether it overlaps with {known.name} is known only where both have poses")
+            continue
+        depth_m = float("nan") if known.truth is None else measure_depths(known, np.arange(len(known)))[0]
+        new = its if its.camera == known.camera else as_camera(its, known.camera)
+        found.append(measure_overlap(known, new, depth_m))
+        (report_strongly if found[-1].moved else report_line)(found[-1].describe(known.name, its.name))
+    return found
 
 
 def _report_quality(found: RecordingQuality) -> None:

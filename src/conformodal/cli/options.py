@@ -38,8 +38,18 @@ def was_given(context: typer.Context, name: str) -> bool:
     return source is not None and not source.name.startswith("DEFAULT")
 
 
+def share_of(test: str) -> float | None:
+    """The number that ``--test`` is; None where it names a data set."""
+    try:
+        return float(test)
+    except ValueError:
+        return None
+
+
 def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
     """Refuse a command's options that are out of range or contradict each other; an OptionError names the option."""
+    if isinstance(given.get("test"), str):
+        given = {**given, "test": share_of(given["test"])}
     for name, value in given.items():
         allowed = range_of(name)
         if allowed is not None and value is not None and not allowed.holds(value):
@@ -49,7 +59,7 @@ def check_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
             as_alpha(given["alpha"])
         except ConformodalError as exc:  # knows what may have been meant
             raise OptionError(f"--alpha: {exc}") from exc
-    if "calibration_share" in given and "test" in given:
+    if "calibration_share" in given and given.get("test") is not None:
         names = "--test", "--calibration-share", "--used"
         check_shares(given["test"], given["calibration_share"], given.get("used"), OptionError, names)
     engine = str(given.get("engine", "ray"))
@@ -75,8 +85,9 @@ def _check_place(name: str, place: Path) -> None:
 
 
 def _check_recording(save: Path | None, given: Mapping[str, Any]) -> None:
-    """Refuse a recording that would replace its own source, and images without a file to keep them in."""
-    if save is not None and "source" in given and save.absolute() == Path(given["source"]).absolute():
+    """Refuse a recording over its own source, and images that no file is for."""
+    sources = [Path(source).absolute() for source in given.get("sources", ())]
+    if save is not None and save.absolute() in sources:
         raise OptionError(f"--save would write over the source, {save}; name another file")
     if given.get("save_images") and (save is None or save.suffix.lower() != ROS_SUFFIX):
         raise OptionError(f"--save-images needs --save FILE{ROS_SUFFIX}, got {save or 'no --save'}")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -16,6 +17,7 @@ import typer
 from conformodal.datasets import Layout, Sequence
 from conformodal.datasets.lenses import as_camera, describe_change
 from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
+from conformodal.datasets.streams.joined import join_streams
 from conformodal.datasets.streams.opening import SeenBy
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
@@ -50,8 +52,13 @@ MATCH_EVERY_LIVE = 6
 @report_errors
 def run(
     model: SavedModel,
-    source: Annotated[
-        str, typer.Argument(help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0.")
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0. Several run one "
+            "after the other.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
@@ -85,27 +92,24 @@ def run(
     ] = None,
     save_images: Annotated[bool, typer.Option("--save-images", help="Keep the images in the .mcap too.")] = False,
 ) -> None:
-    """Compute regions and the trajectory of a source with a saved model, frame by frame.
+    """Compute regions and the trajectory of sources with a saved model, frame by frame.
 
     Ctrl-C stops it and keeps the results.
     """
-    with lock_output(out, "run", apart=[model, Path(source)]):
+    with lock_output(out, "run", apart=[model, *map(Path, sources)]):
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
         _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
-        as_trained = part is not Part.ALL
-        stream = open_source(
-            source, layout, camera=loaded.camera, topic=topic, as_trained=as_trained, follow_outside=follow_outside
-        )
+        open_one = partial(open_source, topic=topic, as_trained=part is not Part.ALL, follow_outside=follow_outside)
+        opened = [open_one(source, layout, camera=loaded.camera) for source in sources]
+        stream = join_streams([_as_trained(loaded, its, bring=part is Part.ALL) for its in opened])
         if isinstance(stream, SequenceStream):
             stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
         elif part is not Part.ALL:
-            raise OdometryError(f"{source}: only a data set has a {part} part; run on all of it")
-        if stream.camera is not None:
-            stream = _as_trained(loaded, stream, bring=part is Part.ALL)
+            raise OdometryError(f"{stream.name}: only a data set has a {part} part; run on all of it")
         how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
@@ -122,7 +126,8 @@ def run(
 def _as_trained(model: PoseModel, stream: FrameStream, *, bring: bool) -> FrameStream:
     """Images of another camera as the model's camera would have seen them, or an error if they are not to be."""
     camera = stream.camera
-    assert camera is not None
+    if camera is None:
+        return stream
     try:
         model.check_camera(camera)
         return stream

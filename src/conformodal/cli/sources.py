@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
+from collections.abc import Sequence as Several
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +16,7 @@ import typer
 from conformodal.core.files import check_writable, default_cache_dir
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
+from conformodal.datasets.joining import join_sequences
 from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import FrameStream
@@ -26,6 +29,9 @@ from .options import OptionError
 
 _MOST_NOTES = 5
 
+AllData = Annotated[
+    list[Path], typer.Argument(metavar="DATA...", help="Data sets: images with poses, in one world frame.")
+]
 Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
 DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
@@ -82,6 +88,26 @@ def open_sequence(
     if notes:
         _report_warnings(sequence.notes)
     return sequence
+
+
+def open_sequences(
+    paths: Several[Path],
+    layout: Layout,
+    *,
+    require_poses: bool,
+    follow_outside: bool = False,
+    focal: str | None = None,
+    test: Path | None = None,
+) -> Sequence:
+    """Read data sets as one, see :func:`~conformodal.datasets.joining.join_sequences`; `test` is one that tests."""
+    every = [*paths, *([] if test is None else [test])]
+    open_one = partial(
+        open_sequence, layout=layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal
+    )
+    read = [open_one(path) for path in every]
+    whole = join_sequences(read, None if test is None else [path is test for path in every])
+    _report_warnings(whole.notes[sum(len(its.notes) for its in read) :])
+    return whole
 
 
 def read_poses(path: Path, offset_s: float = 0.0) -> Trajectory:

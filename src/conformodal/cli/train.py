@@ -41,8 +41,8 @@ from .model_notes import (
     describe_repeated,
     distances,
 )
-from .options import was_given
-from .sources import Cache, Data, DataLayout, Focal, FollowOutside, cache_folder, open_sequence
+from .options import OptionError, share_of, was_given
+from .sources import AllData, Cache, DataLayout, Focal, FollowOutside, cache_folder, open_sequences
 
 _MOST_ADVICE = 3
 # Settings whose options have other names.
@@ -52,7 +52,7 @@ _OPTIONS = {"sigma_bins": "sigma", "calibrate_on": "calibration"}
 @report_errors
 def train(
     context: typer.Context,
-    data: Data,
+    data: AllData,
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     layout: DataLayout = Layout.AUTO,
     method: Annotated[
@@ -88,8 +88,13 @@ def train(
     epochs: Annotated[int, typer.Option(help="Passes over the training part.")] = TrainingConfig.epochs,
     dropout: Annotated[float, typer.Option(help="Share of features dropped in training.")] = (TrainingConfig.dropout),
     test: Annotated[
-        float, typer.Option(help="Share of all frames (or recordings) held out for testing.")
-    ] = ModelConfig.test,
+        str,
+        typer.Option(
+            metavar="SHARE|DATA",
+            help="Share of all frames (or recordings) held out for testing; or another data set that is held out "
+            "whole, which implies --split given.",
+        ),
+    ] = str(ModelConfig.test),
     calibration: Annotated[
         Calibration,
         typer.Option(
@@ -128,6 +133,11 @@ def train(
     cache: Cache = None,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
+    held_out = Path(test) if share_of(test) is None else None
+    if held_out is not None:
+        if was_given(context, "split") and split is not SplitKind.GIVEN:
+            raise OptionError(f"--test {held_out} is a data set, which needs --split given, got --split {split}")
+        split = SplitKind.GIVEN
     settings: dict[str, Any] = {
         "split": split,
         "n_bins": bins,
@@ -135,7 +145,7 @@ def train(
         "alpha": alpha,
         "score": score,
         "joint": joint,
-        "test": test,
+        "test": ModelConfig.test if share_of(test) is None else share_of(test),
         "calibration": calibration_share,
         "calibrate_on": calibration,
         "novelty_level": novelty_level,
@@ -155,9 +165,11 @@ def train(
     else:
         config = ModelConfig(**settings)
     _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
-    with lock_output(out, "train", apart=[data]):
+    with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         cache_dir = cache_folder(cache)
-        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside, focal=focal)
+        sequence = open_sequences(
+            data, layout, require_poses=True, follow_outside=follow_outside, focal=focal, test=held_out
+        )
         with progress_bars() as report:
             train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)

@@ -77,6 +77,8 @@ class _RetrievalSettings:
 
     first: int = 6  # keyframes matched in the most similar cluster
     others: int = 3  # in each of the others
+    # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
+    spread: float = 0.05
     clusters: int = 8  # at most
     retrieved: int = 200  # keyframes that are clustered
     radius: float = 0.5  # of a cluster, as a share of the scene's depth
@@ -96,9 +98,8 @@ class _PnpSettings:
         default_factory=lambda: {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}
     )
     least_residual_px: float = 0.5  # no corner is located more precisely
-    corrected_by: int = 6  # keyframes whose own errors correct an estimate, weighted by one over their distance
+    corrected_by: int = 6  # keyframes whose deviations correct an estimate, weighted by one over their distance
     least_distance: float = 0.01  # added to that distance, scene depths plus radians
-    correctable: float = 0.05  # share of the scene's depth above which a keyframe's own error is an outlier
     same_place: float = 0.5  # share of the scene's depth within which an estimate is of the same place
 
 
@@ -139,7 +140,25 @@ class _CameraFitSettings:
     most_sigmas: float = 3.0  # further off, the poses do not belong to the images
 
 
+@dataclass(frozen=True)
+class _AdjustmentSettings:
+    """Bundle adjustment of the map."""
+
+    rounds: int = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
+    iterations: int = 8
+    dampings: int = 8  # tried in one iteration
+    enough: float = 3e-3  # share of the cost below which an iteration ends it
+    tracks: int = 80  # of each frame, the longest first
+    least_views: int = 3
+    least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
+    # standard deviations of the given poses at first, and how far they may fall
+    sigma_rad: float = float(np.radians(1.0))
+    sigma_depths: float = 0.01
+    least_sigma: float = 0.05
+    sigma_focal: float = 0.02  # of the logarithm of the focal length
+
+
 BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
 NEIGHBOURS = _NeighbourSettings()
 LOCAL_FEATURES, RETRIEVAL, PNP = _LocalFeatureSettings(), _RetrievalSettings(), _PnpSettings()
-MAPPING, CAMERA_FIT = _MappingSettings(), _CameraFitSettings()
+MAPPING, CAMERA_FIT, ADJUSTMENT = _MappingSettings(), _CameraFitSettings(), _AdjustmentSettings()

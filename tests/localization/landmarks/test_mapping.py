@@ -5,12 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.localization import local_features
+from conformodal.localization.landmarks import mapping
+from conformodal.localization.landmarks.adjustment import choose_tracks
 from conformodal.localization.landmarks.camera_fit import Matches, fit_camera
 from conformodal.localization.landmarks.mapping import build_map, view_overlap
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.landmarks.triangulation import Rays, triangulate
 from conformodal.localization.local_features import Matcher, match
-from conformodal.localization.settings import MAPPING, PNP
+from conformodal.localization.settings import ADJUSTMENT, MAPPING, PNP
 from conformodal.poses import Trajectory
 from tests.localization.landmarks.conftest import CAMERA, DEPTH, make_world
 
@@ -60,6 +62,33 @@ def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, fa
     assert errors(estimate, pose) == pytest.approx((0, 0), abs=0.02)
 
 
+def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
+    world_of, stated_camera, depth_m, monkeypatch
+):
+    world, rng = world_of(), np.random.default_rng(1)
+    given = world.poses_se3.copy()
+    given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
+    given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
+    images, off = world.local_features(), {}
+    for rounds in (0, ADJUSTMENT.rounds):
+        monkeypatch.setattr(mapping, "ADJUSTMENT", replace(ADJUSTMENT, rounds=rounds))
+        landmarks = build_map(images, given, stated_camera, depth_m)
+        found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
+        off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
+    assert (np.median(off[ADJUSTMENT.rounds], axis=0) < 0.8 * np.median(off[0], axis=0)).all()
+    true = (world.poses_se3 - given)[:, :3, 3]
+    assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
+
+
+def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
+    chosen = choose_tracks([(rays, *triangulate(rays, 0.005))], 4, 0.005)
+    np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
+    twice = rays._replace(seen=rays.seen % 8)  # corners of 50 points are said to be those of two
+    assert len(choose_tracks([(twice, *triangulate(rays, 0.005))], 4, 0.005).points) == 2
+
+
 def test_few_matches_leave_the_camera_as_it_was(stated_camera):
     nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)))
     bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
@@ -92,7 +121,7 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
 
 
 def test_corrections_take_off_what_neighbours_are_off_by(mapped):
-    _, plain, image = mapped
+    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
     (before,) = plain.localize(image)
     off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
     (after,) = replace(plain, corrections=np.tile(off, (60, 1))).localize(image)
@@ -115,7 +144,7 @@ def rays_to(points, centres, off=0.0):
     plane = apart[..., :2] / apart[..., 2:]
     plane[:, -1] += off
     corner, camera = np.repeat(np.arange(n), k), np.tile(np.arange(k), n)
-    return Rays(corner, camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
+    return Rays(corner, np.arange(n * k), camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
 
 
 def test_points_are_where_their_rays_meet():
@@ -134,7 +163,7 @@ def test_a_corner_that_no_other_camera_sees_is_no_point():
     rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
     seen = np.array([True, True, True, False, True, True])
     found, sound = triangulate(
-        rays._replace(corner=rays.corner[seen], camera=rays.camera[seen], plane=rays.plane[seen]), 0.005
+        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "seen", "camera", "plane")}), 0.005
     )
     assert sound.tolist() == [True, False, True]
     np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)
@@ -234,7 +263,7 @@ def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera
 
 
 def test_claims_grow_as_neighbours_are_off_in_other_ways(mapped):
-    _, plain, image = mapped
+    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
     (before,) = plain.localize(image)
     signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
     (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)

@@ -23,8 +23,9 @@ from conformodal.poses import PinholeCamera
 class LandmarkMap:
     """Keyframes, which are frames with known poses, and landmarks, which are their triangulated corners.
 
-    Rolling shutters, clocks and reference poses correlate the errors of neighbouring frames. The weighted mean of the
-    neighbours' `corrections` is therefore subtracted from an estimate; their scatter is part of its standard deviation.
+    Landmarks belong to adjusted poses of the keyframes. Rolling shutters, clocks and reference poses make neighbours
+    deviate alike from the given ones. The weighted mean of the neighbours' `corrections` is therefore subtracted from
+    an estimate, which brings it to the given frame; their scatter is part of its standard deviation.
     """
 
     camera: PinholeCamera  # without distortion; see camera_fit
@@ -35,9 +36,7 @@ class LandmarkMap:
     points_xyz: npt.NDArray[np.float32]  # (N, 3) metres, world
     descriptors: npt.NDArray[np.uint8]  # (N, 32)
     depth_m: float  # median depth of the scene
-    # (n, 6) error of each keyframe's own estimate without its landmarks: metres and a rotation vector, world; NaN
-    # without an estimate
-    corrections: FloatArray
+    corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
 
     @cached_property
     def _descriptors(self) -> npt.NDArray[np.float32]:
@@ -74,9 +73,23 @@ class LandmarkMap:
                 break
             apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
             here = apart < RETRIEVAL.radius * self.depth_m
-            found.append(order[here][: RETRIEVAL.others if found else RETRIEVAL.first])
+            found.append(self._spread(order[here], RETRIEVAL.others if found else RETRIEVAL.first))
             order = order[~here]
         return found
+
+    def _spread(self, order: IntArray, most: int) -> IntArray:
+        """The first keyframes in an order that differ from each other: nearly the same view says the same again."""
+        chosen: list[int] = []
+        for i in order.tolist():
+            if len(chosen) < most and (not chosen or self._apart(self.poses_se3[i], chosen).min() > RETRIEVAL.spread):
+                chosen.append(i)
+        return np.array(chosen)
+
+    def _apart(self, T_world_pose: FloatArray, frames: list[int] | slice = slice(None)) -> FloatArray:
+        """Distances of keyframes from a pose, in scene depths plus radians."""
+        poses = self.poses_se3[frames]
+        apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
+        return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
 
     def _solve(
         self, image: LocalFeatures, near: IntArray, shown: BoolArray, matches: dict[int, IntArray]
@@ -128,9 +141,8 @@ class LandmarkMap:
         return float(area / (self.camera.width * self.camera.height))
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
-        """Errors of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the nearest one's distance."""
-        apart = np.linalg.norm(self.poses_se3[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
-        apart += np.arccos(np.clip(self.poses_se3[:, :3, 2] @ T_world_pose[:3, 2], -1, 1))
+        """Deviations of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the least distance."""
+        apart = self._apart(T_world_pose)
         away = float(apart[shown].min())
         known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
         if known.size == 0:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.progress import Progress
 from conformodal.localization.local_features import LocalFeatures, Matcher
 from conformodal.localization.parallel import in_threads
-from conformodal.localization.settings import MAPPING
+from conformodal.localization.settings import ADJUSTMENT, MAPPING
 from conformodal.poses import PinholeCamera
 
+from .adjustment import Adjusted, adjust, choose_tracks, given_frame_errors
 from .camera_fit import Matches, fit_camera
 from .keyframes import LandmarkMap
 from .triangulation import Rays, triangulate
@@ -31,22 +33,35 @@ def build_map(
     """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
-    poses = poses_se3 @ mounted.T_pose_cam
-    tolerance = 2 * MAPPING.tolerance_px / (mounted.camera.fx + mounted.camera.fy)
-    chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
-    found = in_threads(lambda few: triangulate(_rays(few, pairs, features, poses, mounted.camera), tolerance), chunks)
-    points, sound = (np.concatenate(parts) for parts in zip(*found, strict=True))
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
+    chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
+
+    def triangulated(few: range, now: Adjusted) -> tuple[Rays, FloatArray, BoolArray]:
+        camera = now.mounted.camera
+        rays = _rays(few, pairs, features, now.poses_cam, camera, before)
+        return rays, *triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+
+    sigmas = np.repeat([ADJUSTMENT.sigma_rad, ADJUSTMENT.sigma_depths * depth_m], 3)
+    now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
+    for _ in range(ADJUSTMENT.rounds):
+        found = in_threads(partial(triangulated, now=now), chunks)
+        camera = now.mounted.camera
+        tracks = choose_tracks(found, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        if len(tracks.frame) < ADJUSTMENT.least_per_frame * len(features):
+            break
+        now = adjust(now, poses_se3, tracks)
+    found = in_threads(partial(triangulated, now=now), chunks)
+    points, sound = np.concatenate([its for _, its, _ in found]), np.concatenate([its for _, _, its in found])
     return LandmarkMap(
-        camera=mounted.camera,
-        T_pose_cam=mounted.T_pose_cam,
+        camera=now.mounted.camera,
+        T_pose_cam=now.mounted.T_pose_cam,
         poses_se3=poses_se3,
         global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
         starts=np.concatenate(([0], np.cumsum(sound)))[before],
         points_xyz=points[sound].astype(np.float32),
         descriptors=np.concatenate([d.descriptors for d in features])[sound],
         depth_m=depth_m,
-        corrections=np.full((len(features), 6), np.nan),
+        corrections=given_frame_errors(now, poses_se3),
     )
 
 
@@ -123,16 +138,19 @@ def _rays(
     features: Sequence[LocalFeatures],
     poses_cam: FloatArray,
     camera: PinholeCamera,
+    numbers: IntArray,
 ) -> Rays:
-    """Rays of the corners of some frames, numbered on from frame to frame."""
-    corners, cameras, pixels, before = [], [], [], 0
+    """Rays of the corners of some frames, numbered on from frame to frame; `numbers` are those of first corners."""
+    corners, cameras, pixels, others, before = [], [], [], [], 0
     for i in frames:
         seen = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
         corners += [before + pair[:, 0] for _, pair in seen]
         cameras += [np.full(len(pair), j) for j, pair in seen]
         pixels += [features[j].pixels[pair[:, 1]] for j, pair in seen]
+        others += [numbers[j] + pair[:, 1] for j, pair in seen]
         before += len(features[i].pixels)
     corner = np.concatenate(corners)
     order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
     plane, camera_of = camera.on_plane(np.concatenate(pixels)[order]), np.concatenate(cameras)[order]
-    return Rays(corner[order], camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
+    seen_corner = np.concatenate(others)[order]
+    return Rays(corner[order], seen_corner, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import IntArray
 from conformodal.core.progress import Progress, stage_of
 from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
 from conformodal.localization.evidence import FrameEvidence
@@ -86,15 +85,14 @@ class LandmarkSource:
         """
         n = len(features)
         left_out = np.unique(np.linspace(0, n - 1, min(n, MAPPING.left_out)).round().astype(np.int64))
-        total = 2 * n + len(left_out)
+        total = n + len(left_out)
 
         def done(before: int) -> Progress | None:
             return None if progress is None else lambda count, _: progress(before + count, total)
 
-        plain = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
-        corrected = replace(plain, corrections=_corrections(plain, features, truth, done(n)))
-        errors = _fit_errors(corrected, features, truth, groups, left_out, done(2 * n))
-        return None if errors is None else cls(corrected, frames, errors)
+        landmarks = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
+        errors = _fit_errors(landmarks, features, truth, groups, left_out, done(n))
+        return None if errors is None else cls(landmarks, frames, errors)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
@@ -123,26 +121,6 @@ class LandmarkSource:
         its = {k: state.arrays[k] for k in _ARRAYS}
         own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
         return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]))
-
-
-def _corrections(
-    plain: LandmarkMap, features: Sequence[LocalFeatures], truth: Trajectory, progress: Progress | None
-) -> FloatArray:
-    """Errors (n, 6) of the keyframes' own estimates, each with the keyframe left out; NaN for outliers."""
-    indices = np.arange(len(features))
-
-    def of(i: int) -> FloatArray:
-        for one in plain.localize(features[i], indices == i, most=1):
-            off = one.position_xyz - truth.positions_xyz[i]
-            estimated, true = (
-                Rotation.from_quat(q, scalar_first=True)
-                for q in (one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i])
-            )
-            if np.linalg.norm(off) < PNP.correctable * plain.depth_m:
-                return np.concatenate((off, (estimated * true.inv()).as_rotvec()))
-        return np.full(6, np.nan)
-
-    return np.array(in_threads(of, indices.tolist(), progress))
 
 
 def _fit_errors(

@@ -14,6 +14,7 @@ class Rays(NamedTuple):
     """Rays of n corners from k cameras, corner by corner; the first ray of each is from the corner's own frame."""
 
     corner: IntArray  # (m,) 0 to n - 1, increasing; each is there
+    seen: IntArray  # (m,) number of the corner that a ray is of, among those of all frames
     camera: IntArray  # (m,)
     plane: FloatArray  # (m, 2) on the plane at depth 1 of the camera
     R_world_cam: FloatArray  # (k, 3, 3)

@@ -1,0 +1,119 @@
+"""How two recordings of a place overlap, and whether their poses are in the same world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.words import counted
+from conformodal.datasets import Sequence
+from conformodal.datasets.joining import share_near
+from conformodal.localization.landmarks.mapping import build_map
+from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.localization.measurement import PoseMeasurement
+from conformodal.localization.parallel import in_threads
+
+from .settings import OVERLAP
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """How a recording overlaps with a known one.
+
+    Attributes
+    ----------
+    share_near
+        Share of its poses within 0.3 m and 30 degrees of a known view.
+    n_looked_at, n_localized
+        Its images that were looked for in a map of the known recording, and those that were found.
+    n_agree
+        Localised images that agree on one rigid motion from its world frame to the known one.
+    offset_m, offset_deg
+        Of that motion, at the middle of its path; NaN where too few agree.
+    """
+
+    share_near: float
+    n_looked_at: int = 0
+    n_localized: int = 0
+    n_agree: int = 0
+    offset_m: float = float("nan")
+    offset_deg: float = float("nan")
+
+    @property
+    def moved(self) -> bool:
+        """Whether a rigid offset between the two world frames is likely."""
+        return self.offset_m > OVERLAP.offset_m or self.offset_deg > OVERLAP.offset_deg
+
+    def describe(self, known: str, new: str) -> str:
+        """One line for people."""
+        near = (
+            f"{new}: {100 * self.share_near:.0f} % of its poses lie within {OVERLAP.near_m:g} m and "
+            f"{OVERLAP.near_deg:g} degrees of a view of {known}"
+        )
+        found = f"{self.n_localized} of {counted(self.n_looked_at, 'image')} found in a map of it"
+        if not np.isfinite(self.offset_m):
+            return f"{near}; {found}, too few to compare the world frames"
+        apart = f"{self.offset_m:.3f} m and {self.offset_deg:.1f} degrees apart"
+        if self.moved:
+            return f"{near}; {found}: the world frames are likely {apart}. Bring the poses into one frame"
+        return f"{near}; {found}: the same world frame, {apart}"
+
+
+def measure_overlap(known: Sequence, new: Sequence, depth_m: float) -> Overlap:
+    """How `new` overlaps with `known`, of one camera; `depth_m` is the known scene's, or NaN.
+
+    A map of landmarks from the known recording localises images of the other. World frames differ where their
+    estimates differ from the given poses by one rigid motion.
+
+    Raises
+    ------
+    PoseError
+        If one of them has no poses.
+    """
+    views, poses = known.poses or known.require_truth(), new.poses or new.require_truth()
+    near = float(share_near(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
+    if not np.isfinite(depth_m):
+        return Overlap(near)
+    mapped, asked = _spread(len(views), OVERLAP.keyframes), _spread(len(poses), OVERLAP.images)
+    landmarks = build_map(_features(known, known.posed[mapped]), views[mapped].poses_se3, known.camera, depth_m)
+    found = [_best(landmarks.localize(image)) for image in _features(new, new.posed[asked])]
+    localized = [(one, i) for one, i in zip(found, asked.tolist(), strict=True) if one is not None]
+    if len(localized) < OVERLAP.least:
+        return Overlap(near, len(asked), len(localized))
+    estimates = np.tile(np.eye(4), (len(localized), 1, 1))
+    estimates[:, :3, 3] = [one.position_xyz for one, _ in localized]
+    quats = [one.orientation_quat_wxyz for one, _ in localized]
+    estimates[:, :3, :3] = Rotation.from_quat(np.array(quats), scalar_first=True).as_matrix()
+    motions = estimates @ np.linalg.inv(poses.poses_se3[[i for _, i in localized]])
+    return _common_motion(motions, poses.positions_xyz.mean(axis=0), near, len(asked), depth_m)
+
+
+def _common_motion(motions: FloatArray, middle: FloatArray, near: float, n_asked: int, depth_m: float) -> Overlap:
+    """The motion (4, 4) among m that most others agree with, at the middle of the path."""
+    turns = Rotation.from_matrix(motions[:, :3, :3])
+    places = motions[:, :3, :3] @ middle + motions[:, :3, 3]
+    off_m = np.linalg.norm(places[:, None] - places[None], axis=2)
+    off_rad = np.array([(turns * turn.inv()).magnitude() for turn in turns])
+    agree = (off_m < OVERLAP.agree_depths * depth_m) & (off_rad < np.radians(OVERLAP.agree_deg))
+    its = agree[np.argmax(agree.sum(axis=1))]
+    n = int(its.sum())
+    if n < max(OVERLAP.least, len(motions) / 2):
+        return Overlap(near, n_asked, len(motions), n)
+    apart = float(np.linalg.norm(np.median(places[its], axis=0) - middle))
+    return Overlap(near, n_asked, len(motions), n, apart, float(np.degrees(turns[its].mean().magnitude())))
+
+
+def _best(estimates: list[PoseMeasurement]) -> PoseMeasurement | None:
+    sure = [one for one in estimates if one.n_inliers >= OVERLAP.inliers]
+    return max(sure, key=lambda one: one.n_inliers, default=None)
+
+
+def _features(sequence: Sequence, frames: IntArray) -> list[LocalFeatures]:
+    return in_threads(lambda i: extract_local_features(sequence.image(i), sequence.camera), frames.tolist())
+
+
+def _spread(n: int, most: int) -> IntArray:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
