@@ -23,7 +23,7 @@ COMMANDS = {
     "train": "Train on a data set with poses, calibrate, and save the model.",
     "export": "Convert a model's network to ONNX, or quantise it to eight bits.",
     "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
-    "run": "Compute regions and the trajectory of a source with a saved model, frame by frame. Ctrl-C stops it and "
+    "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
     "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",
     "view": "Open the page of results.",
