@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import asdict, replace
@@ -245,7 +244,7 @@ def _assemble(
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
-        radius=_radius(record["radius"], folder),
+        radius=_radius(record["radius"]),
         comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
         path_rules={
             path: _path_rule(rules, arrays, name) for path in PATHS if (name := f"calibration.{path}") in arrays
@@ -326,15 +325,8 @@ def _prior(record: dict[str, Any]) -> MotionPrior:
     return MotionPrior(**{**record, **tables, **depths, "volume_m3": float(record["volume_m3"])})
 
 
-def _radius(record: dict[str, Any] | None, folder: Path) -> PoseRadius | None:
+def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
     if record is None:
-        return None
-    if record.pop("sizing", "none") != "none":
-        warnings.warn(
-            f"{folder}: its radius depends on the recording, which is no longer supported, and is left out: run "
-            "`conformodal calibrate` again",
-            stacklevel=4,
-        )
         return None
     limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
     return PoseRadius(**{**record, "radius_rad": limit})
