@@ -12,15 +12,15 @@ BUDGET = {
     "core": 410,
     "datasets": 5590,
     "localization": 2870,
-    "model": 1440,
+    "model": 1410,
     "motion": 990,
     "networks": 730,
     "poses": 1010,
     "quality": 940,
-    "reasoning": 1580,
+    "reasoning": 1470,
     "report": 870,
     "ros": 710,
-    "running": 2390,
+    "running": 2300,
     "training": 770,
     "vision": 470,
 }
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19860
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19840

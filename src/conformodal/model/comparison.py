@@ -16,22 +16,14 @@ class SourceComparison:
 
     Calibration by stretches assumes that the scores of both are alike. Smaller errors of the model's sources are not
     enough: if their predicted spread is too small, their scores are larger, and their regions contain too few poses.
-
-    Attributes
-    ----------
-    n_frames
-        Frames that neither had seen and that show a known place.
-    n_both, n_model_only, n_folds_only
-        Frames whose pose is contained in both regions, in that of the model's sources only, in the other only.
-    larger
-        Share of frames in which the model's sources have the larger score.
     """
 
-    n_frames: int
+    n_frames: int  # frames that neither had seen and that show a known place
+    # frames whose pose is contained in both regions, in that of the model's sources only, in the other only
     n_both: int
     n_model_only: int
     n_folds_only: int
-    larger: float
+    larger: float  # share of frames in which the model's sources have the larger score
 
     @property
     def covered(self) -> tuple[float, float]:

@@ -47,20 +47,12 @@ def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """Beliefs and calibrated regions of n images, each by itself.
-
-    Attributes
-    ----------
-    known_p
-        (n,) p-values of "this image shows a known place"; NaN where images are not tested.
-    kinds
-        (n,) evidence types, see :class:`~conformodal.model.region_rules.EvidenceType`.
-    """
+    """Beliefs and calibrated regions of n images, each by itself."""
 
     beliefs: Beliefs
     regions: PoseRegions
-    known_p: FloatArray
-    kinds: IntArray
+    known_p: FloatArray  # (n,) p-values of "this image shows a known place"; NaN where images are not tested
+    kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.model.region_rules.EvidenceType`
 
     def row(self, i: int) -> Localization:
         """That of image `i`, as n = 1."""

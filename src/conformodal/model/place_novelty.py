@@ -20,24 +20,15 @@ class PlaceNovelty:
 
     Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training data.
     The p-values are exact if the network was not trained on them.
-
-    Attributes
-    ----------
-    test
-        Of the image's appearance: its distance to the most similar known frame.
-    grid
-        Rows and columns of the network's map.
-    matched
-        Of images whose local features were matched: those in which a place was recognised rank below all others, the
-        more strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None
-        without local features.
-    disturbed
-        The same of disturbed images, among which recognising a place is harder; None if they are not calibrated.
     """
 
-    test: NoveltyTest
-    grid: tuple[int, int]
+    test: NoveltyTest  # of the image's appearance: its distance to the most similar known frame
+    grid: tuple[int, int]  # rows and columns of the network's map
+    # of images whose local features were matched: those in which a place was recognised rank below all others, the more
+    # strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None without local
+    # features
     matched: NoveltyTest | None = None
+    # the same of disturbed images, among which recognising a place is harder; None if they are not calibrated
     disturbed: NoveltyTest | None = None
 
     @classmethod

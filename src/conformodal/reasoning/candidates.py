@@ -144,19 +144,11 @@ def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BinRuns:
-    """Runs of neighbouring bins of one target, or combinations of such runs of d targets.
+    """Runs of neighbouring bins of one target, or combinations of such runs of d targets."""
 
-    Attributes
-    ----------
-    mean, spread
-        (m,) or (m, d) means and standard deviations within the run, in the target's unit.
-    log_mass
-        (m,) logarithm of the probability.
-    """
-
-    mean: FloatArray
+    mean: FloatArray  # (m,) or (m, d) means and standard deviations within the run, in the target's unit
     spread: FloatArray
-    log_mass: FloatArray
+    log_mass: FloatArray  # (m,) logarithm of the probability
 
 
 def _mean(weights: FloatArray, edges: FloatArray, first: int = 0) -> tuple[FloatArray, FloatArray]:

@@ -36,18 +36,10 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What is known of a frame's pose: hypotheses, or that it is anywhere.
+    """What is known of a frame's pose: hypotheses, or that it is anywhere."""
 
-    Attributes
-    ----------
-    hypotheses
-        Most probable first; their probabilities sum to one.
-    elsewhere
-        Probability that none of them is right, and the pose anywhere in the volume.
-    """
-
-    hypotheses: Candidates
-    elsewhere: float
+    hypotheses: Candidates  # most probable first; their probabilities sum to one
+    elsewhere: float  # probability that none of them is right, and the pose anywhere in the volume
 
     @property
     def lost(self) -> bool:
@@ -66,26 +58,15 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Where the hypotheses of a frame lead, a time step later or earlier.
+    """Where the hypotheses of a frame lead, a time step later or earlier."""
 
-    Attributes
-    ----------
-    hypotheses
-        Turned by the measured rotation, spread by what the camera can have moved and turned. Only ratios of their
-        probabilities count.
-    unturned_quats_wxyz, unturned_spreads_rad
-        (m, 4) and (m,) orientations if the measured rotation is an outlier.
-    measured
-        Whether there is a measured rotation.
-    elsewhere
-        Probability that the camera is anywhere, as after a cut.
-    """
-
+    # turned by the measured rotation, spread by what the camera can have moved and turned. Only ratios of their
+    # probabilities count
     hypotheses: Candidates
-    unturned_quats_wxyz: FloatArray
+    unturned_quats_wxyz: FloatArray  # (m, 4) and (m,) orientations if the measured rotation is an outlier
     unturned_spreads_rad: FloatArray
-    measured: bool
-    elsewhere: float
+    measured: bool  # whether there is a measured rotation
+    elsewhere: float  # probability that the camera is anywhere, as after a cut
 
 
 def predict(
@@ -300,18 +281,10 @@ class _Step:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The last frames of a stream.
+    """The last frames of a stream."""
 
-    Attributes
-    ----------
-    seen
-        What is known of each.
-    forward
-        The posterior of each from the frames up to it.
-    """
-
-    seen: Observations
-    forward: Sequence[Posterior]
+    seen: Observations  # what is known of each
+    forward: Sequence[Posterior]  # the posterior of each from the frames up to it
 
     def hindsight(self, prior: MotionPrior) -> list[Posterior]:
         """The posterior of each from all frames up to the last one."""
@@ -327,11 +300,6 @@ class PoseFilter:
         Speeds and turning rates to expect.
     lag
         Frames before the newest that :meth:`window` holds, at least 0.
-
-    Raises
-    ------
-    ReasoningError
-        If `lag` is negative.
     """
 
     def __init__(self, prior: MotionPrior, lag: int = FILTER.lag) -> None:
@@ -359,11 +327,6 @@ class PoseFilter:
             Seconds, later than before.
         known
             Whether the image shows a known place. Where it does not, its hypotheses count less.
-
-        Raises
-        ------
-        ReasoningError
-            If the timestamp is not later than the one before.
         """
         if not self._steps:
             posterior = start(evidence, known=known)

@@ -79,11 +79,6 @@ def greedy(
         ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
     timestamps_s
         (n,) seconds.
-
-    Raises
-    ------
-    ReasoningError
-        If there are no frames, or lengths differ.
     """
     times = np.asarray(timestamps_s, dtype=np.float64)
     if not 0 < len(intervals) == len(motions) == len(times):

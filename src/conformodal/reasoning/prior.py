@@ -59,13 +59,7 @@ def rotation_sigma(motion: RelativeMotion) -> float:
 
 
 def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> MotionPrior:
-    """Learn the prior from the training frames, in order of time; gaps between them are allowed.
-
-    Raises
-    ------
-    ReasoningError
-        If no recording has three frames.
-    """
+    """Learn the prior from the training frames, in order of time; gaps between them are allowed."""
     turns: list[FloatArray] = []
     levels: dict[int, list[FloatArray]] = {}
     for number in np.unique(recording):

@@ -74,11 +74,6 @@ class Estimate:
     reliable
         False where image or motion could not be used, the image shows no place that is known, or other places than the
         chosen one are probable; `problem` says why.
-
-    Raises
-    ------
-    OdometryError
-        If `evidence` is not one of :class:`EvidenceType`.
     """
 
     timestamp_s: float

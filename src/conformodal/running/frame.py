@@ -37,13 +37,7 @@ def as_image(image: Any, camera: PinholeCamera) -> npt.NDArray[np.uint8] | str:
 
 
 def as_time(timestamp_s: Any, last_s: float | None) -> float:
-    """A timestamp in seconds, later than the last one.
-
-    Raises
-    ------
-    OdometryError
-        If it is no finite number, or not later.
-    """
+    """A timestamp in seconds, later than the last one."""
     try:
         found = float(timestamp_s)
     except (TypeError, ValueError, OverflowError):
@@ -56,13 +50,7 @@ def as_time(timestamp_s: Any, last_s: float | None) -> float:
 
 
 def as_frames(frames: npt.ArrayLike, n: int) -> npt.NDArray[np.int64]:
-    """Increasing indices (m,) of some of n frames.
-
-    Raises
-    ------
-    OdometryError
-        If they are something else.
-    """
+    """Increasing indices (m,) of some of n frames."""
     found = np.asarray(frames)
     if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
         raise OdometryError(f"frames must be whole numbers of shape (m,), got {found.dtype} {found.shape}")

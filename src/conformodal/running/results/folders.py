@@ -36,13 +36,7 @@ _COMMANDS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 
 
 def check_owner(folder: Path, command: str) -> None:
-    """Refuse a folder that holds results of another command, by its files or by what its metrics say.
-
-    Raises
-    ------
-    FolderError
-        If it does; names both.
-    """
+    """Refuse a folder that holds results of another command, by its files or by what its metrics say."""
     mine = command.split(maxsplit=1)[0]
     for other in sorted(_lock_holders(folder) - ({mine, "run"} if mine == "bins" else {mine})):
         what = _COMMANDS[other][0] if other in _COMMANDS else "a metrics.json of unknown origin"
@@ -137,13 +131,7 @@ def result_digests(folder: Path) -> dict[str, str]:
 
 
 def check_belongs(folder: Path, metrics: dict[str, Any]) -> None:
-    """Refuse metrics that were written for other results than those beside them.
-
-    Raises
-    ------
-    FolderError
-        If a digest differs; names the file.
-    """
+    """Refuse metrics that were written for other results than those beside them."""
     here = result_digests(folder)
     for name, digest in (metrics.get("results") or {}).items():
         if here.get(name) != digest:

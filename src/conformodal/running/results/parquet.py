@@ -27,13 +27,7 @@ _PLAIN = ("timestamp_s", "frame", "reliable", "place_p", "known_p", "evidence", 
 
 
 def write_region_parquet(folder: Path) -> Path:
-    """Write ``regions.parquet`` from the ``regions.jsonl`` beside it, in constant memory; returns its path.
-
-    Raises
-    ------
-    ResultsError
-        If pyarrow is not installed, or a record is damaged.
-    """
+    """Write ``regions.parquet`` from the ``regions.jsonl`` beside it, in constant memory; returns its path."""
     pa, pq = _pyarrow()
     interval = pa.list_(pa.list_(pa.float64(), 2))
     kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64(), "place_p": pa.float64()}

@@ -50,11 +50,6 @@ def region_record(
         Probability of the chosen place when the frame came; None where it is not known.
     places, path_places
         Of the image's region and of that from the frames so far; None for a region that is a product.
-
-    Raises
-    ------
-    ResultsError
-        If `kind` is not one of :class:`~conformodal.model.region_rules.EvidenceType`.
     """
     kind = as_member(kind, EvidenceType, "kind", ResultsError)
     return {

@@ -62,13 +62,7 @@ def write_run(
 
 
 def read_trajectories(folder: Path) -> dict[str, Trajectory]:
-    """All trajectories of a run's folder, the answer first.
-
-    Raises
-    ------
-    TrajectoryFileError
-        If ``trajectory.tum`` is missing, or one is damaged.
-    """
+    """All trajectories of a run's folder, the answer first."""
     found = {_answer_of(folder): read_tum(folder / TRAJECTORY)}
     for path in sorted((folder / "methods").glob("*.tum")):
         found[path.stem] = read_tum(path)
@@ -97,13 +91,7 @@ def _answer_of(folder: Path) -> str:
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:
-    """Write ``metrics.json``; returns its path.
-
-    Raises
-    ------
-    FolderError
-        If the folder holds results of another command.
-    """
+    """Write ``metrics.json``; returns its path."""
     if "command" in metrics:
         check_owner(folder, metrics["command"])
     path = folder / METRICS
@@ -112,13 +100,7 @@ def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
-    """Read ``metrics.json``.
-
-    Raises
-    ------
-    ResultsError
-        If it is missing, no JSON object, or what evaluation rests on is of another kind.
-    """
+    """Read ``metrics.json``."""
     path = folder / METRICS
     try:
         metrics = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)

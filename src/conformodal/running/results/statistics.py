@@ -17,33 +17,16 @@ from conformodal.poses import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class RegionStatistics:
-    """Statistics of the regions of n frames, target by target, (n, 7) each.
+    """Statistics of the regions of n frames, target by target, (n, 7) each."""
 
-    Attributes
-    ----------
-    inside
-        Whether the set holds the truth.
-    length
-        Of the set, in the target's unit; infinite for the whole line.
-    n_intervals
-        It falls into.
-    unbounded
-        Whether it is the whole line.
-    kinds
-        (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`.
-    held
-        (n,) whether the region holds the whole pose.
-    n_places
-        (n,) cuboids that it consists of.
-    """
-
-    inside: npt.NDArray[np.bool_]
-    length: npt.NDArray[np.float64]
-    n_intervals: npt.NDArray[np.int64]
-    unbounded: npt.NDArray[np.bool_]
+    inside: npt.NDArray[np.bool_]  # whether the set holds the truth
+    length: npt.NDArray[np.float64]  # of the set, in the target's unit; infinite for the whole line
+    n_intervals: npt.NDArray[np.int64]  # that the set falls into
+    unbounded: npt.NDArray[np.bool_]  # whether it is the whole line
+    # (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`
     kinds: npt.NDArray[np.int64]
-    held: npt.NDArray[np.bool_]
-    n_places: npt.NDArray[np.int64]
+    held: npt.NDArray[np.bool_]  # (n,) whether the region holds the whole pose
+    n_places: npt.NDArray[np.int64]  # (n,) cuboids that it consists of
 
     @property
     def bounded(self) -> npt.NDArray[np.bool_]:
@@ -69,13 +52,7 @@ class RegionStatistics:
 
     @classmethod
     def concatenate(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:
-        """Statistics of the frames of all parts, in order.
-
-        Raises
-        ------
-        OdometryError
-            If there are no parts.
-        """
+        """Statistics of the frames of all parts, in order."""
         if not parts:
             raise OdometryError("parts must hold at least one set of statistics, got none")
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
