@@ -30,8 +30,8 @@ class _FilterSettings:
     # the same for normalisers, as a factor of `tempering`. With 1, a sharp mode of little mass that stays the same over
     # many images wins over a vague hypothesis of most of the mass
     sharpness: float = 0.5
-    # probability that an image says nothing of the pose, where it shows a known place and where it does not. With 0.5, a
-    # stretch of images that are all wrong alike soon had a sure path
+    # probability that an image says nothing of the pose, where it shows a known place and where it does not. With 0.5,
+    # a stretch of images that are all wrong alike soon had a sure path
     wrong: float = 0.02
     wrong_if_unknown: float = 1 - 1e-7
     jump: float = 1e-4  # probability that the camera is anywhere in the next frame: a cut, or a gross mistake
