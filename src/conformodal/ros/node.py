@@ -92,7 +92,7 @@ class PoseNode:
         try:
             found = camera_of_info(message, "camera_info", self._topic)
             if isinstance(found, Fisheye):
-                raise SourceError("camera_info: has a fisheye lens, expected undistorted images")
+                raise SourceError(f"camera_info: lens {message.distortion_model}, expected undistorted images")
             self.odometry.model.check_camera(found)
             self._refused = ""
             if before:

@@ -189,7 +189,9 @@ def camera_of_info(
 def key_of_info(message: Any) -> str:
     """What a CameraInfo says of the camera, to tell when that changes."""
     values = [np.asarray(_field(message, name)).tolist() for name in "KPD"]
-    return repr((values, message.distortion_model, message.width, message.height, message.binning_x, message.roi))
+    roi = message.roi
+    window = roi.x_offset, roi.y_offset, roi.width, roi.height, message.binning_x, message.binning_y
+    return repr((values, message.distortion_model, message.width, message.height, window))
 
 
 def _field(message: Any, name: str) -> Any:
