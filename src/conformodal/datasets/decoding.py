@@ -184,7 +184,7 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
             image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
             fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
     except UnidentifiedImageError as exc:
-        raise ImageError(f"{name}: is no image that is read ({', '.join(_FORMATS)})") from exc
+        raise ImageError(f"{name}: cannot be decoded as an image: it is none of {', '.join(_FORMATS)}") from exc
     except Exception as exc:  # as above
         raise ImageError(f"{name}: cannot be decoded as an image: {exc}") from exc
     if fault:

@@ -133,7 +133,8 @@ class FrameTable:
         return camera
 
     def _unlikely_rate(self, kept: IntArray) -> list[Note]:
-        steps = np.diff(self.times[kept])
+        same = np.ones(len(kept) - 1, dtype=np.bool_) if self.recording is None else np.diff(self.recording[kept]) == 0
+        steps = np.diff(self.times[kept])[same]
         usual = float(np.median(steps)) if steps.size else 1.0
         if _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
             return []

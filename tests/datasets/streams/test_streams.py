@@ -464,7 +464,7 @@ def test_compressed_images_that_cannot_be_decoded_are_refused_at_opening(tmp_pat
         return found
 
     monkeypatch.setitem(globals(), "messages", other)
-    with pytest.raises(SourceError, match=rf"{form}.*is read \(PNG, JPEG"):
+    with pytest.raises(SourceError, match=rf"{form}.*none of PNG, JPEG"):
         BagStream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
 
 
