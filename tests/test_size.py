@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5030,
     "core": 430,
     "datasets": 5110,
-    "localization": 2840,
+    "localization": 2890,
     "model": 1360,
     "motion": 990,
     "networks": 760,
