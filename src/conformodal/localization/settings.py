@@ -104,6 +104,18 @@ class _PnpSettings:
 
 
 @dataclass(frozen=True)
+class _GuidingSettings:
+    """Guided matching: landmarks of keyframes near a pose are looked for where the pose says that they are."""
+
+    least_inliers: int = 30  # of a pose that guides; wrong poses rest on fewer
+    keyframes: int = 6
+    considered: int = 100  # nearest to the pose, of which those are chosen that differ
+    radius_px: float = 8.0
+    corners: int = 4  # nearest to a landmark that are compared with it
+    most_bits: int = 64  # in which descriptors differ
+
+
+@dataclass(frozen=True)
 class _MappingSettings:
     """Triangulation of landmarks."""
 
@@ -160,5 +172,6 @@ class _AdjustmentSettings:
 
 BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
 NEIGHBOURS = _NeighbourSettings()
-LOCAL_FEATURES, RETRIEVAL, PNP = _LocalFeatureSettings(), _RetrievalSettings(), _PnpSettings()
+LOCAL_FEATURES, RETRIEVAL = _LocalFeatureSettings(), _RetrievalSettings()
+PNP, GUIDING = _PnpSettings(), _GuidingSettings()
 MAPPING, CAMERA_FIT, ADJUSTMENT = _MappingSettings(), _CameraFitSettings(), _AdjustmentSettings()

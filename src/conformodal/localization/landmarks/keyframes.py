@@ -8,13 +8,14 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import poselib
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.robust import MEDIAN_OF_NORM2
 from conformodal.localization.local_features import LocalFeatures, match
 from conformodal.localization.measurement import PoseMeasurement
-from conformodal.localization.settings import PNP, RETRIEVAL
+from conformodal.localization.settings import GUIDING, PNP, RETRIEVAL
 from conformodal.motion.two_view import poselib_camera
 from conformodal.poses import PinholeCamera
 
@@ -109,9 +110,20 @@ class LandmarkMap:
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < PNP.min_inliers:
             return None
-        T_world_cam = np.eye(4)
-        T_world_cam[:3, :3] = np.asarray(pose.R).T
-        T_world_cam[:3, 3] = -T_world_cam[:3, :3] @ np.asarray(pose.t)
+        # a corner matched with several keyframes is one observation, so it counts once
+        share = len(np.unique(corners[inliers])) / len(np.unique(corners))
+        T_world_cam = _camera_to_world(pose)
+        if inliers.sum() >= GUIDING.least_inliers:
+            corners, landmarks = self._guided(image, T_world_cam, shown)
+            points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
+            if len(pixels) < PNP.min_inliers:
+                return None
+            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, poselib_camera(self.camera), PNP.refinement)
+            T_world_cam = _camera_to_world(pose)
+            seen, ahead = self._seen(points, T_world_cam)
+            inliers = ahead & (np.linalg.norm(seen - pixels, axis=1) < PNP.ransac["max_reproj_error"])
+            if inliers.sum() < PNP.min_inliers:
+                return None
         sigmas = self._spreads(pixels[inliers], points[inliers], T_world_cam[:3, :3], T_world_cam[:3, 3])
         if sigmas is None:
             return None
@@ -120,18 +132,44 @@ class LandmarkMap:
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
         position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
-        # a corner matched with several keyframes is one observation, so it counts once
-        agreeing, matched = np.unique(corners[inliers]), np.unique(corners)
+        agreeing = np.unique(corners[inliers])
         return PoseMeasurement(
             position,
             quat,
             sigma_m,
             sigma_rad,
             n_inliers=len(agreeing),
-            inlier_share=len(agreeing) / len(matched),
+            inlier_share=share,
             image_share=self._share_of_image(image.pixels[agreeing]),
             distance_to_known=apart,
         )
+
+    def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
+        """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""
+        order = np.argsort(np.where(shown, self._apart(T_world_cam @ np.linalg.inv(self.T_pose_cam)), np.inf))
+        near = self._spread(order[: min(GUIDING.considered, int(shown.sum()))], GUIDING.keyframes)
+        landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
+        seen, ahead = self._seen(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
+        landmarks, seen = landmarks[ahead], seen[ahead]
+        count = min(GUIDING.corners, len(image.pixels))
+        away, corners = KDTree(image.pixels).query(
+            seen, np.arange(1, count + 1), distance_upper_bound=GUIDING.radius_px
+        )
+        rows, columns = np.nonzero(np.isfinite(away))
+        corners = np.asarray(corners)[rows, columns]
+        differ = np.unpackbits(image.descriptors[corners] ^ self.descriptors[landmarks[rows]], axis=1).sum(axis=1)
+        best = np.lexsort((differ, rows))
+        best = best[np.unique(rows[best], return_index=True)[1]]
+        best = best[differ[best] < GUIDING.most_bits]
+        return corners[best], landmarks[rows[best]]
+
+    def _seen(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Pixels (n, 2) of points, and whether these lie ahead of the camera."""
+        local = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+        ahead = local[:, 2] > 1e-3
+        plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
+        camera = self.camera
+        return plane * (camera.fx, camera.fy) + (camera.cx, camera.cy), ahead
 
     def _share_of_image(self, pixels: FloatArray) -> float:
         """Share of the image over which pixels (m, 2) are spread: 1 if evenly over all of it."""
@@ -177,3 +215,10 @@ class LandmarkMap:
             return None
         variance = np.diag(np.linalg.inv(information))
         return float(np.sqrt(variance[:3].mean())), float(np.sqrt(variance[3:].mean()))
+
+
+def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
+    T_world_cam = np.eye(4)
+    T_world_cam[:3, :3] = np.asarray(pose.R).T
+    T_world_cam[:3, 3] = -T_world_cam[:3, :3] @ np.asarray(pose.t)
+    return T_world_cam
