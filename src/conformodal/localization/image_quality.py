@@ -14,6 +14,7 @@ from conformodal.core.arrays import BoolArray, FloatArray
 QUALITIES = ("brightness", "contrast", "detail")
 NOT_MEASURED: FloatArray = np.full(len(QUALITIES), np.nan)
 
+_MARGIN = 0.1  # of the range, at each end
 _DETAIL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 
 
@@ -30,15 +31,16 @@ def image_quality(grey: npt.NDArray[np.uint8]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class QualityRange:
-    """The least and the largest of each quality, (3,), among known images."""
+    """The least and the largest of each quality, (3,), that known images have, or nearly."""
 
     low: FloatArray
     high: FloatArray
 
     @classmethod
     def of(cls, qualities: FloatArray) -> Self:
-        """Of images with these qualities (n, 3)."""
-        return cls(qualities.min(axis=0), qualities.max(axis=0))
+        """Of images with these qualities (n, 3), widened a little, so that images like them are rarely beyond."""
+        low, high = qualities.min(axis=0), qualities.max(axis=0)
+        return cls(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
 
     def left_by(self, qualities: FloatArray) -> BoolArray:
         """(n,) whether a quality (n, 3) is out of range; False where it was not measured."""

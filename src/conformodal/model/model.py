@@ -179,14 +179,15 @@ class PoseModel:
         kinds = self.rules.kinds(p, looked, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
-        regions = self._level_sets(self.rules.overall, beliefs, supports, self.rules.thresholds(kinds))
+        regions = self._level_sets(
+            self.rules.overall, beliefs, supports, self.rules.thresholds(kinds, beliefs.recognised)
+        )
         return Localization(beliefs, regions, p, kinds)
 
     def image_regions(self, beliefs: Beliefs, kinds: IntArray) -> PoseRegions:
         """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
-        return self._level_sets(
-            self.rules.overall, beliefs, self.localizer.supports(beliefs), self.rules.thresholds(kinds)
-        )
+        thresholds = self.rules.thresholds(kinds, beliefs.recognised)
+        return self._level_sets(self.rules.overall, beliefs, self.localizer.supports(beliefs), thresholds)
 
     def _level_sets(
         self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray

@@ -51,6 +51,7 @@ class RegionRules:
 
     ``DISTURBED`` is calibrated on copies of calibration frames that were disturbed at random, see
     :class:`~conformodal.datasets.Disturbance`, so its guarantee is about images disturbed likewise.
+    Their thresholds are no smaller than those of ``UNMATCHED`` or ``LANDMARKS``.
 
     Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`.
     """
@@ -126,11 +127,19 @@ class RegionRules:
         kinds = np.where(looked & disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
         return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
-    def thresholds(self, kinds: IntArray) -> RealArray:
-        """(m, 7) thresholds of images with these evidence types."""
+    def thresholds(self, kinds: IntArray, recognised: BoolArray | bool = False) -> RealArray:
+        """(m, 7) thresholds of images with these evidence types; `recognised` (m,) is asked for those disturbed.
+
+        These have at least the thresholds of the type that they would have otherwise: an image may as well leave the
+        range of qualities by chance.
+        """
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
         for kind, rule in self.of.items():
             limits[kinds == kind] = rule.thresholds_
+        for kind, told in zip(MATCHED_TYPES, (~np.asarray(recognised), recognised), strict=True):
+            if kind in self.of:
+                rows = (kinds == EvidenceType.DISTURBED) & told
+                limits[rows] = np.maximum(limits[rows], self.of[kind].thresholds_)
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:

@@ -141,9 +141,10 @@ def _novelty_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
     if novelty.matched is not None:
         arrays |= {"novelty.matched": novelty.matched.scores_, "novelty.matched_groups": novelty.matched.groups}
     disturbed = novelty.disturbed
-    if disturbed is not None and rules.disturbed is not None and model.quality is not None:
+    if disturbed and rules.disturbed is not None and rules.disturbed_p is not None and model.quality is not None:
         arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.groups}
-        arrays |= {"calibration.disturbed": rules.disturbed.scores_}
+        arrays["calibration.disturbed"] = rules.disturbed.scores_
+        arrays["calibration.disturbed_p"] = rules.disturbed_p
         arrays["quality"] = np.stack((model.quality.low, model.quality.high))
     return arrays
 
@@ -280,7 +281,7 @@ def _rules(
         return rules
     groups = None if overall.groups_ is None else novelty.disturbed.groups
     disturbed = copy(overall).calibrate_scores(arrays["calibration.disturbed"], groups)
-    return replace(rules, disturbed=disturbed, disturbed_p=novelty.disturbed.left_out_p_values())
+    return replace(rules, disturbed=disturbed, disturbed_p=arrays["calibration.disturbed_p"])
 
 
 def _calibration(

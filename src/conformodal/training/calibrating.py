@@ -143,8 +143,8 @@ def calibrate_disturbed(
 ) -> tuple[Calibrated, QualityRange | None]:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
-    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, nothing
-    changes.
+    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or with
+    too few such copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.matched is None or novelty is None:
@@ -152,7 +152,7 @@ def calibrate_disturbed(
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
     sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
-    found: list[tuple[RealArray, FloatArray, FloatArray, IntArray]] = []
+    found: list[tuple[RealArray, FloatArray, FloatArray, BoolArray, IntArray]] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-DISTURBED.most // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
@@ -164,18 +164,22 @@ def calibrate_disturbed(
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
         features = extract_features(paths, backbone, cache, stage, sequence.noise)
         beliefs = localizer.beliefs(FrameEvidence(features, copies))
-        own = copy(rules.overall)
-        own.bins = localizer.cells
+        own = SplitConformal(localizer.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
+        own.rule = rules.overall.rule
         scores = score_beliefs(own, localizer, beliefs, data.targets[frames])
         pieces = folds.pieces[frames] if len(folds.folds) > 1 else None
-        found.append((scores, novelty.distances(features, pieces), beliefs.recognition, frames))
+        distances = novelty.distances(features, pieces)
+        beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
+        found.append((scores, distances, beliefs.recognition, beyond, frames))
     if not found:
         return calibrated, None
-    scores, distances, recognition, frames = (np.concatenate(its) for its in zip(*found, strict=True))
+    scores, distances, recognition, beyond, frames = (np.concatenate(its) for its in zip(*found, strict=True))
     units = None if folds.units is None else folds.units[frames]
     test = novelty.calibrated(distances, recognition, np.arange(len(frames)) if units is None else units)
+    if 0 < rules.level < test.least_p:  # so few that none could be flagged as unknown
+        return calibrated, None
     rule = copy(rules.overall).calibrate_scores(scores, units)
-    rules = replace(rules, disturbed=rule, disturbed_p=test.left_out_p_values())
+    rules = replace(rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, test.left_out_p_values()))
     return replace(calibrated, rules=rules, novelty=replace(novelty, disturbed=test)), quality
 
 

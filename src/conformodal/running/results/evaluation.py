@@ -104,6 +104,8 @@ def coverage_table(
     by_frame = rules.overall.groups_ is None
     # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
     one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
+    # those that left the range of qualities by chance are not exchangeable with disturbed ones
+    one_law = one_law and not (statistics.kinds == EvidenceType.DISTURBED).any()
     shared = rules.matched is not None and rules.sharing is not Sharing.OWN
     one_law = one_law and (not shared or _shared_whatever(rules, kinds))
     calibration = model.calibration_of(local=matched_all)
