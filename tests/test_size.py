@@ -10,9 +10,9 @@ BUDGET = {
     "cli": 2730,
     "conformal": 5790,
     "core": 410,
-    "datasets": 5590,
+    "datasets": 5600,
     "localization": 2930,
-    "model": 1410,
+    "model": 1420,
     "motion": 990,
     "networks": 730,
     "poses": 1010,
@@ -20,8 +20,8 @@ BUDGET = {
     "reasoning": 1470,
     "report": 870,
     "ros": 710,
-    "running": 2300,
-    "training": 770,
+    "running": 2310,
+    "training": 780,
     "vision": 470,
 }
 
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19870
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19880

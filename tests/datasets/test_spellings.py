@@ -317,7 +317,11 @@ def without_camera(root, exif=None):
 
 @pytest.mark.parametrize(
     ("tags", "focal"),
-    [({0xA405: 26}, 26 / np.hypot(36, 24) * 80), ({0x920A: 4.0, 0xA20E: 10.0, 0xA210: 4, 0xA002: 128}, 20.0)],
+    [
+        ({0xA405: 26}, 26 / np.hypot(36, 24) * 80),
+        ({0x920A: 4.0, 0xA20E: 10.0, 0xA210: 4, 0xA002: 128}, 20.0),
+        ({0x920A: 4.0, 0xA20E: 10.0, 0xA210: 4, 0xA002: 96, 0xA003: 128}, 20.0),
+    ],
 )
 def test_without_intrinsics_the_focal_length_is_that_of_exif(tmp_path, tags, focal):
     exif = Image.Exif()

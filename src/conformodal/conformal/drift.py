@@ -99,7 +99,8 @@ class DriftMonitor:
                 self._logs[j] += np.log(bets.sum())
                 self._shares[j] = bets / bets.sum()
             self.p_values.append(p_values)
-            self._log = float(np.logaddexp.reduce(self._logs) - np.log(self._logs.size))
+            # not their mean: each is a martingale given its own target's past, not given that of all targets
+            self._log = float(self._logs.max() - np.log(self._logs.size))
             if self.alarm is None and self._log >= -np.log(self.delta):
                 self.alarm = len(self.p_values) - 1
         self._rows.append(scores)

@@ -31,7 +31,7 @@ WIDEST = _WHITES[-1]
 TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
 _SIDEWAYS = 5
 _EXIF, _FOCAL_MM, _FOCAL_35_MM = 0x8769, 0x920A, 0xA405
-_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 0xA20E, 0xA210, 0xA002
+_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM, _DIAGONAL_MM = {2: 25.4, 3: 10.0, 4: 1.0}, hypot(36, 24)
 _DIGITS = re.compile(r"([0-9]+)")
 _SAMPLES = 9
@@ -228,7 +228,7 @@ def exif_focal_px(path: Path, size: tuple[int, int]) -> tuple[float | None, str]
             exif = image.getexif().get_ifd(_EXIF)
             film_mm, mm = (float(exif.get(tag, 0)) for tag in (_FOCAL_35_MM, _FOCAL_MM))
             per_unit, unit = float(exif.get(_PLANE_RESOLUTION, 0)), int(exif.get(_PLANE_UNIT, 2))
-            width = float(exif.get(_EXIF_WIDTH, 0))
+            side = max(float(exif.get(tag, 0)) for tag in (_EXIF_WIDTH, _EXIF_HEIGHT))
     except Exception:  # damaged notes, as above
         return None, ""
     if 1 < film_mm < 10_000:  # which has the view of this length across the diagonal of 36 x 24 mm
@@ -236,8 +236,8 @@ def exif_focal_px(path: Path, size: tuple[int, int]) -> tuple[float | None, str]
         return film_mm / _DIAGONAL_MM * hypot(
             *size
         ), f"of EXIF's {film_mm:g} mm on film, give or take {5 + rounded:.0f} %"
-    if mm > 0 and per_unit > 0 and width > 0 and unit in _UNIT_MM:
-        return mm * per_unit / _UNIT_MM[unit] * max(size) / width, "of EXIF's sensor and lens, give or take 5 %"
+    if mm > 0 and per_unit > 0 and side > 0 and unit in _UNIT_MM:
+        return mm * per_unit / _UNIT_MM[unit] * max(size) / side, "of EXIF's sensor and lens, give or take 5 %"
     return None, ""
 
 

@@ -147,9 +147,9 @@ def frame_times(folder: Path, n_frames: int) -> FloatArray:
 
 
 def times_by_folder(folder: Path, images: list[Path]) -> tuple[FloatArray, IntArray]:
-    """As :func:`frame_times`, and recordings (n,): images of each folder are one, in the order of the folders."""
-    places = {place: k for k, place in enumerate(dict.fromkeys(image.parent for image in images))}
-    recording = np.array([places[image.parent] for image in images], dtype=np.int64)
+    """As :func:`frame_times`, and recordings (n,): images that follow each other in one folder are one."""
+    changes = [one.parent != other.parent for one, other in zip(images[1:], images, strict=False)]
+    recording = np.cumsum([False, *changes][: len(images)], dtype=np.int64)
     times = frame_times(folder, len(images))
     return times if (folder / "times.txt").is_file() else times + BETWEEN_RECORDINGS_S * recording, recording
 

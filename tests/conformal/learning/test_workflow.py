@@ -172,9 +172,10 @@ def test_a_classifier_that_demands_labels_without_gaps_gets_them():
 
 def test_the_interval_score_is_that_of_one_interval():
     bins = QuantileBins.from_edges([[0, 1, 2, 3]])
-    masks = np.array([[True, True, False], [True, False, True], [False, False, False]])
-    regions = Regions(bins, [masks], np.zeros((3, 1), dtype=bool))
-    np.testing.assert_allclose(interval_score(regions, np.array([[2.5], [-1.0], [1.0]]), 0.1)[:, 0], [12, 22, 60])
+    masks = np.array([[True, True, False], [True, False, True], [False, False, False], [True, False, False]])
+    regions = Regions(bins, [masks], np.zeros((4, 1), dtype=bool))
+    values = np.array([[2.5], [-1.0], [1.0], [20.0]])
+    np.testing.assert_allclose(interval_score(regions, values, 0.1)[:, 0], [12, 22, 60, 381])
     reg = SplitConformal(bins).calibrate(np.full((5, 3), 1 / 3), np.zeros(5))
     assert np.isinf(interval_score(reg.predict(np.full((1, 3), 1 / 3)), np.zeros((1, 1)), 0.1)).all()
     with pytest.raises(ConformalError, match="alpha"):

@@ -1,5 +1,6 @@
 import threading
 import time
+from copy import copy
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -351,13 +352,14 @@ def ramp(width, height, scale):
     return np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)
 
 
-def write_ramps(path, changes):
-    """A bag of one ramp per change of the CameraInfo that comes before it."""
+def write_ramps(path, changes, others=()):
+    """A bag of one ramp per change of the CameraInfo that comes before it, and of other cameras, twice as sharp."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = {"/cam/camera_info": "sensor_msgs/msg/CameraInfo", "/cam/image_raw": "sensor_msgs/msg/Image"}
+    kinds |= dict.fromkeys(others, kinds["/cam/camera_info"])
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         to = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
         for i, (change, scale) in enumerate(changes):
@@ -375,7 +377,10 @@ def write_ramps(path, changes):
             image = store.types[kinds["/cam/image_raw"]](
                 header=head, encoding="bgr8", is_bigendian=0, data=pixels.ravel(), **size
             )
-            for k, (name, message) in enumerate([("/cam/camera_info", made), ("/cam/image_raw", image)]):
+            other = copy(made)
+            object.__setattr__(other, "k", 2 * made.k)
+            sent = [*[(name, other) for name in others], ("/cam/camera_info", made), ("/cam/image_raw", image)]
+            for k, (name, message) in enumerate(sent):
                 writer.write(to[name], int((100 + i) * 1e9) + k, store.serialize_cdr(message, kinds[name]))
     return path
 
@@ -387,6 +392,13 @@ def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path)
         np.testing.assert_allclose(frame.image[2:-2, 2:-2].astype(int), ramp(64, 48, 1)[2:-2, 2:-2], atol=4)
     assert frames[2].image is None
     assert "not calibrated" in frames[2].problem
+
+
+def test_of_several_cameras_in_one_name_space_the_one_of_the_images_is_used(tmp_path):
+    stream = BagStream(write_ramps(tmp_path / "a", [({}, 1)] * 3, ["/cam/a_info", "/cam/z_camera_info"]))
+    assert (stream.camera.fx, stream.infos) == (40, ("/cam/camera_info",))
+    for frame in stream:
+        np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
 
 
 @pytest.mark.parametrize(("model", "lens"), [("equidistant", (0.05, -0.01, 0.0, 0.0)), ("kannala_brandt4", ())])

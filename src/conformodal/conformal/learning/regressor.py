@@ -307,7 +307,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         proba, calibrator = self.predict_bins(X), self._calibrated()
         labels = self._labels(X, groups, len(proba[0]))
-        several = isinstance(alpha, (list, tuple, np.ndarray))
+        several = isinstance(alpha, (list, tuple)) or (isinstance(alpha, np.ndarray) and alpha.ndim > 0)
         found: list[Regions] = []
         for rate in cast("Alphas", alpha) if several else [cast("Alpha | None", alpha)]:
             own = calibrator if rate is None else calibrator.at(rate)

@@ -50,7 +50,10 @@ def save_regressor(regressor: Any, path: str | Path) -> None:
 
 
 def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
-    """Read a regressor back; `trusted` are types that may be made beside those of the named learners."""
+    """Read a regressor back; `trusted` are types that may be made beside those of the named learners.
+
+    Types are checked, the arrays of compiled trees are not: a file that was altered on purpose can crash Python.
+    """
     with require_extra("save", "loading a regressor"):
         import skops.io  # noqa: PLC0415
     try:

@@ -89,9 +89,10 @@ def region_scorers(alpha: Alpha = 0.1) -> dict[str, RegionScorer]:
 def interval_score(regions: Regions, y: FloatArray, alpha: Alpha) -> FloatArray:
     """Lengths of sets, and ``2 / alpha`` times the distance of values (n, d) outside them, (n, d)."""
     parts = zip(regions.masks, regions.bins.edges_, y.T, strict=True)
-    far = [
-        np.where(mask, np.maximum(np.maximum(e[:-1] - own[:, None], own[:, None] - e[1:]), 0), np.ptp(e)).min(axis=1)
-        for mask, e, own in parts
-    ]
+    far = []
+    for mask, e, own in parts:
+        off = np.maximum(np.maximum(e[:-1] - own[:, None], own[:, None] - e[1:]), 0)
+        nearest = np.where(mask, off, np.inf).min(axis=1)
+        far.append(np.where(mask.any(axis=1), nearest, np.ptp(e)))  # an empty set is as far off as the range is wide
     distance = np.where(regions.contains(y), 0, np.stack(far, axis=1))
     return np.asarray(regions.length + 2 / float(as_alpha(alpha)) * distance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,8 @@ class BagStream:
         the headers'.
     infos
         Topics of the ``CameraInfo`` that is followed; none where `camera` is given.
+    first_lens
+        What the first of these says.
     notes
         Which camera and which times are used, and what is unlikely.
 
@@ -74,6 +77,7 @@ class BagStream:
     camera: PinholeCamera | None = None
     received: bool = False
     infos: tuple[str, ...] = ()
+    first_lens: AnyCamera | None = None
     notes: tuple[Note, ...] = ()
     live = False
 
@@ -96,6 +100,7 @@ class BagStream:
             size = self._look_at_first(reader, [c for c in images if c.topic == chosen], notes)
             if self.camera is None and (lens := self._info(reader, size, notes)) is not None:
                 object.__setattr__(self, "camera", lens.pinhole if isinstance(lens, Fisheye) else lens)
+                object.__setattr__(self, "first_lens", lens)
         object.__setattr__(self, "notes", tuple(notes))
 
     @property
@@ -118,7 +123,7 @@ class BagStream:
         last: tuple[float, float] | None = None  # time and reception of the last frame in order
         back: float | None = None  # header stamp of the frame before, if it was far back
         known, info = "", None  # what the last CameraInfo says, and the message until it is used
-        lens: AnyCamera | None = None
+        lens = self.first_lens
         with _reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic == self.topic or c.topic in self.infos]
             messages = iter(reader.messages(connections=wanted))
@@ -187,7 +192,9 @@ class BagStream:
         """The camera of the first CameraInfo in the images' name space."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
         infos = [c for c in reader.connections if c.msgtype == INFO and c.topic.rpartition("/")[0] == space]
-        object.__setattr__(self, "infos", tuple(sorted({c.topic for c in infos})))
+        named = sorted({c.topic for c in infos}, key=partial(_unlike, str(self.topic)))[:1]
+        infos = [c for c in infos if c.topic in named]  # of several cameras in one name space, the most alike by name
+        object.__setattr__(self, "infos", tuple(named))
         for connection, _, raw in reader.messages(connections=infos) if infos else ():
             try:
                 message = reader.deserialize(raw, connection.msgtype)
@@ -214,3 +221,9 @@ def _reader(path: Path) -> Iterator[Any]:
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{hint}") from exc
     with closing(reader):
         yield reader
+
+
+def _unlike(topic: str, info: str) -> tuple[int, bool, str]:
+    """A key that sorts the topics of CameraInfo by how little their names have in common with that of the images."""
+    alike = next((k for k, (one, other) in enumerate(zip(topic, info, strict=False)) if one != other), len(info))
+    return -alike, not info.endswith("camera_info"), info
