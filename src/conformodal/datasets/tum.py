@@ -50,6 +50,8 @@ def read_tum_rgbd(
 
     def parse(line: str) -> tuple[float, Path]:
         time, name = re.split(r"[,;\s]", line.strip(), maxsplit=1)
+        if not name.strip():
+            raise ValueError(line)
         return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", notes)

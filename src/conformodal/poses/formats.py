@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from pathlib import Path
 
@@ -31,7 +30,6 @@ from .text import (
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0  # of KITTI
-_SEPARATED = re.compile(r"\s*[,;\s]\s*")
 _TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
 
 
@@ -72,7 +70,7 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[st
 
 
 def _numbers(line: str) -> list[float]:
-    return [number(field) for field in _SEPARATED.split(line.strip())]
+    return [number(field) for field in _fields(line)]
 
 
 def _checked(
@@ -122,6 +120,12 @@ def euroc_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[
     return _checked(rows, "wxyz", path, damaged, doubts)
 
 
+def _fields(line: str) -> list[str]:
+    """What stands between commas, or semicolons, or blanks: one of them separates a line."""
+    separator = next((mark for mark in ",;" if mark in line), None)
+    return [field.strip() for field in line.strip().split(separator)]
+
+
 def _parse_euroc(line: str) -> list[float]:
-    fields = _SEPARATED.split(line.strip())[:8]
+    fields = _fields(line)[:8]
     return [nanoseconds(fields[0].strip()) / 1e9, *(number(field) for field in fields[1:])]
