@@ -115,7 +115,7 @@ class Regions:
             raise ConformalError(f"function must return values of shape {given.shape}, got {ends.shape}")
         if not np.isfinite(ends).all():
             row, j = np.argwhere(~np.isfinite(ends))[0]
-            found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}; y_min= and y_max= of the fit bound edges"
+            found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}: bound them by y_min= and y_max="
             raise ConformalError(f"function must be finite at all edges of the bins, {found}")
         steps = [slice(None, None, 1 if end[0] < end[1] else -1) for end in ends.T]
         bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
