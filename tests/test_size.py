@@ -7,8 +7,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2730,
-    "conformal": 5790,
+    "cli": 2740,
+    "conformal": 5840,
     "core": 410,
     "datasets": 5600,
     "localization": 2930,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19880
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19940

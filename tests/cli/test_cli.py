@@ -1,6 +1,8 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 from importlib.metadata import version
 
 import numpy as np
@@ -41,7 +43,10 @@ def test_help_of_every_verb_explains_every_option():
             assert record, f"{name} hides {parameter.name}"
             # typer adds [default: 3] and [required]
             assert re.sub(r"\[[^]]*\]", "", record[1]).strip(), f"{name} does not explain {parameter.name}"
-    assert invoke("--version").output.strip()[0].isdigit()
+    found = subprocess.run(
+        [sys.executable, "-m", "conformodal", "--version"], capture_output=True, text=True, check=True
+    )
+    assert invoke("--version").output == found.stdout == f"{version('conformodal')}\n"
 
 
 def test_run_writes_everything(results):

@@ -109,6 +109,31 @@ def test_columns_that_cannot_be_used_are_refused(targets, group, says):
         choose_columns(frame(), targets, group, "f")
 
 
+def test_a_table_of_targets_is_refused():
+    with pytest.raises(TableError, match="learn from; all are targets"):
+        choose_columns(frame()[["dose"]], ["dose"], None, "f")
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "says"),
+    [
+        ("--model", "own.csv", "is not a saved regressor"),
+        ("--model", ".", "is not a saved regressor"),
+        ("--plot", "own.csv", "ends with .svg"),
+        ("--plot", "new.gif", "ends with .svg"),
+        ("--plot", "own.png", "is not a picture of this command"),
+    ],
+)
+def test_other_files_are_not_overwritten(tmp_path, option, name, says):
+    (tmp_path / "own.png").write_bytes(b"\x89PNG")
+    path = written(tmp_path, "a,y\n1,2\n")
+    result = invoke("table", path, "--target", "y", option, tmp_path / name)
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert path.read_text() == "a,y\n1,2\n"
+    assert not (tmp_path / "new.gif").exists()
+
+
 def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
     for module in (quick, location):  # short fits
         monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
@@ -117,6 +142,9 @@ def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, 
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
     options = ("--model", tmp_path / "reg.cm") if find_spec("skops") else ()
+    options += ("--plot", tmp_path / "own.png") if find_spec("matplotlib") else ()
+    if options:  # what it has written it replaces
+        assert invoke("table", tmp_path / "own.csv", "--target", "dose", *options).exit_code == 0
     result = invoke("table", tmp_path / "own.csv", "--target", "dose", "--group", "ward", *options)
     assert result.exit_code == 0, result.output
     assert not options or ConformalRegressor.load(options[1]).bins_.names == ["dose"]

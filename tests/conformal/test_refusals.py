@@ -192,6 +192,8 @@ REFUSED = [
     (lambda: REGIONS[np.array([0.0])], "indexed"),
     (lambda: REGIONS[[True, False]], "index"),
     (lambda: cm.Regions.concatenate([1, 2]), "Regions"),
+    (lambda: REGIONS.mapped(np.log), "finite at all edges of the bins, got -inf at 0, target 0"),
+    (lambda: REGIONS.mapped(lambda v: v[:2]), "shape"),
     # diagnostics
     (lambda: cm.diagnose(MONDRIAN, P, Y), "groups are needed"),
     (lambda: cm.diagnose(SPLIT, P, Y, names=5), "name per target"),
@@ -231,6 +233,9 @@ REFUSED = [
     # regressors and densities
     (lambda: cm.ConformalRegressor(5).fit(X, Y), "estimator"),
     (lambda: cm.ConformalRegressor(DecisionTreeClassifier).fit(X, Y), "estimator"),
+    (lambda: tree().set_params(joint="foo").fit(X, Y), "'density'.*got 'foo'"),
+    (lambda: FITTED.predict_region(X, alpha=[]), "alpha must hold at least one"),
+    (lambda: FITTED.predict_density(X).quantiles([0.1, 0.9]), "levels must be in"),
     (lambda: tree().fit(X[:2], Y[:2]), "n_samples=2"),
     (lambda: tree().fit(X * 1e39, Y), "cannot be fitted"),
     (lambda: FITTED.predict(X * 1e39), "cannot predict"),
@@ -264,6 +269,7 @@ def test_refused(call, says):
     [
         (lambda: cm.QuantileBins(5).encode([1.0]), cm.NotCalibratedError),
         (lambda: cm.SplitConformal(BINS).predict(P), cm.NotCalibratedError),
+        (lambda: cm.DriftMonitor(cm.SplitConformal(BINS)), cm.NotCalibratedError),
         (lambda: uncalibrated().predict_region(X), cm.NotCalibratedError),
         (lambda: uncalibrated().diagnose(X, Y), cm.NotCalibratedError),
         (lambda: cm.QuickDensity().predict_proba(X), NotFittedError),

@@ -13,6 +13,7 @@ import pandas as pd
 import typer
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, Diagnosis
+from conformodal.conformal.learning.saving import check_replaceable
 from conformodal.core.words import counted, listed
 
 from .console import report_errors, report_line
@@ -21,6 +22,7 @@ _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN = 3
 _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
+_PICTURES = (".svg", ".png", ".pdf")
 _DATE = r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}"
 
 
@@ -45,6 +47,7 @@ def table(
     ] = None,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
+    _check_outputs(plot, model)
     frame, notes = read_table(file)
     X, y, more = choose_columns(frame, target, group, str(file))
     for note in (*notes, *more):
@@ -73,6 +76,16 @@ def table(
     if model is not None:
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
+
+
+def _check_outputs(plot: Path | None, model: Path | None) -> None:
+    """Refuse to write over what this command has not written, before any work begins."""
+    if plot is not None and plot.suffix not in _PICTURES:
+        raise TableError(f"{plot}: the name of a picture ends with {', '.join(_PICTURES)}")
+    if plot is not None and plot.exists() and not (plot.is_file() and b"conformodal" in plot.read_bytes()):
+        raise TableError(f"{plot}: exists and is not a picture of this command, not replaced; name another file")
+    if model is not None:
+        check_replaceable(model)
 
 
 def _draw(found: Diagnosis, plot: Path) -> None:
@@ -180,7 +193,7 @@ def choose_columns(
             words += [f"{missing:.0%} missing"] if missing else []
             notes.append(f"{name} ({', '.join(words)})" if words else name)
     if not used:
-        raise TableError(f"{file}: no column is left to learn from; left out: {'; '.join(left_out)}")
+        raise TableError(f"{file}: no column is left to learn from; {'; '.join(left_out) or 'all are targets'}")
     lines = [f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""), f"used: {', '.join(notes)}"]
     if left_out:
         lines.append(f"left out: {', '.join(left_out)}")

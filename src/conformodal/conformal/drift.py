@@ -67,12 +67,12 @@ class DriftMonitor:
     """
 
     def __init__(self, calibrator: SplitConformal, delta: float = 0.01, random_state: Any = None) -> None:
-        if not isinstance(calibrator, SplitConformal) or calibrator.groups_ is not None:
+        if not isinstance(calibrator, SplitConformal) or getattr(calibrator, "groups_", None) is not None:
             raise ConformalError("calibrator must be a SplitConformal without groups")
         self.calibrator = calibrator
         self.delta = as_number(delta, "delta", "a probability in (0, 1)", lambda p: 0 < p < 1)
         self._random = as_random(random_state)
-        known = calibrator.rule.columns(calibrator.scores_)
+        known = calibrator.rule.columns(calibrator._calibrated())
         self._past = [np.sort(column).tolist() for column in known.T]
         self._shares = np.full((known.shape[1], _SLOPES.size), 1 / _SLOPES.size)
         self._logs = np.zeros(known.shape[1])

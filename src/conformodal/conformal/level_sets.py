@@ -13,7 +13,7 @@ from conformodal.core.arrays import BoolArray, FloatArray
 
 from .bins import QuantileBins
 from .checks import Alpha, Probabilities, as_alpha, as_count, as_random, as_targets
-from .errors import NotCalibratedError
+from .errors import ConformalError, NotCalibratedError
 from .predictive import PredictiveDensity
 from .rank import conformal_quantile
 
@@ -35,8 +35,10 @@ class LevelSets:
     def __len__(self) -> int:
         return len(self.density)
 
-    def contains(self, y: npt.ArrayLike) -> BoolArray:
-        """Whether each set holds the values `y` (n, d) of all targets, (n,)."""
+    def contains(self, y: npt.ArrayLike, joint: bool = True) -> BoolArray:
+        """Whether each set holds the values `y` (n, d) of all targets, (n,); `joint` must be True."""
+        if not joint:
+            raise ConformalError("joint must be True: level sets hold all targets together")
         values = as_targets(y, self.density.bins.n_targets)
         low, high = self.density.bins.limits.T
         within = ((low <= values) & (values <= high)).all(axis=1)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray
 
 from .bins import QuantileBins
-from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets
+from .checks import Probabilities, as_count, as_doubles, as_number, as_random, as_table, as_targets, brief
 from .errors import ConformalError
 from .regions import Regions
 
@@ -100,8 +100,11 @@ class PredictiveDensity:
         share = np.clip((values - edges[code]) / np.diff(edges)[code], 0, 1)
         return np.asarray(self._below[j][rows, code] + share * self.proba[j][rows, code])
 
-    def quantiles(self, levels: FloatArray) -> FloatArray:
+    def quantiles(self, levels: npt.ArrayLike) -> FloatArray:
         """Quantiles at levels (n, d), one for every sample and target, (n, d)."""
+        levels, shape = as_doubles(levels, "levels"), (len(self), self.bins.n_targets)
+        if levels.shape != shape or not ((levels >= 0) & (levels <= 1)).all():
+            raise ConformalError(f"levels must be in [0, 1], shape {shape}, got {brief(levels)}; quantile(q) takes one")
         found, rows = np.empty_like(levels), np.arange(len(levels))
         for j, (level, edges) in enumerate(zip(levels.T, self.bins.edges_, strict=True)):
             code = np.minimum((self._below[j][:, 1:] < level[:, None]).sum(axis=1), edges.size - 2)

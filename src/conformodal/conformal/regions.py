@@ -12,7 +12,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
-from .checks import as_array, as_count, as_flags, as_targets, brief
+from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief
 from .errors import ConformalError
 
 if TYPE_CHECKING:
@@ -102,12 +102,21 @@ class Regions:
     def mapped(self, function: Callable[[FloatArray], npt.ArrayLike]) -> Regions:
         """Regions of the targets after strictly monotone functions of each; `function` takes and returns (m, d).
 
-        An unbounded set becomes the whole real line. Regions of a ``TransformedTargetRegressor`` `t` are
+        An unbounded set becomes the whole real line. `function` must be finite at all edges of the bins. Regions of a
+        ``TransformedTargetRegressor`` `t` are
         ``t.regressor_.predict_region(X).mapped(t.transformer_.inverse_transform)``.
         """
         edges, most = self.bins.edges_, max(self.bins.sizes)
         given = np.column_stack([np.pad(e, (0, most + 1 - e.size), mode="edge") for e in edges])
-        ends = as_targets(function(given), n_targets=len(edges))
+        with np.errstate(all="ignore"):  # checked below
+            ends = as_doubles(function(given), "values of function")
+        ends = ends[:, None] if ends.ndim == 1 else ends
+        if ends.shape != given.shape:
+            raise ConformalError(f"function must return values of shape {given.shape}, got {ends.shape}")
+        if not np.isfinite(ends).all():
+            row, j = np.argwhere(~np.isfinite(ends))[0]
+            found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}: bound them by y_min= and y_max="
+            raise ConformalError(f"function must be finite at all edges of the bins, {found}")
         steps = [slice(None, None, 1 if end[0] < end[1] else -1) for end in ends.T]
         bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
         bins.names = self.bins.names

@@ -51,7 +51,7 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
     )
     if path is not None:
         with replacing(Path(path)) as part:
-            figure.savefig(part, format=Path(path).suffix.removeprefix(".") or None)
+            figure.savefig(part, format=Path(path).suffix[1:] or None, metadata={"Creator": "conformodal"})
     return figure
 
 

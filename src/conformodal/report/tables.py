@@ -38,7 +38,7 @@ def draw_regions(
     Parameters
     ----------
     regions
-        Of n samples.
+        Of n samples. Unbounded sets are hatched: they go on beyond the outermost edges.
     y
         (n,) or (n, d) true values: dots inside their sets, crosses outside.
     x
@@ -50,6 +50,8 @@ def draw_regions(
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
+    if not isinstance(regions, Regions):
+        raise ConformalError(f"regions must be Regions, of one alpha, got {type(regions).__name__}")
     n, target = len(regions), as_count(target, "target", 0, regions.bins.n_targets - 1)
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
@@ -71,8 +73,11 @@ def draw_regions(
         darkest = float(np.quantile(shade, _DARKEST)) or None
         ax.pcolormesh(ends, own, shade, cmap="Greys", vmin=0, vmax=darkest, zorder=0, rasterized=True)
     corners = np.stack([np.column_stack(c) for c in ((left, low), (left, high), (right, high), (right, low))], axis=1)
-    sets: Any = PolyCollection(list(corners), facecolors=_SET, alpha=0.55, linewidths=0, antialiaseds=False)
-    ax.add_collection(sets)
+    endless = np.isinf(intervals).any(axis=1)
+    for rows, hatch in ((~endless, None), (endless, "///")):
+        look: Any = {"facecolors": _SET, "alpha": 0.55, "linewidths": 0, "antialiaseds": False, "hatch": hatch}
+        if rows.any():
+            ax.add_collection(PolyCollection(list(corners[rows]), **look))
     if y is not None:
         values = as_targets(y, regions.bins.n_targets)
         inside, truth = regions.contains(values)[:, target], values[:, target]
@@ -101,6 +106,8 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
+    if not isinstance(diagnosis, Diagnosis):
+        raise ConformalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
     found = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     draw_column(ax, found)

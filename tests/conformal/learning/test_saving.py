@@ -70,6 +70,10 @@ def test_types_of_others_are_named_and_need_trust(tmp_path):
     name = f"{Foreign.__module__}.Foreign"
     with pytest.raises(ConformalError, match=rf"reg\.cm: holds the types {name}: if you trust"):
         ConformalRegressor.load(path)
+    for wrong in (name, True, [Foreign]):
+        with pytest.raises(ConformalError, match="trusted must be a list of names"):
+            ConformalRegressor.load(path, trusted=wrong)
+    reg.save(path)  # replaces it
     np.testing.assert_array_equal(ConformalRegressor.load(path, trusted=[name]).predict(X), reg.predict(X))
 
 
@@ -92,6 +96,16 @@ def test_other_files_are_refused(content, match, tmp_path):
         (tmp_path / "reg.cm").write_bytes(content)
     with pytest.raises(ConformalError, match=rf"reg\.cm: .*{match}"):
         ConformalRegressor.load(tmp_path / "reg.cm")
+
+
+@pytest.mark.parametrize("content", [b"text", archive(), skops.dumps({"format": "x"}), None])
+def test_other_files_and_folders_are_not_replaced(content, tmp_path):
+    path = tmp_path / "reg.cm" if content else tmp_path
+    if content:
+        path.write_bytes(content)
+    with pytest.raises(ConformalError, match="exists and is not a saved regressor"):
+        saving.save_regressor(None, path)
+    assert path.is_dir() or path.read_bytes() == content
 
 
 def test_another_version_of_scikit_learn_is_a_warning(tmp_path, monkeypatch):

@@ -71,7 +71,7 @@ def test_the_encoder_fills_marks_counts_and_names():
     np.testing.assert_array_equal(encoder.transform(X), expected)
     later = pd.DataFrame({"a": [np.nan], "b": ["never seen"], "c": [date(2024, 1, 2)]})
     np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0]])
-    with pytest.raises(ConformalError, match="column a held numbers in training, got text"):
+    with pytest.raises(ConformalError, match="column a held numbers or dates in training, got text"):
         encoder.transform(later.assign(a=["1,5"]))
     with pytest.raises(ConformalError, match="2 columns, expected 3"):
         encoder.transform(later[["a", "b"]])
@@ -216,7 +216,7 @@ def test_two_targets_in_groups_are_covered_together():
     ("call", "says"),
     [
         (lambda X, y: tree(groups="ward").fit(X, y), "'ward'.*not among the columns"),
-        (lambda X, y: tree(groups="age").fit(X, y, groups=y), "given too"),
+        (lambda X, y: tree(groups="age").fit(X, y, groups=y), "'age': omit groups="),
         (lambda X, y: tree(groups="age").fit(X.to_numpy(), y), "not among"),
         (lambda X, y: tree().fit(X, y).predict_region(X, groups=np.zeros(N)), "must be None"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),

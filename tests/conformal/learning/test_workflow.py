@@ -145,6 +145,8 @@ def test_a_column_of_groups_is_split_with_its_rows():
     reg = ConformalRegressor(inner, groups="site", calibration_size=0.4, random_state=0)
     search = GridSearchCV(reg, {"n_bins": [8]}, cv=2, scoring=region_scorers(), refit="neg_length").fit(FRAME, Y)
     assert set(search.best_estimator_.calibrator_.sizes_) == {"north", "south"}
+    with pytest.raises(ConformalError, match="'site': omit groups="):
+        search.best_estimator_.diagnose(FRAME, Y, groups=FRAME["site"])
 
 
 class Demanding(ClassifierMixin, BaseEstimator):

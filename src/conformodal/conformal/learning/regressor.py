@@ -23,6 +23,7 @@ from conformodal.conformal.checks import (
     Alpha,
     as_alpha,
     as_array,
+    as_choice,
     as_doubles,
     as_number,
     as_random,
@@ -47,6 +48,7 @@ from .saving import load_regressor, save_regressor
 from .smoothing import proba_of_bins
 from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
 
+AnyJoint = Literal[Joint, "density"]
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
 # Values a little beyond the training range still get a finite score.
@@ -154,7 +156,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         n_bins: int | None = None,
         alpha: Alpha = 0.1,
         score: str | Score = "density",
-        joint: Joint | Literal["density"] = "none",
+        joint: AnyJoint = "none",
         calibration_size: float = 0.2,
         random_state: Any = None,
         verbose: bool = False,
@@ -308,8 +310,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         proba, calibrator = self.predict_bins(X), self._calibrated()
         labels = self._labels(X, groups, len(proba[0]))
         several = isinstance(alpha, (list, tuple)) or (isinstance(alpha, np.ndarray) and alpha.ndim > 0)
+        rates: Sequence[Any] = list(cast("Alphas", alpha)) if several else [alpha]
+        if not rates:
+            raise ConformalError(f"alpha must hold at least one rate, got {brief(alpha)}")
         found: list[Regions] = []
-        for rate in cast("Alphas", alpha) if several else [cast("Alpha | None", alpha)]:
+        for rate in rates:
             own = calibrator if rate is None else calibrator.at(rate)
             found.append(own.predict(proba) if labels is None else own.predict(proba, labels))
         return found if several else found[0]
@@ -336,7 +341,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def save(self, path: str | Path) -> None:
         """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
 
-        Estimators of scikit-learn and the named ones can be saved.
+        An existing file is replaced only if it is a saved regressor. Estimators of scikit-learn and the named ones can
+        be saved.
         """
         check_is_fitted(self, "bins_")
         save_regressor(self, path)
@@ -355,6 +361,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _calibrator(self, grouped: bool) -> Any:
         score: str | Score = self.__dict__["score"]
+        as_choice(self.joint, AnyJoint, "joint")
         level_sets = self.joint == "density"
         for name, given in (("joint='density'", level_sets), ("max_intervals", self.max_intervals is not None)):
             if given and score != "density":
@@ -413,8 +420,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if self.groups is not None:
             known = names_of(X) if is_frame(X) else []
             if groups is not None or self.groups not in known:
-                found = "given too" if groups is not None else f"not among the columns of X, {brief(known)}"
-                raise ConformalError(f"groups are in column {brief(self.groups)}, which is {found}")
+                found = (
+                    ": omit groups=" if groups is not None else f", which is not among the columns of X, {brief(known)}"
+                )
+                raise ConformalError(f"groups are in column {brief(self.groups)}{found}")
             groups = column_of(X, known.index(self.groups))
         needed = fitted and isinstance(self.calibrator_, MondrianConformal)
         if fitted and needed != (groups is not None):

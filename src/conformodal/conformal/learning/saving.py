@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import sklearn
 
-from conformodal.conformal.checks import shortened
+from conformodal.conformal.checks import brief, shortened
 from conformodal.conformal.errors import ConformalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
@@ -36,8 +36,23 @@ _FOREIGN = (
 _TRUSTED = (*(f"conformodal.conformal.{name}" for name in _OWN), *_FOREIGN)
 
 
+def check_replaceable(path: str | Path) -> None:
+    """Refuse a folder, and a file with anything but a saved regressor in it."""
+    path = Path(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            free = _FORMAT.encode() in archive.read("schema.json")
+    except FileNotFoundError:
+        free = True
+    except Exception:  # whatever another file leads to
+        free = path.is_file() and path.stat().st_size == 0
+    if not free:
+        raise ConformalError(f"{path}: exists and is not a saved regressor, not replaced; name another file")
+
+
 def save_regressor(regressor: Any, path: str | Path) -> None:
     """Write a regressor into a file, whole or not at all."""
+    check_replaceable(path)
     with require_extra("save", "saving a regressor"):
         import skops.io  # noqa: PLC0415
     record = {"format": _FORMAT, "scikit-learn": sklearn.__version__, "regressor": regressor}
@@ -54,6 +69,8 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
 
     Types are checked, the arrays of compiled trees are not: a file that was altered on purpose can crash Python.
     """
+    if isinstance(trusted, str) or not (isinstance(trusted, Iterable) and all(isinstance(t, str) for t in trusted)):
+        raise ConformalError(f"trusted must be a list of names, such as ['package.Class'], got {brief(trusted)}")
     with require_extra("save", "loading a regressor"):
         import skops.io  # noqa: PLC0415
     try:

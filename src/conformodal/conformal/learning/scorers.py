@@ -71,6 +71,10 @@ def region_scorers(alpha: Alpha = 0.1) -> dict[str, RegionScorer]:
     - ``"neg_interval_score"``: minus the length and, for a value outside its set, ``2 / alpha`` times its distance to
       the set (Gneiting and Raftery 2007, for one interval). From an empty set it is as far as the bins reach.
 
+    ``GridSearchCV`` needs ``refit="neg_length"``, say; its ``best_estimator_.predict_region`` gives the regions. Groups
+    given by ``params={"groups": g}`` reach a scorer with scikit-learn's ``enable_metadata_routing`` on, after
+    ``set_score_request(groups=True)`` of each scorer and ``set_fit_request(groups=True)`` of the regressor.
+
     Examples
     --------
     >>> import numpy as np

@@ -115,7 +115,7 @@ class TableEncoder:
             elif isinstance(known, list) and (values.dtype.kind != "f" or np.isnan(values).all()):
                 parts += [(values == label) * 1.0 for label in known]
             else:
-                what = ("numbers", "text")[:: 1 if isinstance(known, tuple) else -1]
+                what = ("numbers or dates", "text")[:: 1 if isinstance(known, tuple) else -1]
                 raise ConformalError(f"column {name} held {what[0]} in training, got {what[1]}, {brief(values[:1])}")
         return np.column_stack(parts) if parts else np.empty((X.shape[0], 0))
 
