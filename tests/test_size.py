@@ -15,7 +15,7 @@ BUDGET = {
     "model": 1420,
     "motion": 990,
     "networks": 730,
-    "poses": 1010,
+    "poses": 1020,
     "quality": 940,
     "reasoning": 1470,
     "report": 870,
