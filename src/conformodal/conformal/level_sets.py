@@ -76,7 +76,7 @@ class LevelSetConformal:
 
     Attributes
     ----------
-    correlation_ : (d, d) of the copula; of no correlation until :meth:`fit_copula`
+    correlation_ : (d, d) of the copula; of no correlation until ``fit_copula`` is called
     scores_ : (n, 1) minus the log joint densities of the calibration samples
     thresholds_ : (1,)
 

@@ -13,13 +13,6 @@ from PIL import Image
 
 from .sequence import ImageChange, PixelNoise
 
-# The weakest and the strongest disturbance of each kind; between them, logarithms are spread evenly.
-BLUR_PX = (1.0, 6.0)  # standard deviation
-DARKER = (0.6, 0.1)  # factor of brightness
-BRIGHTER = (1.3, 2.5)
-NOISE = (0.03, 0.25)  # standard deviation where pixels are in [0, 1]
-JPEG_QUALITY = (30.0, 5.0)
-
 
 @dataclass(frozen=True)
 class Disturbance:
@@ -35,6 +28,12 @@ class Disturbance:
 
     seed: int = 0
     noise: ImageChange | None = None
+    # the weakest and the strongest disturbance of each kind; between them, logarithms are spread evenly
+    blur_px: tuple[float, float] = (1.0, 6.0)  # standard deviation
+    darker: tuple[float, float] = (0.6, 0.1)  # factor of brightness
+    brighter: tuple[float, float] = (1.3, 2.5)
+    sigma: tuple[float, float] = (0.03, 0.25)  # of pixel noise, where pixels are in [0, 1]
+    jpeg_quality: tuple[float, float] = (30.0, 5.0)
 
     @property
     def changes(self) -> bool:
@@ -53,12 +52,12 @@ class Disturbance:
 
         match kind:
             case "blur":
-                return np.asarray(cv2.GaussianBlur(image, (0, 0), strength(BLUR_PX)), np.uint8)
+                return np.asarray(cv2.GaussianBlur(image, (0, 0), strength(self.blur_px)), np.uint8)
             case "darker" | "brighter":
-                factor = strength(DARKER if kind == "darker" else BRIGHTER)
+                factor = strength(self.darker if kind == "darker" else self.brighter)
                 return np.asarray(np.clip(image * np.float32(factor), 0, 255), np.uint8)
             case "noise":
-                return PixelNoise(strength(NOISE), self.seed).apply(image, name)
+                return PixelNoise(strength(self.sigma), self.seed).apply(image, name)
         compressed = BytesIO()
-        Image.fromarray(image).save(compressed, "jpeg", quality=round(strength(JPEG_QUALITY)))
+        Image.fromarray(image).save(compressed, "jpeg", quality=round(strength(self.jpeg_quality)))
         return np.asarray(Image.open(compressed))

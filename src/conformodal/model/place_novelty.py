@@ -28,7 +28,7 @@ class PlaceNovelty:
     # strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None without local
     # features
     matched: NoveltyTest | None = None
-    # the same of disturbed images, among which recognising a place is harder; None if they are not calibrated
+    # of disturbed images in which a place was recognised, which is harder in them; None if they are not calibrated
     disturbed: NoveltyTest | None = None
 
     @classmethod
@@ -41,6 +41,12 @@ class PlaceNovelty:
     def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
         """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
         return self.test.rescored(_with_recognition(distances, recognition), groups)
+
+    def disturbed_p(self, test: NoveltyTest, distances: FloatArray, recognition: FloatArray) -> FloatArray:
+        """(m,) p-values of the disturbed frames that calibrate `test`, as those of new images will be."""
+        assert self.matched is not None
+        by_appearance = self.matched.p_values(_with_recognition(distances, recognition))
+        return np.asarray(np.where(recognition > 0, test.left_out_p_values(), by_appearance))
 
     def distances(self, features: npt.NDArray[np.float32], left_out: IntArray | None = None) -> FloatArray:
         """(n,) distances of features (n, F) to those of the most similar known frame.
@@ -67,7 +73,7 @@ class PlaceNovelty:
         looked, scores = np.isfinite(recognition), _with_recognition(distances, recognition)
         p[looked] = self.matched.p_values(scores[looked])
         if self.disturbed is not None:
-            looked &= disturbed
+            looked &= disturbed & (recognition > 0)  # others are as novel as their appearance
             p[looked] = self.disturbed.p_values(scores[looked])
         return p
 

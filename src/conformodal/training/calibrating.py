@@ -179,7 +179,9 @@ def calibrate_disturbed(
     if 0 < rules.level < test.least_p:  # so few that none could be flagged as unknown
         return calibrated, None
     rule = copy(rules.overall).calibrate_scores(scores, units)
-    rules = replace(rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, test.left_out_p_values()))
+    rules = replace(
+        rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, novelty.disturbed_p(test, distances, recognition))
+    )
     return replace(calibrated, rules=rules, novelty=replace(novelty, disturbed=test)), quality
 
 
