@@ -15,7 +15,7 @@ from common import DATA, RESULTS, ROOT, cached_json, write_table
 
 from conformodal.core.files import default_cache_dir
 from conformodal.datasets import SplitKind, read_sequence
-from conformodal.datasets.joining import share_near
+from conformodal.datasets.joining import near_known
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.store import load_model, save_model
@@ -42,7 +42,7 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
     model = load_model(folder)
     run = odometry_of(model).process(new, new.posed, cache=cache)
     truth, views = new.poses[np.searchsorted(new.posed, run.frames)], known.require_truth()
-    near = share_near(truth, views, NEAR_M, NEAR_RAD)
+    near = near_known(truth, views, NEAR_M, NEAR_RAD)
     targets, found = pose_targets(truth, model.sign_reference), {}
     regions = {"image alone": run.regions, **run.path_regions}
     alone = np.array([its.positions_xyz[np.argmax(its.log_mass)] for its in run.candidates])

@@ -22,7 +22,6 @@ from .diagnostics.diagnosis import Diagnosis, diagnose
 from .drift import DriftMonitor
 from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
 from .intervals import MaxIntervals
-from .level_sets import LevelSetConformal, LevelSets
 from .novelty import NoveltyTest
 from .online import Aci, ConformalPid, OnlineConformal
 from .predictive import PredictiveDensity
@@ -49,7 +48,7 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 
 __all__ = [
     "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LevelSetConformal", "LevelSets",
+    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac",
     "LinearDensity", "MaxIntervals", "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal",
     "PredictiveDensity", "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning",
     "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray
 
 from .bins import QuantileBins
-from .checks import Probabilities, as_count, as_doubles, as_number, as_random, as_table, as_targets, brief
+from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets
 from .errors import ConformalError
 from .regions import Regions
 
@@ -60,7 +60,7 @@ class PredictiveDensity:
     def quantile(self, q: float) -> FloatArray:
         """The value that is not exceeded with probability `q`, (n, d)."""
         level = as_number(q, "q", "a probability in [0, 1]", lambda p: 0 <= p <= 1)
-        return self.quantiles(np.full((len(self), self.bins.n_targets), level))
+        return self._at(np.full((len(self), self.bins.n_targets), level))
 
     @property
     def mean(self) -> FloatArray:
@@ -76,7 +76,7 @@ class PredictiveDensity:
     def sample(self, size: int = 1, random_state: Any = None) -> FloatArray:
         """Independent draws for every sample and target, (size, n, d)."""
         random, shape = as_random(random_state), (len(self), self.bins.n_targets)
-        return np.stack([self.quantiles(random.random_sample(shape)) for _ in range(as_count(size, "size", 1))])
+        return np.stack([self._at(random.random_sample(shape)) for _ in range(as_count(size, "size", 1))])
 
     def probabilities(self, regions: Regions, i: int) -> list[FloatArray]:
         """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
@@ -100,11 +100,8 @@ class PredictiveDensity:
         share = np.clip((values - edges[code]) / np.diff(edges)[code], 0, 1)
         return np.asarray(self._below[j][rows, code] + share * self.proba[j][rows, code])
 
-    def quantiles(self, levels: npt.ArrayLike) -> FloatArray:
-        """Quantiles at levels (n, d), one for every sample and target, (n, d)."""
-        levels, shape = as_doubles(levels, "levels"), (len(self), self.bins.n_targets)
-        if levels.shape != shape or not ((levels >= 0) & (levels <= 1)).all():
-            raise ConformalError(f"levels must be in [0, 1], shape {shape}, got {brief(levels)}; quantile(q) takes one")
+    def _at(self, levels: FloatArray) -> FloatArray:
+        """Quantiles at a level for every sample and target, (n, d)."""
         found, rows = np.empty_like(levels), np.arange(len(levels))
         for j, (level, edges) in enumerate(zip(levels.T, self.bins.edges_, strict=True)):
             code = np.minimum((self._below[j][:, 1:] < level[:, None]).sum(axis=1), edges.size - 2)

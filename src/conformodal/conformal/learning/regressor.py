@@ -35,7 +35,6 @@ from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
 from conformodal.conformal.errors import ConformalError, ConformalTypeError, NotCalibratedError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.intervals import MaxIntervals
-from conformodal.conformal.level_sets import LevelSetConformal
 from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
@@ -48,7 +47,6 @@ from .saving import load_regressor, save_regressor
 from .smoothing import proba_of_bins
 from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
 
-AnyJoint = Literal[Joint, "density"]
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
 # Values a little beyond the training range still get a finite score.
@@ -57,7 +55,7 @@ _MARGIN = 0.02
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _NO_TARGETS = object()
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
-_FLOOR = 1e-6
+_LEAST_SHARE = 1e-6
 
 
 class _ScoreName:
@@ -80,9 +78,9 @@ def _log_score(self: ConformalRegressor, X: Any, y: Any, sample_weight: npt.Arra
     """
     values = self._table(X, y, reset=False)[1]
     density = self.predict_density(X).pdf(values)
-    floor = [_FLOOR / np.ptp(edges) for edges in self.bins_.edges_]
+    least = [_LEAST_SHARE / np.ptp(edges) for edges in self.bins_.edges_]
     weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
-    return float(np.average(np.log(np.maximum(density, floor)).sum(axis=1), weights=weight))
+    return float(np.average(np.log(np.maximum(density, least)).sum(axis=1), weights=weight))
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -107,10 +105,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     score
         ``"density"`` (shortest sets), ``"linear_density"``, ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
     joint
-        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. ``"density"``
-        gives level sets of the joint density, :class:`~conformodal.conformal.LevelSetConformal`, which are smaller and
-        of any shape. With these and ``"max"`` every density is fitted twice: scales, or the dependence of the targets,
-        come from rows that one of the fits has not seen.
+        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
+        every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
     calibration_size
         Share of the samples that ``fit`` holds out for calibration, in [0, 1). With 0, call :meth:`conformalize` next.
     random_state
@@ -130,7 +126,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ----------
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
-    calibrator_ : SplitConformal, MondrianConformal with groups, or LevelSetConformal with ``joint="density"``
+    calibrator_ : SplitConformal, or MondrianConformal with groups
 
     Examples
     --------
@@ -156,7 +152,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         n_bins: int | None = None,
         alpha: Alpha = 0.1,
         score: str | Score = "density",
-        joint: AnyJoint = "none",
+        joint: Joint = "none",
         calibration_size: float = 0.2,
         random_state: Any = None,
         verbose: bool = False,
@@ -228,7 +224,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_.check_limits(values)
         self.bins_.names = names
         self.calibrator_: Any = self._calibrator(labels is not None)
-        unseen, learnt = self.joint in ("max", "density"), rows_of(features, seen)
+        unseen, learnt = self.joint == "max", rows_of(features, seen)
         slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
@@ -239,9 +235,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             out_of_fold.append(proba)
         if unseen:
             known = [proba for proba in out_of_fold if proba is not None] or self._proba(learnt)  # too few to leave out
-            calibrator = self.calibrator_
-            adapt = calibrator.fit_copula if self.joint == "density" else calibrator.fit_scale
-            adapt(known, values[seen[: len(known[0])]])
+            self.calibrator_.fit_scale(known, values[seen[: len(known[0])]])
         if held.size:
             self._calibrate(rows_of(features, held), values[held], None if labels is None else labels[held])
         return self
@@ -301,8 +295,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ) -> Regions | list[Regions]:
         """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate.
 
-        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one. With
-        ``joint="density"`` they are :class:`~conformodal.conformal.LevelSets`.
+        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
 
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
         had too few calibration samples, are unbounded.
@@ -361,20 +354,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _calibrator(self, grouped: bool) -> Any:
         score: str | Score = self.__dict__["score"]
-        as_choice(self.joint, AnyJoint, "joint")
-        level_sets = self.joint == "density"
-        for name, given in (("joint='density'", level_sets), ("max_intervals", self.max_intervals is not None)):
-            if given and score != "density":
-                raise ConformalError(f"score must be 'density', the default, with {name}, got {brief(score)}")
-        if level_sets:
-            if grouped or self.max_intervals is not None:
-                raise ConformalError("joint='density' takes neither groups nor max_intervals")
-            return LevelSetConformal(self.bins_, self.alpha)
         if self.max_intervals is not None:
+            if score != "density":
+                raise ConformalError(f"score must be 'density', the default, with max_intervals, got {brief(score)}")
+            as_choice(self.joint, Joint, "joint")
             share = as_alpha(self.alpha) / (1 if self.joint == "none" else self.bins_.n_targets)
             score = MaxIntervals(self.max_intervals, str(share))
         kind = MondrianConformal if grouped else SplitConformal
-        return kind(self.bins_, self.alpha, score, cast("Joint", self.joint))
+        return kind(self.bins_, self.alpha, score, self.joint)
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""

@@ -22,7 +22,7 @@ _OWN = (
     "learning.location.Location", "learning.location._AnisotropicProcess", "learning.process.SparseProcess",
     "learning.quick.QuickDensity", "learning.regressor.ConformalRegressor", "learning.smoothing.BinClassifier",
     "learning.smoothing.BinSmoothing", "learning.smoothing.SmoothedClassifier", "learning.stacked.StackedDensity",
-    "learning.stacked._oob_mean", "learning.tables.TableEncoder", "level_sets.LevelSetConformal", "scores.Aps",
+    "learning.stacked._oob_mean", "learning.tables.TableEncoder", "scores.Aps",
     "scores.Density", "scores.Lac", "scores.LinearDensity",
 )  # fmt: skip
 # what skops does not trust by itself: compiled trees, kernels, and sparse arrays, of which it knows matrices

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from sklearn.utils.metadata_routing import MetadataRequest
 
 from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets
-from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray
 
@@ -45,8 +44,6 @@ class RegionScorer:
         values = as_targets(y)
         if self.name == "coverage":
             found = regions.contains(values).astype(np.float64).reshape(len(values), -1)
-        elif not isinstance(regions, Regions):
-            raise ConformalError(f"scorer {self.name} needs intervals of each target, got {type(regions).__name__}")
         else:
             found = -regions.length if self.name == "neg_length" else -interval_score(regions, values, self.alpha)
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
