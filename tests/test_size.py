@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 2740,
-    "conformal": 5840,
+    "conformal": 5670,
     "core": 410,
     "datasets": 5600,
     "localization": 2930,
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6770
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6720
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19940
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19820

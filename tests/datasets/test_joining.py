@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal.datasets import DatasetError, make_split
-from conformodal.datasets.joining import join_sequences, share_near
+from conformodal.datasets.joining import join_sequences, near_known
 from conformodal.datasets.streams.frames import SourceError
 from conformodal.datasets.streams.joined import JoinedStream, join_streams
 from conformodal.datasets.streams.stored import SequenceStream
@@ -83,4 +83,4 @@ def test_streams_of_several_kinds_run_one_after_the_other(sequence):
 
 def test_poses_near_a_known_one_are_told(sequence):
     poses = Trajectory(np.arange(4), np.diag([0.0, 0.2, 0.4, 0])[:, :3], [[1, 0, 0, 0]] * 3 + [[1, 1, 0, 0]])
-    np.testing.assert_array_equal(share_near(poses, poses[:1]), [True, True, False, False])
+    np.testing.assert_array_equal(near_known(poses, poses[:1], 0.3, np.radians(30)), [True, True, False, False])

@@ -245,8 +245,7 @@ def _smallest(coverage: dict[str, Any]) -> str:
     parts = coverage.get("by_size", [])
     if len(parts) < 2:
         return ""
-    share = "tenth" if len(parts) == 10 else f"{len(parts)}th part"
-    return f", of the smallest {share} {100 * parts[0]['coverage']:.0f} %"
+    return f", of the {parts[0]['frames']} smallest {100 * parts[0]['coverage']:.0f} %"
 
 
 def _size(radius: dict[str, Any]) -> str:

@@ -72,7 +72,7 @@ def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
 
 
 def white_in(content: bytes) -> int:
-    """The level that is shown as white in an image file's content: 255 of one with 8 bits, or that is no image."""
+    """The level that is shown as white in an image file's content: 255 with 8 bits, or where it is not an image."""
     with suppress(Exception), _opened(content, "") as image:
         if (wide := _wide(image, content)) is not None:
             return white_level(wide[..., :3])

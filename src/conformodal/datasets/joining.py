@@ -69,10 +69,8 @@ def join_sequences(sequences: Several[Sequence], given_test: Several[bool] | Non
     )
 
 
-def share_near(
-    poses: Trajectory, known: Trajectory, most_m: float = 0.3, most_rad: float = float(np.radians(30.0))
-) -> BoolArray:
-    """Which of n poses (n,) have a known pose within a distance and an angle.
+def near_known(poses: Trajectory, known: Trajectory, most_m: float, most_rad: float) -> BoolArray:
+    """(n,) whether each of n poses has a known pose within a distance and an angle.
 
     Raises
     ------

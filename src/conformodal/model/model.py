@@ -179,10 +179,7 @@ class PoseModel:
         kinds = self.rules.kinds(p, looked, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
-        regions = self._level_sets(
-            self.rules.overall, beliefs, supports, self.rules.thresholds(kinds, beliefs.recognised)
-        )
-        return Localization(beliefs, regions, p, kinds)
+        return Localization(beliefs, self.image_regions(beliefs, kinds), p, kinds)
 
     def image_regions(self, beliefs: Beliefs, kinds: IntArray) -> PoseRegions:
         """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""

@@ -28,7 +28,8 @@ _DIGITS = 4
 
 def record_next(found: RecordingQuality) -> list[str]:
     """What to record or train on next, the most valuable first; empty where nothing is missing."""
-    lines = [_more_units(guarantee) for guarantee in found.guarantees if not guarantee.finite and guarantee.n_frames]
+    recorded = [its for its in found.guarantees if its.evidence is not EvidenceType.DISTURBED]  # those are made
+    lines = [_more_units(guarantee) for guarantee in recorded if not guarantee.finite and guarantee.n_frames]
     if found.coverage is not None:
         # most errors are to be expected in long stretches far from everything known
         for describe, stretches in ((_cover, found.coverage.sparse), (_slow_down, found.coverage.fast)):

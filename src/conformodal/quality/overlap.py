@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.words import counted
 from conformodal.datasets import Sequence
-from conformodal.datasets.joining import share_near
+from conformodal.datasets.joining import near_known
 from conformodal.localization.landmarks.mapping import build_map
 from conformodal.localization.local_features import LocalFeatures, extract_local_features
 from conformodal.localization.measurement import PoseMeasurement
@@ -74,7 +74,7 @@ def measure_overlap(known: Sequence, new: Sequence, depth_m: float) -> Overlap:
         If one of them has no poses.
     """
     views, poses = known.poses or known.require_truth(), new.poses or new.require_truth()
-    near = float(share_near(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
+    near = float(near_known(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
     if not np.isfinite(depth_m):
         return Overlap(near)
     mapped, asked = _spread(len(views), OVERLAP.keyframes), _spread(len(poses), OVERLAP.images)
