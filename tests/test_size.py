@@ -11,13 +11,13 @@ BUDGET = {
     "conformal": 5670,
     "core": 410,
     "datasets": 5600,
-    "localization": 2930,
-    "model": 1420,
+    "localization": 2940,
+    "model": 1430,
     "motion": 990,
     "networks": 730,
     "poses": 1020,
     "quality": 940,
-    "reasoning": 1470,
+    "reasoning": 1480,
     "report": 870,
     "ros": 710,
     "running": 2310,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19820
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19850

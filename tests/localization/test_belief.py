@@ -49,13 +49,15 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
     cells = belief_cells(bins)
     for edges, fine in zip(bins.edges_, cells.edges_, strict=True):
         assert np.isin(edges, fine).all()
-        reach = np.ptp(edges)
-        assert fine[0] == pytest.approx(edges[0] - reach / 2)
-        assert fine[-1] == pytest.approx(edges[-1] + reach / 2)
-        assert len(fine) - 1 == 2 * 800
+        reach, widths = np.ptp(edges), np.diff(fine)
+        assert fine[0] < edges[0] - 2 * reach
+        assert fine[-1] > edges[-1] + 2 * reach
+        assert (np.diff(widths[-BELIEF.beyond :]) > 0).all()  # wider the further away
+        np.testing.assert_allclose(widths[: BELIEF.beyond], widths[-BELIEF.beyond :][::-1])
+        assert len(widths) == 800 + 2 * BELIEF.beyond
     assert cells_per_bin(bins) == 80
     many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
-    assert belief_cells(many).sizes == [2 * 900]
+    assert belief_cells(many).sizes == [900 + 2 * BELIEF.beyond]
 
 
 def test_regions_over_bins_are_the_same_over_cells(bins):
@@ -64,7 +66,7 @@ def test_regions_over_bins_are_the_same_over_cells(bins):
         proba, np.column_stack([e[3:4].repeat(40) for e in bins.edges_])
     )
     alone = rule.predict(proba)
-    fine = Regions(belief_cells(bins), [on_cells(m, bins, j) for j, m in enumerate(alone.masks)], alone.unbounded)
+    fine = Regions(belief_cells(bins), [on_cells(m, bins) for m in alone.masks], alone.unbounded)
     np.testing.assert_allclose(fine.length, alone.length)
     np.testing.assert_array_equal(fine.n_intervals, alone.n_intervals)
 
@@ -73,7 +75,7 @@ def test_rows_add_up_to_one_whatever_is_believed(bins):
     far = estimate([1e3, -1e3, 0.0])  # most of it lies beyond the cells
     three = mixture([estimate([0.5, 1, 1]), far], [estimate([0.51, 1, 1], probability=0.3)])
     for rows in marginals(bins, softmaxes(bins, 3), mixture(), three, mixture([far])):
-        assert rows.shape == (3, 1600)
+        assert rows.shape == (3, 1400)
         assert (rows >= 0).all()
         np.testing.assert_allclose(rows.sum(axis=1), 1, rtol=1e-12)
 

@@ -30,13 +30,14 @@ def rules(bins):
 
 
 def test_kinds_follow_the_p_values_and_what_was_recognised(rules):
-    known_p = np.array([1.0, 0.06, 0.5, 0.05, 0.01])
-    looked, recognised = np.array([True, True, True, True, False]), np.array([False, False, True, True, False])
-    assert rules.kinds(known_p, looked, recognised).tolist() == [UNMATCHED, UNMATCHED, LANDMARKS, UNKNOWN, UNKNOWN]
-    nothing = np.zeros(5, dtype=bool)
-    assert rules.kinds(known_p, nothing, nothing).tolist() == [GLOBAL] * 3 + [UNKNOWN] * 2
+    known_p = np.array([1.0, 0.06, 0.05, 0.5, 0.04, 0.02, 0.01])
+    looked, recognised = np.arange(7) < 6, np.array([False, False, False, True, True, True, False])
+    expected = [UNMATCHED, UNMATCHED, UNKNOWN, LANDMARKS, LANDMARKS, UNKNOWN, UNKNOWN]
+    assert rules.kinds(known_p, looked, recognised).tolist() == expected
+    nothing, by_level = np.zeros(7, dtype=bool), [GLOBAL, GLOBAL, UNKNOWN, GLOBAL, UNKNOWN, UNKNOWN, UNKNOWN]
+    assert rules.kinds(known_p, nothing, nothing).tolist() == by_level
     alone = RegionRules(rules.overall, None, rules.recognised, rules.known_p, rules.level)
-    assert alone.kinds(known_p, looked, recognised).tolist() == [GLOBAL] * 3 + [UNKNOWN] * 2
+    assert alone.kinds(known_p, looked, recognised).tolist() == by_level
     assert list(alone.of) == [GLOBAL]
     assert alone.thresholds(np.array([LANDMARKS])).tolist() == [[np.inf] * 7]  # nothing was calibrated for it
 
@@ -47,7 +48,7 @@ def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     of = {
         GLOBAL: (rules.overall.scores_, known),
         UNMATCHED: (rules.matched.scores_, known & ~rules.recognised),
-        LANDMARKS: (rules.matched.scores_, known & rules.recognised),
+        LANDMARKS: (rules.matched.scores_, (rules.known_p > 0.025) & rules.recognised),
     }
     for kind, (scores, chosen) in of.items():
         expected = conformal_quantile(scores[chosen].max(axis=1), alpha)

@@ -167,6 +167,30 @@ def test_a_stream_is_lost_until_it_shows_a_known_place():
     assert not any(its.lost for its in hindsight_posteriors(seen, prior))  # what follows leads back
 
 
+def test_hypotheses_of_one_place_do_not_crowd_out_what_images_say():
+    """Sure of 5 m, in sixty variants, of which each image keeps a trace; it says 0 m from now on."""
+    rng = np.random.default_rng(0)
+    x = 5 + 0.02 * rng.normal(size=60)
+    sure = hypotheses(x, np.full(60, 1 / 60), spread=rng.uniform(0.03, 0.06, 60))
+    image = hypotheses([0.0, *x[:47]], [1.0, *np.full(47, 1e-4)], spread=[0.03, *rng.uniform(0.03, 0.06, 47)])
+    seen = Observations([sure] * 5 + [image] * 25, [None] * 30, 0.1 * np.arange(30))
+    prior = replace(PRIOR, top_speed_mps=(0.5, 0.5), volume_m3=1e3)
+    found = choose_places(filter_posteriors(seen, prior), seen.timestamps_s, prior)[0]
+    assert abs(found.positions_xyz[4, 0] - 5) < 0.1
+    assert abs(found.positions_xyz[-1, 0]) < 0.1
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.3])
+def test_spreads_of_a_camera_that_is_not_seen_grow_with_the_time_not_with_its_root(step_s):
+    n = round(3.0 / step_s) + 1
+    known = np.arange(n) == 0
+    seen = Observations([hypotheses([0.0], [1.0])] * n, [None] * n, step_s * np.arange(n), known=known)
+    prior = replace(PRIOR, top_speed_mps=(0.5, 0.5), turn_rate_rad_s=0.2, volume_m3=1e6)
+    (last,) = find_places(filter_posteriors(seen, prior)[-1], prior)
+    assert last.position_spreads == pytest.approx(np.hypot(0.05, 1.5 / np.sqrt(5)), rel=1e-3)
+    assert last.orientation_spread_rad == pytest.approx(np.hypot(0.02, 0.6), rel=1e-3)
+
+
 def half_turned(seed=0):
     """A flight from a known pose to frames that may as well be its half-turn, which is likelier in each of them."""
     rng = np.random.default_rng(seed)

@@ -107,7 +107,10 @@ def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: in
             f"{model.novelty.test.least_p:.3g}"
         )
     else:
-        lines.append(f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}")
+        lines.append(
+            f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
+            "half of it if a place is recognised"
+        )
     return lines
 
 

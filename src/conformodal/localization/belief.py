@@ -66,7 +66,7 @@ class Beliefs:
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
         """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
-        found = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins, j) for j, p in enumerate(self.proba)]
+        found = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins) for p in self.proba]
         for i, mixture in enumerate(self.mixtures):
             mass = np.exp(mixture.candidates.log_mass)
             mass /= mass.sum()
@@ -88,27 +88,23 @@ def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasuremen
 
 
 def belief_cells(bins: QuantileBins) -> QuantileBins:
-    """Cells that divide the bins, and cells of their mean width beyond them; edges of bins are edges of cells."""
+    """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells."""
+    growth = np.cumsum(BELIEF.wider ** np.arange(1, BELIEF.beyond + 1))
     edges = []
-    for fine, n in zip(bins.refine(cells_per_bin(bins)).edges_, _cells_beyond(bins), strict=True):
-        steps = (fine[-1] - fine[0]) / (fine.size - 1) * np.arange(1, n + 1)
+    for fine in bins.refine(cells_per_bin(bins)).edges_:
+        steps = (fine[-1] - fine[0]) / (fine.size - 1) * growth
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)
 
 
-def on_cells(values: npt.NDArray[Kind], bins: QuantileBins, target: int) -> npt.NDArray[Kind]:
+def on_cells(values: npt.NDArray[Kind], bins: QuantileBins) -> npt.NDArray[Kind]:
     """Values of bins (n, K) repeated for every cell in them, (n, cells); 0 beyond the bins."""
-    beyond = _cells_beyond(bins)[target]
-    return np.pad(np.repeat(values, cells_per_bin(bins), axis=1), ((0, 0), (beyond, beyond)))
+    return np.pad(np.repeat(values, cells_per_bin(bins), axis=1), ((0, 0), (BELIEF.beyond, BELIEF.beyond)))
 
 
 def cells_per_bin(bins: QuantileBins) -> int:
     """Number of cells per bin."""
     return max(1, -(-BELIEF.cells // max(bins.sizes)))
-
-
-def _cells_beyond(bins: QuantileBins) -> list[int]:
-    return [round(BELIEF.beyond * cells_per_bin(bins) * k) for k in bins.sizes]
 
 
 def _student_cdf(x: FloatArray) -> FloatArray:

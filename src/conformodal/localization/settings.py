@@ -17,7 +17,10 @@ class _BeliefSettings:
     # 0.2 give nearly the same on seeds 20 and 21 (benchmarks/results/choices.md).
     alone: float = 0.05
     cells: int = 800  # per target, at least: estimates are more precise than bins
-    beyond: float = 0.5  # cells beyond the bins, as a share of those in them: poses may be where no training frame was
+    # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
+    # frame was. They reach 2.4 times as far as the 800 cells
+    beyond: int = 300
+    wider: float = 1.01
     recognised: float = 0.9  # inlier probability from which an estimate by local features is a recognised place
     negligible: float = 1e-3  # hypotheses of less probability are left out of the marginals
 
@@ -44,6 +47,8 @@ class _NoveltySettings:
 
     level_frames: float = 0.015
     level_stretches: float = 0.1
+    # of the level, for images in which a place was recognised
+    share_recognised: float = 0.5
 
 
 @dataclass(frozen=True)

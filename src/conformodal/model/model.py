@@ -196,7 +196,7 @@ class PoseModel:
         )
 
     def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
-        """Regions of n images from posteriors, unbounded where these are lost.
+        """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells.
 
         `path`, one of :data:`PATHS`, says which frames the posteriors rest on.
 
@@ -206,9 +206,10 @@ class PoseModel:
         if rule is None:
             return None
         after = beliefs.after(posteriors)
-        lost = np.array([posterior.lost for posterior in posteriors])
-        thresholds = np.where(lost[:, None], np.inf, rule.thresholds_)
-        return self._level_sets(rule, after, self.localizer.supports(after), thresholds)
+        supports = self.localizer.supports(after)
+        lost = [posterior.lost or its.out_of_range for posterior, its in zip(posteriors, supports, strict=True)]
+        thresholds = np.where(np.array(lost)[:, None], np.inf, rule.thresholds_)
+        return self._level_sets(rule, after, supports, thresholds)
 
     def calibration_of(self, *, local: bool) -> SplitConformal:
         """The calibration on all frames: on beliefs with local features, or without."""

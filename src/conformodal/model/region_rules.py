@@ -12,6 +12,7 @@ import numpy as np
 from conformodal.conformal import SplitConformal
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.localization.settings import NOVELTY
 
 
 class EvidenceType(IntEnum):
@@ -53,7 +54,8 @@ class RegionRules:
     :class:`~conformodal.datasets.Disturbance`, so its guarantee is about images disturbed likewise.
     Their thresholds are no smaller than those of ``UNMATCHED`` or ``LANDMARKS``.
 
-    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`.
+    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`; those in which a place was recognised, of
+    at most half of it, see :meth:`is_known`.
     """
 
     overall: SplitConformal  # calibrated on beliefs without local features, on all frames
@@ -65,10 +67,17 @@ class RegionRules:
     disturbed: SplitConformal | None = None  # on beliefs with local features, on m disturbed frames
     disturbed_p: FloatArray | None = None  # (m,) their p-values
 
+    def is_known(self, p: FloatArray, recognised: BoolArray | bool = False) -> BoolArray:
+        """(m,) whether images show a known place, from their p-values and whether a place was recognised in them.
+
+        Recognition counts by itself: a known view from further away than any calibration frame is recognised, weakly.
+        """
+        return np.asarray(p > np.where(recognised, NOVELTY.share_recognised * self.level, self.level))
+
     @property
     def known_with_local(self) -> BoolArray:
         """(n,) whether each frame shows a known place, its local features matched."""
-        return np.asarray((self.known_p if self.matched_p is None else self.matched_p) > self.level)
+        return self.is_known(self.known_p if self.matched_p is None else self.matched_p, self.recognised)
 
     @cached_property
     def own(self) -> dict[EvidenceType, SplitConformal]:
@@ -125,7 +134,8 @@ class RegionRules:
         matched = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
         kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
         kinds = np.where(looked & disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
-        return np.where(known_p <= self.level, EvidenceType.UNKNOWN, kinds).astype(np.int64)
+        tested_unknown = np.isfinite(known_p) & ~self.is_known(known_p, kinds == EvidenceType.LANDMARKS)
+        return np.where(tested_unknown, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
     def thresholds(self, kinds: IntArray, recognised: BoolArray | bool = False) -> RealArray:
         """(m, 7) thresholds of images with these evidence types; `recognised` (m,) is asked for those disturbed.

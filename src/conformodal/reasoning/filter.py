@@ -40,6 +40,7 @@ class Posterior:
 
     hypotheses: Candidates  # most probable first; their probabilities sum to one
     elsewhere: float  # probability that none of them is right, and the pose anywhere in the volume
+    unseen_s: float = 0.0  # seconds since an image showed a known place
 
     @property
     def lost(self) -> bool:
@@ -67,6 +68,7 @@ class Prediction:
     unturned_spreads_rad: FloatArray
     measured: bool  # whether there is a measured rotation
     elsewhere: float  # probability that the camera is anywhere, as after a cut
+    unseen_s: float  # seconds since an image showed a known place
 
 
 def predict(
@@ -89,7 +91,10 @@ def predict(
     """
     hypotheses = neighbour.hypotheses
     quats, spreads = hypotheses.orientations_quat_wxyz, hypotheses.orientation_spreads_rad
-    loose = np.minimum(np.hypot(spreads, prior.turn_rate_rad_s * step_s), np.pi)
+    # a camera that is not seen may go on in one direction: variances grow with the square of the time
+    unseen_s = neighbour.unseen_s + step_s
+    turn2 = prior.turn_rate_rad_s**2 * (unseen_s**2 - neighbour.unseen_s**2)
+    loose = np.minimum(np.sqrt(spreads**2 + turn2), np.pi)
     turned, sharp = quats, loose
     measured, jump = False, FILTER.jump
     if motion is not None and motion.R_prev_next is not None:
@@ -98,7 +103,8 @@ def predict(
         along = rotation.inv() if back else rotation
         turned = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
         sharp = np.minimum(np.hypot(spreads, rotation_sigma(motion)), np.pi)
-    reach2 = prior.reach_m(step_s) ** 2 / 5  # variance per axis of a ball that is filled evenly
+    # variance per axis of a ball that is filled evenly
+    reach2 = max(prior.reach_m(unseen_s) ** 2 - prior.reach_m(neighbour.unseen_s) ** 2, 0.0) / 5
     ahead = replace(
         hypotheses,
         position_spreads=np.sqrt(hypotheses.position_spreads**2 + reach2),
@@ -112,7 +118,8 @@ def predict(
         log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0),
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
-    return Prediction(ahead, quats, loose, measured, min(max(elsewhere, jump), 1 - FILTER.least_mass))
+    elsewhere = min(max(elsewhere, jump), 1 - FILTER.least_mass)
+    return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
 
 
 def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
@@ -182,8 +189,10 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     total = np.logaddexp.reduce(joined.log_mass)
     nowhere = np.log(ahead.elsewhere) + np.log(wrong) - top
     joined = joined.normalised()
-    order = np.argsort(-joined.log_mass, kind="stable")[: CANDIDATES.most]
-    kept = joined.take(order[joined.log_mass[order] >= np.log(FILTER.least_mass)]).normalised()
+    order = np.argsort(-joined.log_mass, kind="stable")
+    # many hypotheses of one place must not crowd out what the next images may speak for
+    stays = (np.arange(len(order)) < CANDIDATES.most) | (order < FILTER.from_image)
+    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(FILTER.least_mass))]).normalised()
     elsewhere = float(np.exp(nowhere - np.logaddexp(total, nowhere)))
     return Posterior(kept, min(max(elsewhere, FILTER.least_mass), 1 - FILTER.least_mass))
 
@@ -355,7 +364,8 @@ class PoseFilter:
 def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
     """The posterior of a frame from its prediction and its image, which shows a known place or does not."""
     wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
-    return update(ahead, evidence, prior, wrong=wrong, tempering=FILTER.tempering)
+    found = update(ahead, evidence, prior, wrong=wrong, tempering=FILTER.tempering)
+    return replace(found, unseen_s=0.0 if known else ahead.unseen_s)
 
 
 def filter_posteriors(seen: Observations, prior: MotionPrior) -> list[Posterior]:

@@ -46,7 +46,8 @@ class _FilterSettings:
     # smoother
     unknown_spread: float = 0.2
     unknown_spread_rad: float = 0.5
-    least_mass: float = 1e-7  # hypotheses of less probability are dropped
+    least_mass: float = 1e-10  # hypotheses of less probability are dropped
+    from_image: int = 4  # most probable hypotheses of the newest image that stay beside those of the largest mass
     # hypotheses of one place are no further from its most probable one than this share of the scene's depth, and turned
     # no more than this angle
     place: float = 0.1

@@ -231,8 +231,10 @@ def calibrate_paths(
             right[start + at] = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
         for path in PATHS:
             its = [found[path][i] for i in range(len(held_out))]
-            lost[path] += [posterior.lost for posterior in its]
-            scores[path].append(score_beliefs(rule, localizer, own.after(its), targets[held_out]))
+            after = own.after(its)
+            supports = localizer.supports(after)
+            lost[path] += [one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)]
+            scores[path].append(score_beliefs(rule, localizer, after, targets[held_out]))
         start += len(held_out)
     labels, cells = rules.overall.groups_, rules.overall.bins
     every = {path: np.concatenate(its) for path, its in scores.items()}
