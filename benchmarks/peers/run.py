@@ -115,8 +115,7 @@ def main() -> None:
     against: dict[str, list[float]] = {OURS: [], STACK: []}  # sizes over the best peer's, by table
     for table, own in runs.items():
         rows += [row_of(table, method, found) for method, found in own.items() if found]
-        optimal = [r["optimal"] for r in own[OURS].values() if r.get("optimal")]
-        if optimal:
+        if optimal := [r["optimal"] for r in own[OURS].values() if r.get("optimal")]:
             rows.append([table, "the shortest there can be", "0.900", "", mean_interval(optimal, 3), *[""] * 5])
         for method in METHODS:
             if shared := ratios(own[method], own[OURS]):
