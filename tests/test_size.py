@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2740,
+    "cli": 2750,
     "conformal": 5670,
     "core": 410,
     "datasets": 5600,
@@ -40,7 +40,7 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6720
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6730
 
 
 def test_tests_keep_to_their_budget():

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from problems import Split
 
+from conformodal.conformal.diagnostics.slab import worst_slab
 from conformodal.core.arrays import FloatArray
 
 
@@ -38,13 +40,13 @@ def merged(n: int, rows: npt.NDArray[np.int64], low: FloatArray, high: FloatArra
     return Sets(n, rows[start], low[start], high[end])
 
 
-def measure(sets: Sets, y: FloatArray, grid: FloatArray | None) -> dict[str, float]:
-    """Coverage, size and components.
+def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
+    """Coverage (also in the worst slab and the hardest quarter), size and components.
 
     Size is length; for a target on a grid it is the grid values held, each counted as wide as its cell (half way to
     its neighbours), so that a set of single values is not called shorter than an interval that holds no more of them.
     """
-    inside = np.zeros(sets.n, dtype=bool)
+    y, grid, inside = split.y["test"], split.grid, np.zeros(sets.n, dtype=bool)
     truth = y[sets.rows]
     inside[sets.rows[(sets.low <= truth) & (truth <= sets.high)]] = True
     if grid is None:
@@ -54,8 +56,11 @@ def measure(sets: Sets, y: FloatArray, grid: FloatArray | None) -> dict[str, flo
         ends = np.concatenate(([grid[0] - (middles[0] - grid[0])], middles, [grid[-1] + (grid[-1] - middles[-1])]))
         reach = np.concatenate(([0.0], np.cumsum(np.diff(ends))))
         sizes = reach[np.searchsorted(grid, sets.high, "right")] - reach[np.searchsorted(grid, sets.low, "left")]
+    slab = worst_slab(inside, split.X["test"], len(split.y["cal"]), alpha).coverage
     return {
         "covered": int(inside.sum()),
+        "worst slab": None if slab is None else slab.coverage,
+        "hardest quarter": float(inside[split.hardest].mean()),
         "size": float(np.bincount(sets.rows, sizes, minlength=sets.n).mean()),
         "components": float(sets.rows.size / sets.n),
     }

@@ -12,6 +12,7 @@ import tempfile
 import types
 import warnings
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from sklearn.ensemble import (
     RandomForestClassifier,
     RandomForestRegressor,
 )
+from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import make_scorer, mean_pinball_loss
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict
 from sklearn.neighbors import KNeighborsClassifier
@@ -34,11 +36,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
-from conformodal.conformal import ConformalRegressor, QuickDensity, StackedDensity
-from conformodal.conformal.learning.location import Location, folds_of, stacked_members
+from conformodal.conformal import ConformalRegressor, QuantileBins, QuickDensity, StackedDensity
 from conformodal.core.arrays import FloatArray
 
-JOBS = 2
 torch.set_num_threads(1)  # networks this small are no faster with more
 # gradient steps of r2ccp at its own batch of 32; its default of 1000 epochs is kept where that is fewer
 R2CCP_STEPS = 20_000
@@ -47,28 +47,9 @@ BOOSTING_GRID = {"learning_rate": [0.03, 0.1], "max_leaf_nodes": [15, 63]}
 BOOSTING = {"max_iter": 300, "min_samples_leaf": 10, "max_features": 0.5}
 
 
-def conformodal_default(split: Split, alpha: float) -> Sets:
-    return _conformodal(split, alpha, QuickDensity(random_state=split.seed, n_jobs=JOBS), "density")
-
-
-def conformodal_stack(split: Split, alpha: float) -> Sets:
-    return _conformodal(split, alpha, StackedDensity(random_state=split.seed, n_jobs=JOBS), "density")
-
-
-def conformodal_forest(split: Split, alpha: float) -> Sets:
-    return _conformodal(split, alpha, RandomForestClassifier(random_state=split.seed, n_jobs=JOBS), "density")
-
-
-def conformodal_tree(split: Split, alpha: float) -> Sets:
-    return _conformodal(split, alpha, DecisionTreeClassifier(random_state=split.seed), "density")
-
-
-def conformodal_neighbours(split: Split, alpha: float) -> Sets:
-    return _conformodal(split, alpha, make_pipeline(StandardScaler(), KNeighborsClassifier()), "density")
-
-
-def _conformodal(split: Split, alpha: float, estimator: Any, score: str) -> Sets:
-    reg = ConformalRegressor(estimator, alpha=alpha, score=score, calibration_size=0, random_state=split.seed)
+def conformodal(make: Callable[[int], Any], split: Split, alpha: float) -> Sets:
+    """Sets of what `make` makes of a seed, as the estimator."""
+    reg = ConformalRegressor(make(split.seed), alpha=alpha, calibration_size=0, random_state=split.seed)
     reg.fit(split.X["train"], split.y["train"]).conformalize(split.X["cal"], split.y["cal"])
     regions = reg.predict_region(split.X["test"])
     offsets, ends = regions.flat_intervals(0)
@@ -89,7 +70,8 @@ def mapie_cqr_boosting(split: Split, alpha: float) -> Sets:
         search = GridSearchCV(model, BOOSTING_GRID, scoring=pinball, cv=folds)
         return search.fit(split.X["train"], split.y["train"]).best_estimator_
 
-    models = [tuned(level) for level in (alpha / 2, 1 - alpha / 2, 0.5)]
+    median = HistGradientBoostingRegressor(loss="absolute_error", random_state=split.seed, **BOOSTING)  # of no account
+    models = [tuned(alpha / 2), tuned(1 - alpha / 2), median.fit(split.X["train"], split.y["train"])]
     cqr = ConformalizedQuantileRegressor(models, confidence_level=1 - alpha, prefit=True)
     cqr.conformalize(split.X["cal"], split.y["cal"])
     _, intervals = cqr.predict_interval(split.X["test"], allow_infinite_bounds=True, symmetric_correction=True)
@@ -104,9 +86,7 @@ def mapie_cqr_forest(split: Split, alpha: float) -> Sets:
     levels = (alpha / 2, 1 - alpha / 2, 0.5)
     best: tuple[float, int] | None = None
     for leaf in (1, 5, 20):
-        forest = RandomForestQuantileRegressor(
-            200, min_samples_leaf=leaf, max_features=0.5, n_jobs=JOBS, random_state=split.seed
-        )
+        forest = RandomForestQuantileRegressor(200, min_samples_leaf=leaf, max_features=0.5, random_state=split.seed)
         forest.fit(split.X["train"], split.y["train"])
         out = forest.predict(split.X["train"], quantiles=list(levels), oob_score=True)
         loss = sum(mean_pinball_loss(split.y["train"], out[:, i], alpha=q) for i, q in enumerate(levels[:2]))
@@ -143,10 +123,35 @@ def _best_regressor(split: Split) -> Any:
     search = GridSearchCV(boosting, BOOSTING_GRID, scoring="neg_mean_squared_error", cv=folds).fit(X, y)
     found = [(-search.best_score_, search.best_estimator_)]
     for kind in (RandomForestRegressor, ExtraTreesRegressor):
-        model = kind(200, n_jobs=JOBS, random_state=split.seed)
+        model = kind(200, random_state=split.seed)
         error = float(np.mean((cross_val_predict(model, X, y, cv=folds) - y) ** 2))
         found.append((error, model.fit(X, y)))
     return min(found, key=lambda pair: pair[0])[1]
+
+
+def mapie_conditional(split: Split, alpha: float) -> Sets:
+    """MAPIE's conditional regressor (Gibbs, Cherian and Candes 2023), on the same regressor as crepes.
+
+    Its guarantee is over a learnt spread and, as Mondrian's, within each quarter of it.
+    """
+    from mapie.conditional_conformal_prediction import ConditionalSplitConformalRegressor
+
+    best, X, y = _best_regressor(split), split.X["train"], split.y["train"]
+    folds = KFold(3, shuffle=True, random_state=split.seed)
+    spread = RandomForestRegressor(200, min_samples_leaf=10, max_features=0.5, random_state=split.seed)
+    spread.fit(X, np.abs(y - cross_val_predict(clone(best), X, y, cv=folds)))
+    cuts = np.quantile(spread.predict(split.X["cal"]), (0.25, 0.5, 0.75))
+    known = {part: spread.predict(split.X[part]) for part in ("cal", "test")}
+    rows = {row.tobytes(): at for part in known for row, at in zip(split.X[part], known[part], strict=True)}
+
+    def features(X: FloatArray) -> FloatArray:
+        at = np.array([rows[row.tobytes()] for row in X])  # it asks row by row
+        return np.column_stack((np.ones(len(at)), at, np.searchsorted(cuts, at)[:, None] == np.arange(1, 4)))
+
+    conditional = ConditionalSplitConformalRegressor(features, best, confidence_level=1 - alpha)
+    conditional.conformalize(split.X["cal"], split.y["cal"])
+    _, intervals = conditional.predict_interval(split.X["test"])
+    return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
 
 
 def crepes_normalized(split: Split, alpha: float) -> Sets:
@@ -166,43 +171,30 @@ def crepes_normalized(split: Split, alpha: float) -> Sets:
     return one_interval(intervals[:, 0], intervals[:, 1])
 
 
-class _Stack:
-    """The locations and spreads that conformodal's default learns, offered to a peer."""
+class _Learner:
+    """The location and the spread that conformodal's default learns, offered to a peer."""
 
     def __init__(self, split: Split) -> None:
-        X, y = split.X["train"], split.y["train"]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            members, folds = stacked_members(len(y), split.seed, JOBS), folds_of(len(y), split.seed, 5)
-            self.location = Location().fit(members, X, y, np.ones(len(y)), folds)
-        summary = self.location.summary(self.location.out_of_fold_)
-        residual = np.abs(y - summary[:, 0])
-        self.least = 0.1 * float(np.median(residual)) or 1e-6
-        self.forest = RandomForestRegressor(200, min_samples_leaf=10, max_features=0.5, n_jobs=JOBS, random_state=0)
-        self.forest.fit(np.column_stack((X, summary)), np.log(residual + self.least))
-
-    def fit(self, X: FloatArray, y: FloatArray) -> _Stack:
-        return self
+        edges = QuantileBins(200, margin=0.02).fit(split.y["train"]).edges_[0]
+        self.density = QuickDensity(random_state=split.seed).fit_bins(split.X["train"], split.y["train"], edges)
 
     def predict(self, X: FloatArray) -> FloatArray:
-        return self._summary(X)[:, 0]
+        forest = self.density.forests_[-1]
+        return self.density.location_.predict(X, forest.means(forest.apply(X)))
 
     def apply(self, X: FloatArray) -> FloatArray:
-        summary = self._summary(X)
-        return np.exp(self.forest.predict(np.column_stack((X, summary))))
-
-    def _summary(self, X: FloatArray) -> FloatArray:
-        return self.location.predict(X, np.empty(0))
+        return np.exp(self.density.spread_.predict(np.column_stack((X, self.predict(X)))))
 
 
-def crepes_on_our_stack(split: Split, alpha: float) -> Sets:
+def crepes_on_our_learner(split: Split, alpha: float) -> Sets:
     """crepes around conformodal's own location and spread: what is left is the gain of the density and the score."""
     from crepes import WrapRegressor
 
-    stack = _Stack(split)
-    wrapped = WrapRegressor(stack)
+    learner = _Learner(split)
+    location = types.SimpleNamespace(predict=lambda X: learner.predict(X)[:, 0], fit=None)
+    wrapped = WrapRegressor(location)
     wrapped.fitted_ = True
-    wrapped.calibrate(split.X["cal"], split.y["cal"], de=stack)
+    wrapped.calibrate(split.X["cal"], split.y["cal"], de=learner)
     intervals = wrapped.predict_int(split.X["test"], confidence=1 - alpha)
     return one_interval(intervals[:, 0], intervals[:, 1])
 
@@ -349,24 +341,27 @@ def r2ccp(split: Split, alpha: float) -> Sets:
     return Sets(len(found), rows, ends[:, 0], ends[:, 1])
 
 
-OURS = "conformodal"
-STACK = "conformodal, stack"
-PROBE = "crepes on conformodal's learner"
-# classifiers as the estimator, with scikit-learn's default settings; k-NN on standardised inputs
-CLASSIFIERS: dict[str, Callable[[Split, float], Sets]] = {
-    "conformodal, random forest": conformodal_forest,
-    "conformodal, tree": conformodal_tree,
-    "conformodal, k-NN": conformodal_neighbours,
+OURS, STACK, PROBE = "conformodal", "conformodal, stack", "crepes on conformodal's learner"
+# classifiers as the estimator, with scikit-learn's default settings; two on standardised inputs
+CLASSIFIERS: dict[str, Callable[[int], Any]] = {
+    "conformodal, random forest": lambda seed: RandomForestClassifier(random_state=seed),
+    "conformodal, tree": lambda seed: DecisionTreeClassifier(random_state=seed),
+    "conformodal, k-NN": lambda seed: make_pipeline(StandardScaler(), KNeighborsClassifier()),
+    "conformodal, logistic regression": lambda seed: make_pipeline(StandardScaler(), LogisticRegression(max_iter=300)),
 }
-METHODS: dict[str, Callable[[Split, float], Sets]] = {
-    OURS: conformodal_default,
-    STACK: conformodal_stack,
-    **CLASSIFIERS,
+PEERS: dict[str, Callable[[Split, float], Sets]] = {
     "MAPIE CQR, boosting": mapie_cqr_boosting,
     "MAPIE CQR, quantile forest": mapie_cqr_forest,
+    "MAPIE conditional": mapie_conditional,
     "crepes, normalised": crepes_normalized,
     "TorchCP CQR": torchcp_cqr,
     "TorchCP R2CCP": torchcp_r2ccp,
     "r2ccp": r2ccp,
-    PROBE: crepes_on_our_stack,
+}
+METHODS: dict[str, Callable[[Split, float], Sets]] = {
+    OURS: partial(conformodal, lambda seed: QuickDensity(random_state=seed)),
+    STACK: partial(conformodal, lambda seed: StackedDensity(random_state=seed)),
+    **{name: partial(conformodal, make) for name, make in CLASSIFIERS.items()},
+    PROBE: crepes_on_our_learner,
+    **PEERS,
 }

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from sklearn.ensemble import RandomForestRegressor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from common import DATA
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 
-TABLES = ("concrete", "energy", "temperature", "bio", "births", "air")
+TABLES = ("concrete", "energy", "temperature", "bio", "births", "air", "bimodal")
+MOST_ROWS = 1000  # drawn anew with every seed
 # a target with fewer distinct values than this share of its rows lies on a grid
 GRID_SHARE = 0.2
 
@@ -31,9 +33,14 @@ class Split:
     grid: FloatArray | None  # distinct values, if the target lies on a grid
     optimal_length: float | None = None  # of the shortest sets, where the density is known
 
-    @property
-    def key(self) -> str:
-        return f"{self.table}/{self.target}/{self.seed}"
+    @cached_property
+    def hardest(self) -> BoolArray:
+        """The quarter of the test rows (n,) whose residuals forests expect to be largest, one choice for all methods."""
+        X, y, options = self.X["train"], self.y["train"], {"random_state": self.seed, "max_features": 0.5}
+        location = RandomForestRegressor(200, oob_score=True, **options).fit(X, y)
+        spread = RandomForestRegressor(200, min_samples_leaf=10, **options)
+        expected = spread.fit(X, np.abs(y - location.oob_prediction_)).predict(self.X["test"])
+        return expected >= np.quantile(expected, 0.75)
 
 
 def read_table(name: str) -> tuple[FloatArray, FloatArray, list[str]]:
@@ -71,29 +78,25 @@ def bimodal_optimum(alpha: float) -> float:
     return float((density >= level).sum() * step / len(x))
 
 
-def splits(tables: list[str], seeds: range, alpha: float) -> Iterator[Split]:
-    """All targets of the named tables, seed by seed."""
-    for table in tables:
-        for seed in seeds:
-            if table == "bimodal":
-                X, y = bimodal(4000, seed)
-                Y, names = y[:, None], ["y"]
-            else:
-                X, Y, names = read_table(table)
-            order = np.random.default_rng(seed).permutation(len(X))
-            cuts = np.split(order, [int(0.6 * len(X)), int(0.8 * len(X))])
-            parts = dict(zip(("train", "cal", "test"), cuts, strict=True))
-            for j, name in enumerate(names):
-                values = Y[:, j]
-                mean, std = values[parts["train"]].mean(), values[parts["train"]].std()
-                z = (values - mean) / std
-                distinct = np.unique(z)
-                yield Split(
-                    table,
-                    name,
-                    seed,
-                    {part: X[rows] for part, rows in parts.items()},
-                    {part: z[rows] for part, rows in parts.items()},
-                    distinct if distinct.size < GRID_SHARE * z.size else None,
-                    bimodal_optimum(alpha) / std if table == "bimodal" else None,
-                )
+def draw(table: str, seed: int, alpha: float) -> Split:
+    """The first target of a table, split at random."""
+    if table == "bimodal":
+        X, y = bimodal(MOST_ROWS, seed)
+        target = "y"
+    else:
+        X, Y, names = read_table(table)
+        y, target = Y[:, 0], names[0]
+    order = np.random.default_rng(seed).permutation(len(X))[:MOST_ROWS]
+    parts = dict(zip(("train", "cal", "test"), np.split(order, [int(s * len(order)) for s in (0.6, 0.8)]), strict=True))
+    std = y[parts["train"]].std()
+    z = (y - y[parts["train"]].mean()) / std
+    distinct = np.unique(z)
+    return Split(
+        table,
+        target,
+        seed,
+        {part: X[rows] for part, rows in parts.items()},
+        {part: z[rows] for part, rows in parts.items()},
+        distinct if distinct.size < GRID_SHARE * z.size else None,
+        bimodal_optimum(alpha) / std if table == "bimodal" else None,
+    )

@@ -1,15 +1,15 @@
 """conformodal beside its peers: same process, splits and seeds; alpha = 0.1.
 
 pip install --no-deps -r benchmarks/peers/requirements.txt
-python benchmarks/peers/run.py                # everything; finished runs are kept, so it resumes
-python benchmarks/peers/run.py concrete bio   # some tables
-python benchmarks/peers/run.py --classifiers  # no peers: classifiers as the estimator, beside the default learner
+python benchmarks/peers/run.py                     # the table of the runs that are there
+python benchmarks/peers/run.py --measure           # first make the runs that are not; every finished one is kept
+python benchmarks/peers/run.py --measure --methods r2ccp --seeds 12 --tables concrete
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import re
 import time
 import traceback
 import warnings
@@ -19,151 +19,147 @@ from typing import Any
 
 import numpy as np
 from measure import measure
-from methods import CLASSIFIERS, METHODS, OURS, PROBE, STACK
-from problems import TABLES, splits
+from methods import METHODS, OURS, PEERS, STACK
+from problems import MOST_ROWS, TABLES, Split, draw
 
 from conformodal.conformal import check_coverage, coverage_band
 
-from common import spread, write_table  # isort: skip - problems puts its folder on the path
+from common import RESULTS, SEEDS, cached_json, mean_interval, table_lines, write_page  # isort: skip - as above
 
 ALPHA = 0.1
-SEEDS = {"concrete": 2, "bimodal": 2}  # one of the others
+SHOWN = {"size": 3, "components": 2, "worst slab": 3, "hardest quarter": 3, "seconds": 0}
 Run = dict[str, Any]
+Runs = dict[int, Run]  # by seed
 
 
-def run_all(tables: list[str], store: Path, methods: list[str]) -> None:
-    done = {(r["key"], r["method"]) for r in load(store)}
-    every = [split for table in tables for split in splits([table], range(SEEDS.get(table, 1)), ALPHA)]
-    for split in sorted(every, key=lambda split: split.seed):  # every table once, then again
-        for name in methods:
-            if (split.key, name) in done:
-                continue
-            start = time.perf_counter()
-            record: Run = {"key": split.key, "table": split.table, "target": split.target, "seed": split.seed}
-            record |= {"method": name, "n_cal": len(split.y["cal"]), "n_test": len(split.y["test"])}
-            record |= {"optimal": split.optimal_length, "failed": None}
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    sets = METHODS[name](split, ALPHA)
-                record |= measure(sets, split.y["test"], split.grid)
-                if not np.isfinite(record["size"]):
-                    raise ArithmeticError(f"size is {record['size']}")
-            except Exception as exc:
-                record["failed"] = f"{type(exc).__name__}: {exc}"
-                traceback.print_exc()
-            record["seconds"] = time.perf_counter() - start
-            with store.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(record) + "\n")
-            shown = ("key", "method", "size", "components", "seconds", "failed")
-            print({k: record.get(k) for k in shown}, flush=True)
+def file_of(table: str, method: str, seed: int) -> Path:
+    return RESULTS / "peers" / table / f"{re.sub(r'[^a-z0-9]+', '-', method.lower())}-{seed}.json"
 
 
-def load(store: Path) -> list[Run]:
-    return [json.loads(line) for line in store.read_text().splitlines()] if store.exists() else []
+def run(method: str, split: Split) -> Run:
+    start = time.process_time()
+    record: Run = {"n_cal": len(split.y["cal"]), "n_test": len(split.y["test"]), "failed": None}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            sets = METHODS[method](split, ALPHA)
+        record["seconds"] = time.process_time() - start
+        record |= measure(sets, split, ALPHA) | {"optimal": split.optimal_length}
+        if not 0 < record["size"] < np.inf:
+            record["failed"] = f"size is {record.pop('size')}"
+    except Exception as exc:
+        record["failed"] = f"{type(exc).__name__}: {exc}"
+        traceback.print_exc()
+    print(split.table, split.seed, method, {k: record.get(k) for k in ("size", "seconds", "failed")}, flush=True)
+    return record
 
 
-def summarise(runs: list[Run]) -> tuple[list[list[str]], str]:
-    rows, ratios, to_default, lines = [], {}, {}, []  # ratios: one a data set, by method
-    tables = [t for t in (*TABLES, "bimodal") if any(r["table"] == t for r in runs)]
-    for table in tables:
-        sizes = {}
-        for method in METHODS:
-            own = [r for r in runs if r["table"] == table and r["method"] == method]
-            if not own:
-                continue
-            good = [r for r in own if not r["failed"] and r["size"] > 0]
-            seeds = sorted({r["seed"] for r in good})
-            by_seed = {k: [mean([r[k] for r in good if r["seed"] == s]) for s in seeds] for k, mean in FIELDS.items()}
-            if good:
-                covered, total = sum(r["covered"] for r in good), sum(r["n_test"] for r in good)
-                inside = [in_band(r) for r in good]
-                valid = len(good) == len(own) and min(in_band(r, 0.9999) for r in good) >= 0
-                if valid and method != PROBE:
-                    sizes[method] = float(np.median(by_seed["size"]))
-                low, high = band(good)
-                share = f"{covered / total:.3f} [{low:.3f}, {high:.3f}]"
-                fields = (spread(by_seed[k], digits) for k, digits in (("size", 3), ("components", 2), ("seconds", 0)))
-                hits = f"{sum(b == 0 for b in inside)} of {len(good)}"
-                rows.append([table, method, share, hits, *fields, str(len(own) - len(good))])
-            else:
-                rows.append([table, method, "", "", "", "", "", str(len(own))])
-        if table == "bimodal":
-            best = float(np.median([r["optimal"] for r in runs if r["table"] == table]))
-            rows.append([table, "the shortest there can be", "0.900", "", f"{best:.3f}", "", "", ""])
-        peers = {m: s for m, s in sizes.items() if m not in (OURS, STACK, *CLASSIFIERS)}
-        for method in (m for m in CLASSIFIERS if m in sizes and OURS in sizes):
-            to_default.setdefault(method, []).append(sizes[method] / sizes[OURS])
-        ours = [m for m in (OURS, STACK) if m in sizes]
-        if ours and peers:
-            best_peer = min(peers, key=lambda m: peers[m])
-            for method in ours:
-                ratios.setdefault(method, []).append(sizes[method] / peers[best_peer])
-            found = ", ".join(f"{ratios[m][-1]:.3f} ({m})" for m in ours)
-            lines.append(f"- {table}: {found} of the best valid peer, {best_peer}.")
-    for method, found in ratios.items():
-        lines.append(f"\nGeometric mean over the {len(found)} data sets: {geometric(found):.3f} ({method}).")
-    for method, found in to_default.items():
-        lines.append(f"\n{method}, relative to {OURS}: {geometric(found):.3f} over {len(found)} data sets.")
-    return rows, "\n".join(lines)
+def measure_all(tables: list[str], methods: list[str], seeds: list[int]) -> None:
+    for seed in seeds:  # every table once, then again
+        for table in tables:
+            split = draw(table, seed, ALPHA)
+            for method in methods:
+                cached_json(file_of(table, method, seed), lambda of=method, split=split: run(of, split))
+
+
+def load(table: str, method: str) -> Runs:
+    files = {seed: file_of(table, method, seed) for seed in SEEDS}
+    return {seed: cached_json(file, dict) for seed, file in files.items() if file.is_file()}
+
+
+def valid(runs: Runs) -> bool:
+    """Whether no run failed and none covers less than its exact 99.99 % band allows."""
+    return bool(runs) and not any(r["failed"] or side(r, 0.9999) < 0 for r in runs.values())
+
+
+def side(run: Run, level: float = 0.99) -> int:
+    """-1 below the band of a split's coverage, 0 in it, 1 above."""
+    check = check_coverage(np.arange(run["n_test"]) < run["covered"], run["n_cal"], ALPHA, level)
+    return 0 if check.inside else (1 if check.coverage > check.high else -1)
+
+
+def row_of(table: str, method: str, runs: Runs) -> list[str]:
+    good = [r for r in runs.values() if not r["failed"]]
+    failed = str(len(runs) - len(good))
+    if not good:
+        return [table, method, *[""] * (3 + len(SHOWN)), failed]
+    low, high = coverage_band(good[0]["n_cal"], good[0]["n_test"], ALPHA)
+    shares = mean_interval([r["covered"] / r["n_test"] for r in good], 3)
+    hits = f"{sum(side(r) == 0 for r in good)} of {len(good)}"
+    shown = (mean_interval([r[k] for r in good if r[k] is not None], digits) for k, digits in SHOWN.items())
+    return [table, method, f"{shares} [{low:.3f}, {high:.3f}]", hits, *shown, failed]
+
+
+def ratios(ours: Runs, theirs: Runs) -> list[float]:
+    """Ratios of sizes, one per seed that both have."""
+    both = sorted(ours.keys() & theirs.keys())
+    return [ours[s]["size"] / theirs[s]["size"] for s in both if not (ours[s]["failed"] or theirs[s]["failed"])]
 
 
 def geometric(values: list[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 
-# over a table's targets, seed by seed
-FIELDS = {"size": geometric, "components": np.mean, "seconds": np.mean}
-
-
-def in_band(run: Run, level: float = 0.99) -> int:
-    inside = np.arange(run["n_test"]) < run["covered"]
-    check = check_coverage(inside, run["n_cal"], ALPHA, level)
-    return 0 if check.inside else (1 if check.coverage > check.high else -1)
-
-
-def band(good: list[Run]) -> tuple[float, float]:
-    return coverage_band(good[0]["n_cal"], good[0]["n_test"], ALPHA)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tables", nargs="*", default=[*TABLES, "bimodal"])
-    parser.add_argument("--store", type=Path, default=Path(__file__).with_name("runs.jsonl"))
+    parser.add_argument("--measure", action="store_true", help="make the runs that are not there")
+    parser.add_argument("--tables", nargs="*", default=list(TABLES))
     parser.add_argument("--methods", nargs="*", default=list(METHODS))
-    parser.add_argument(
-        "--classifiers", action="store_true", help="the default learner and classifiers, a table of its own"
-    )
-    parser.add_argument("--no-table", action="store_true", help="run, but leave the committed table as it is")
+    parser.add_argument("--seeds", nargs="*", type=int, default=list(SEEDS))
     args = parser.parse_args()
-    methods = [OURS, *CLASSIFIERS] if args.classifiers else args.methods
-    run_all(args.tables, args.store, methods)
-    if args.no_table:
-        return
-    rows, ratios = summarise([run for run in load(args.store) if run["method"] in methods])
-    names = ("mapie", "torchcp", "crepes", "R2CCP", "quantile-forest", "scikit-learn")
-    if args.classifiers:
-        names, compared = names[-1:], "Size of the sets relative to those of the default learner, geometric mean"
-    else:
-        compared = "Size of `conformodal`'s sets relative to the best peer with valid coverage, median over seeds"
+    if args.measure:
+        measure_all(args.tables, args.methods, args.seeds)
+    runs = {table: {method: load(table, method) for method in METHODS} for table in TABLES}
+    rows, best_rows = [], []
+    relative: dict[str, list[float]] = {method: [] for method in METHODS}  # sizes over the default's, by table
+    against: dict[str, list[float]] = {OURS: [], STACK: []}  # sizes over the best peer's, by table
+    for table, own in runs.items():
+        rows += [row_of(table, method, found) for method, found in own.items() if found]
+        if optimal := [r["optimal"] for r in own[OURS].values() if r.get("optimal")]:
+            rows.append([table, "the shortest there can be", "0.900", "", mean_interval(optimal, 3), *[""] * 5])
+        for method in METHODS:
+            if shared := ratios(own[method], own[OURS]):
+                relative[method].append(geometric(shared))
+        peers = {p: own[p] for p in PEERS if valid(own[p])}
+        cells = [table]
+        for method, found in against.items():
+            by_peer = {p: shared for p in peers if (shared := ratios(own[method], peers[p]))}
+            if not by_peer:
+                cells.append("")
+                continue
+            best = max(by_peer, key=lambda p: geometric(by_peer[p]))
+            found.append(geometric(by_peer[best]))
+            cells.append(f"{found[-1]:.3f} ({best}, {len(by_peer[best])})")
+        best_rows.append(cells)
+    best_rows.append(["geometric mean", *(f"{geometric(found):.3f}" if found else "" for found in against.values())])
+    over = [[m, f"{geometric(found):.3f}", str(len(found))] for m, found in relative.items() if found]
     notes = (
-        f"{compared}:\n\n{ratios}\n\n"
-        "60 % training, 20 % calibration, 20 % test, drawn at random, so samples are exchangeable. Sizes in standard "
-        "deviations of the training targets, geometric mean over a table's targets; median (range) over seeds 0 and 1 "
-        "for concrete and bimodal, seed 0 alone for the others. A target with fewer distinct values than a fifth of its "
-        "rows is on a grid: its size counts the grid values held, each as wide as its cell, for every method alike. In "
-        "brackets the exact 99 % Beta-binomial band of one split's coverage; then how many single coverages lie in it. "
-        "Valid: no run failed (an error, or every set empty), none below its 99.99 % band. What each peer is and how it "
-        "is tuned: `benchmarks/peers/methods.py`. Seconds include tuning; the machine had other work, so they tell orders only.\n\n"
-        + "Versions: "
-        + ", ".join(f"{n} {version(n)}" for n in names)
-        + "."
+        f"alpha = {ALPHA}. The first target of every table, {MOST_ROWS} rows of it drawn at random with every seed (all "
+        "rows of smaller tables): 60 % training, 20 % calibration, 20 % test, so samples are exchangeable. Mean ± half of "
+        "the 95 % interval over splits, as many as the column `in band` counts; missing seeds of 10 to 14 are added by "
+        "the command. Size: mean length in standard deviations of the training values. A target with fewer distinct "
+        "values than a fifth of its rows is on a grid: its size counts the grid values held, each as wide as its cell, "
+        "for every method alike. In brackets the exact 99 % Beta-binomial band of one split's coverage; then how many "
+        "splits lie in it. Worst slab: coverage in the strip of inputs with the lowest coverage on half of the test rows, "
+        "on the other half. Hardest quarter: of the test rows, by residuals that forests expect, the same rows for all. "
+        "Seconds are of one core and include tuning. Valid: no run failed, none below its 99.99 % band. What each peer "
+        "is and how it is tuned: `benchmarks/peers/methods.py`; those without a row have no run yet."
     )
-    header = ["data", "method", "coverage", "in band", "size", "components", "seconds", "failed"]
-    command, name, title = "python benchmarks/peers/run.py", "peers", "Sets of conformodal and its peers, alpha = 0.1"
-    if args.classifiers:
-        command, name, title = f"{command} --classifiers", "classifiers", "Sets with any classifier, alpha = 0.1"
-    write_table(name, title, command, header, rows, notes)
+    names = ("mapie", "torchcp", "crepes", "R2CCP", "quantile-forest", "scikit-learn")
+    write_page(
+        "peers",
+        "Sets of conformodal and its peers",
+        "python benchmarks/peers/run.py --measure",
+        notes,
+        "## Size over the best valid peer's",
+        "On the splits that both have: the ratio, the peer for which it is largest, the number of splits.",
+        table_lines(["data", OURS, STACK], best_rows),
+        "## Size over the default learner's, geometric mean over the data sets",
+        table_lines(["method", "ratio", "data sets"], over),
+        "## All",
+        table_lines(["data", "method", "coverage", "in band", *SHOWN, "failed"], rows),
+        "Versions: " + ", ".join(f"{n} {version(n)}" for n in names) + ".",
+    )
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import typer
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, Diagnosis
 from conformodal.conformal.learning.saving import check_replaceable
+from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
 
 from .console import report_errors, report_line
@@ -40,7 +41,7 @@ def table(
     alpha: Annotated[str, typer.Option(help="Miscoverage rate.")] = "0.1",
     seed: Annotated[int, typer.Option(help="Seed of the split and of the learner.")] = 0,
     plot: Annotated[
-        Path | None, typer.Option(help="Picture of the coverage, .svg, .png or .pdf; needs the extra 'figures'.")
+        Path | None, typer.Option(help="Picture of sets and coverage, .svg, .png or .pdf; needs the extra 'figures'.")
     ] = None,
     model: Annotated[
         Path | None, typer.Option(help="File for the fitted regressor, for ConformalRegressor.load; extra 'save'.")
@@ -72,7 +73,7 @@ def table(
     for line in str(found).splitlines():
         report_line(line)
     if plot is not None:
-        _draw(found, plot)
+        _draw(reg, X.iloc[test], y.iloc[test], found, plot)
     if model is not None:
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
@@ -88,10 +89,24 @@ def _check_outputs(plot: Path | None, model: Path | None) -> None:
         check_replaceable(model)
 
 
-def _draw(found: Diagnosis, plot: Path) -> None:
-    from conformodal.report.diagnosis import draw_diagnosis  # noqa: PLC0415 - needs matplotlib
+def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, found: Diagnosis, plot: Path) -> None:
+    """Draw sets and density of every target over the rows, from the smallest predicted mean on, beside the coverage."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
-    draw_diagnosis(found, plot)
+    from conformodal.report.tables import draw_coverage, draw_regions  # noqa: PLC0415
+
+    density, regions, n_targets = reg.predict_density(X), reg.predict_region(X), y.shape[1]
+    figure = Figure(figsize=(12, 4 * n_targets), layout="constrained")
+    grid = figure.subplots(n_targets, 2, squeeze=False, width_ratios=(3, 2))
+    for j, (left, right) in enumerate(grid):
+        rank = density.mean[:, j].argsort(kind="stable").argsort()
+        draw_regions(regions, y, pd.Series(rank, name="unseen rows, by predicted mean"), density, j, left)
+        if j < len(found.columns):
+            draw_coverage(found, j, right)
+        else:
+            right.set_axis_off()
+    with replacing(plot) as part:
+        figure.savefig(part, format=plot.suffix[1:], metadata={"Creator": "conformodal"})
     report_line(f"picture: {plot.resolve()}")
 
 

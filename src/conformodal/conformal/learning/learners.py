@@ -80,7 +80,7 @@ def fit_target(
     """Clones of the learner, fitted on one target, and out-of-fold probabilities of the first rows, or None.
 
     A classifier is fitted five times without every fifth row, which tunes the smoothing; the five are averaged. A
-    density is fitted on all rows, and for ``out_of_fold=True`` again without the first fifth. With fewer than 20 rows,
+    density is fitted on all rows, and for ``out_of_fold=True`` again without the first half. With fewer than 20 rows,
     none is left out. Rows must be in random order.
     """
 
@@ -92,7 +92,7 @@ def fit_target(
     n, n_bins, fold = len(y), edges.size - 1, np.arange(len(y)) % _FOLDS
     enough = n >= _FEWEST_TO_LEAVE_OUT
     if dense:
-        model, n_first = fitted(slice(None), progress), n // _FOLDS
+        model, n_first = fitted(slice(None), progress), n // 2
         if not (enough and out_of_fold):
             return model, None
         return model, proba_of_bins(fitted(slice(n_first, None)), rows_of(X, slice(n_first)), n_bins)
