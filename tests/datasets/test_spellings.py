@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 from collections import Counter
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_image, read_sequence
-from conformodal.datasets.convention import FITTED
+from conformodal.datasets.convention import FITTED, with_fitted_focal
 from conformodal.datasets.images import read_image_folder
 from conformodal.poses import PinholeCamera, read_tum
 from conformodal.poses.metrics import in_seconds
@@ -347,15 +349,28 @@ def test_a_focal_length_is_taken_from_the_user_or_refused(tmp_path):
         read_sequence(nerf(tmp_path / "nerf"), focal=50)
 
 
-def test_a_focal_length_is_fitted_to_poses_and_images(tmp_path, redkitchen):
-    """The published truth by COLMAP has 525.5 pixels for these images."""
-    given = read_sequence(redkitchen)
-    for path in given.image_paths:
-        (tmp_path / path.name).symlink_to(path)
-    np.savetxt(tmp_path / "poses.txt", given.truth.poses_se3[:, :3].reshape(-1, 12))
-    sequence = read_sequence(tmp_path, "images", focal="auto")
-    assert sequence.camera.fx == pytest.approx(525.5, rel=0.1)
-    assert "give or take" in dict(sequence.notes)[FITTED]
+@pytest.mark.parametrize(
+    ("folder", "focal"), [("7scenes/redkitchen", 525.5), ("tum/fr1_desk", 516.9), ("tum/fr1_xyz", 516.9)]
+)
+def test_a_fitted_focal_length_lies_in_its_range(real_data, folder, focal):
+    """Of redkitchen, the published truth by COLMAP; of TUM's first camera, whose lens is not modelled, its makers'."""
+    sequence = without_lens(read_sequence(real_data(*folder.split("/"))))
+    fitted = with_fitted_focal(sequence)
+    low, high = map(int, re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED]).groups())
+    assert low < focal < high < 1.5 * low
+    assert fitted.camera.fx == pytest.approx(focal, rel=0.06)
+
+
+def test_a_camera_that_hardly_turns_does_not_show_its_focal_length(real_data):
+    sequence = without_lens(read_sequence(real_data("kitti", "sequences", "06")))
+    with pytest.raises(DatasetError, match=r"turns by 0\.1\d degrees"):
+        with_fitted_focal(sequence)
+
+
+def without_lens(sequence):
+    camera = sequence.camera
+    middle = {"cx": camera.width / 2, "cy": camera.height / 2}
+    return replace(sequence, camera=replace(camera, fx=100.0, fy=100.0, distortion=(), **middle))
 
 
 # ---- damage
