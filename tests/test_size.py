@@ -10,7 +10,7 @@ BUDGET = {
     "cli": 2840,
     "conformal": 5670,
     "core": 410,
-    "datasets": 5610,
+    "datasets": 5640,
     "localization": 2930,
     "model": 1420,
     "motion": 990,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19930
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20040
