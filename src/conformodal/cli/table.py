@@ -21,7 +21,7 @@ from conformodal.core.words import counted, listed
 from .console import report_errors, report_line
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
-_SHOWN, _NAMED = 3, 20  # rows, columns
+_SHOWN, _NAMED, _FEW = 3, 20, 1000  # rows, columns, rows
 _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _PICTURES = (".svg", ".png", ".pdf")
@@ -202,6 +202,8 @@ def _arrangement(text: str) -> tuple[int, str, int]:
 
 def _parts(known: pd.Series) -> tuple[pd.Series, str]:
     """Numbers without blanks, and without the unit or currency that all have; minus signs stand first."""
+    if _is_plain(known):
+        return known, ""
     digits = known.str.replace(r"[\s'\u2019]", "", regex=True).str.replace("\u2212", "-", regex=False)
     split = digits.str.extract(_PARTS)
     units = (split["currency"] + split["unit"]).dropna().unique()
@@ -219,6 +221,8 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
     known = column.dropna()
     if known.empty:
         return column
+    if _is_plain(digits) and (points == "." or not digits.str.contains(".", regex=False).any()):
+        return _finite(pd.to_numeric(digits), column)
     dates = known.str.extract(_DATE)
     if dates[0].notna().mean() >= _LEAST_SHARE:
         first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 1))
@@ -240,7 +244,15 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
     mark = "." if point == "," else ","
     plain = digits.str.replace(mark, "", regex=False).str.replace(point, ".", regex=False)
     numbers = pd.to_numeric(plain.where(digits.str.fullmatch(_number(point))), errors="coerce")
-    return numbers.replace([np.inf, -np.inf], np.nan).reindex(column.index).astype(float)
+    return _finite(numbers, column)
+
+
+def _is_plain(digits: pd.Series) -> bool:
+    return bool(pd.to_numeric(digits, errors="coerce").notna().all())
+
+
+def _finite(numbers: pd.Series, column: pd.Series) -> pd.Series:
+    return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
 
 
 def _number(point: str) -> str:
@@ -256,6 +268,9 @@ def _grouped(digits: pd.Series) -> pd.Series:
 
 def _points(digits: pd.Series) -> str:
     """The decimal marks, of point and comma, with which nearly all are numbers, and most are."""
+    few = digits[:_FEW]
+    if _is_plain(digits) and not (few.str.fullmatch(r"[-+]?\d+") | _grouped(few)).all():
+        return "."
     shares = {point: digits.str.fullmatch(_number(point)).mean() for point in ".,"} if len(digits) else {}
     found = "".join(p for p, share in shares.items() if share >= max(_LEAST_SHARE, *shares.values()))
     if len(found) > 1 and digits.str.fullmatch(r"[-+]?\d{4,}").any() and len(doubtful := digits[_grouped(digits)]):
