@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2760,
+    "cli": 2880,
     "conformal": 5670,
     "core": 410,
-    "datasets": 5600,
+    "datasets": 5640,
     "localization": 2940,
     "model": 1430,
     "motion": 990,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 19850
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20090

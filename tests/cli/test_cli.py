@@ -109,6 +109,12 @@ def test_evaluate_against_a_truth_of_another_world_brings_it_into_the_regions_wo
     aligned = json.loads((results / "evaluation" / "metrics.json").read_text())
     assert aligned["errors"]["smoothed"]["rmse_m"] < 0.5
     assert aligned["coverage"]["joint_coverage"] >= before - 0.25  # moved by the answer's own errors
+    start = truth.timestamps_s[0]  # of a truth in nanoseconds from there, one pose has the right time
+    late = start + 1e9 * (truth.timestamps_s - start)
+    write_tum(results / "ns.tum", Trajectory(late, truth.positions_xyz, truth.orientations_quat_wxyz))
+    told = run_ok("evaluate", results, "--truth", results / "ns.tum").output
+    assert "1 of" in told
+    assert "looks like nanoseconds" in " ".join(told.split())
 
 
 def test_run_without_poses(small_world, tmp_path):

@@ -29,7 +29,10 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         np.testing.assert_array_equal(frame["Dosis; mg"], [0.5, 1, np.nan])
         assert frame["Datum"].tolist() == [*pd.to_datetime(["2024-02-01", "2024-12-31", "2024-03-15"])]
         assert frame["Notiz"].tolist()[0] == "a, b # c"
-        assert notes == [f"{tmp_path / 'own.csv'}: 3 rows, 4 columns separated by ';'"]
+        assert notes == [
+            f"{tmp_path / 'own.csv'}: 3 rows, 4 columns separated by ';'",
+            "Datum: dates, of which '01.02.2024' is read as 2024-02-01",
+        ]
 
 
 @pytest.mark.parametrize(
@@ -38,7 +41,25 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ('a,b\n"1,234",x\n"12,345",y\n', [1234, 12345]),
         ('a,b\n"1,234.5",x\n"2.5",y\n', [1234.5, 2.5]),
         ('a,b\n"1,5",x\n"2,25",y\n', [1.5, 2.25]),
-        ("a\tb\n1,234\tx\n2\ty\n", [1.234, 2]),
+        ("a\tb\n1,234\tx\n2\ty\n", [1234, 2]),  # with three decimals, 2 were 2,000
+        ("a\tb\n1,234\tx\n2,500\ty\n", [1.234, 2.5]),
+        ("a;b\n1.234;0,5\n2.345;0,25\n", [1234, 2345]),  # as the decimal commas beside them
+        ("a;b\n1.234;0.5\n2.345;0.25\n", [1.234, 2.345]),
+        ("a;b\n1.234;x\n2345;y\n", [1.234, 2345]),
+        ("a;b\n1.234;x\n0.345;y\n", [1.234, 0.345]),
+        ('a,b\n"6,27,456.5",x\n"12,345",y\n', [627456.5, 12345]),
+        ("a;b\n1'234.50;x\n2;y\n", [1234.5, 2]),
+        ("a;b\n1\u2019234.50;x\n2;y\n", [1234.5, 2]),
+        ("a,b\n\u22121.5,x\n+2,y\n", [-1.5, 2]),
+        ("a,b\n(1.5),x\n2,y\n", [-1.5, 2]),
+        ("a,b\n1.5-,x\n2,y\n", [-1.5, 2]),
+        ("a,b\n1.5%,x\n20 %,y\n", [1.5, 20]),
+        ('a,b\n"$1,234.50",x\n-$2,y\n', [1234.5, -2]),
+        ("a;b\n1.234,50 \u20ac;x\n2,5 \u20ac;y\n", [1234.5, 2.5]),
+        ("a,b\n5 mm,x\n6 mm,y\n", [5, 6]),
+        ("a,b\n5 mm,x\n6 cm,y\n", ["5 mm", "6 cm"]),
+        ("a,b\nP5,x\nP6,y\n", ["P5", "P6"]),
+        ("a,b\n12:30,x\n6:15,y\n", ["12:30", "6:15"]),
         ("a|b\n-1e3|x\n2|y\n", [-1000, 2]),
         ("a;b\n1 000,5;x\n2;y\n", [1000.5, 2]),
         ("a;b\n1.2.3;x\n1,2;y\n", ["1.2.3", "1,2"]),
@@ -53,6 +74,74 @@ def test_a_few_values_that_are_no_numbers_are_missing_and_told(tmp_path):
     frame, notes = read_table(written(tmp_path, text))
     assert np.isnan(frame["a"].iloc[-1])
     assert "a: 1 value taken as missing, such as 'n.d.'" in notes
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("sep=;\na;b\n1,5;2\n3;4\n", 2),
+        ("Report of 2024\n\na,b\n1.5,2\n3,4\n", 2),
+        ("# made by a tool\na,b\n1.5,2\n3,4\n", 2),
+        ("a,b\n1.5,2,\n3,4,\n", 2),
+        ("a,b,\n1.5,2,\n3,4,\n", 2),
+        ("a,b\n\n1.5,2\n\n3,4\n", 2),
+        ("a,b\r1.5,2\r3,4\r", 2),
+        ('"a",b\n"1.5","2"\n"3","4"\n', 2),
+        ("a,b\n[mm],[kg]\n" + "1.5,2\n" * 30, 31),
+        ("| a | b |\n|1.5|2|\n|3|4|\n", 2),
+    ],
+)
+def test_what_stands_around_the_values_is_passed_over(tmp_path, text, rows):
+    frame, _ = read_table(written(tmp_path, text))
+    assert len(frame) == rows
+    assert frame["a"].dropna().iloc[0] == 1.5
+    assert frame["b"].dropna().iloc[0] == 2
+
+
+def test_a_name_of_two_lines_is_a_name(tmp_path):
+    assert list(read_table(written(tmp_path, '"a\n(mm)",b\n1,2\n'))[0]) == ["a\n(mm)", "b"]
+
+
+@pytest.mark.parametrize(
+    ("days", "first"),
+    [
+        (["3/2/2024", "15/2/2024"], "2024-02-03"),
+        (["3/2/2024", "2/15/2024"], "2024-03-02"),
+        (["2024-03-02", "2024-02-15"], "2024-03-02"),
+        (["2-Mar-2024", "15-Feb-2024"], "2024-03-02"),
+    ],
+)
+def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, first):
+    frame, notes = read_table(written(tmp_path, "\n".join(["a,b", *(f"{day},1" for day in days)])))
+    assert frame["a"][0] == pd.Timestamp(first)
+    assert f"a: dates, of which {days[0]!r} is read as {first}" in notes
+
+
+def test_dates_that_mix_their_orders_stay_text(tmp_path):
+    assert read_table(written(tmp_path, "a,b\n15/2/2024,1\n2/15/2024,1\n"))[0]["a"].tolist()[0] == "15/2/2024"
+
+
+def test_infinities_are_missing_and_codes_of_missing_values_are_told(tmp_path):
+    text = "a,b\n" + "".join(f"{i},{i}\n" for i in range(40)) + "inf,-999\n1e400,-999\n"
+    frame, notes = read_table(written(tmp_path, text))
+    assert frame["a"].isna().sum() == 2
+    assert "a: 2 values taken as missing, such as 'inf'" in notes
+    assert "b: -999 occurs 2 times; leave cells empty if it means missing" in notes
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a,y,a\n1,2,3\n", "several columns are called a"),
+        ("a,a ,y\n1,2,3\n", "several columns are called a"),
+        ("a,y\n1,5,2,5\n1,7,3,5\n", "above the columns, found 1, 5, 2; values that hold ','"),
+        ("1.5,2\n3,4\n", "expected names above the columns"),
+        ("a,y\n1,2\n1,5,2\n1,3\n", "row 2 has more values than the 2 names"),
+    ],
+)
+def test_columns_that_are_not_clear_are_refused(tmp_path, text, says):
+    with pytest.raises(TableError, match=says):
+        read_table(written(tmp_path, text))
 
 
 @pytest.mark.parametrize(

@@ -448,5 +448,5 @@ def test_pictures_without_a_camera_are_named(tmp_path):
         with pytest.raises(DatasetError, match=r"photos holds 2 pictures; put camera-intrinsics\.txt beside them"):
             read_sequence(folder)
     (place / "camera-intrinsics.txt").write_text("4 0 2\n0 4 2\n0 0 1\n")
-    with pytest.raises(DatasetError, match=r"photos holds 2 pictures; name that folder"):
+    with pytest.raises(DatasetError, match=r"name a folder in it, such as .*photos"):
         read_sequence(tmp_path)

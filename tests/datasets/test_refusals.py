@@ -166,7 +166,7 @@ MATRICES = [
     ("40 5 32\n0 40 24\n0 0 1\n", "expected rows"),
     ("40 0 32\n7 40 24\n0 0 1\n", "expected rows"),
     ("40 nan 32\n0 40 24\n0 0 1\n", "expected rows"),
-    ("40 40 32 24\n", "4 numbers, expected 9"),
+    ("40 40 32\n", "3 numbers, expected 9"),
     ("fx 0 cx\n0 fy cy\n0 0 1\n", "cannot be read as numbers"),
     ("4_0 0 32\n0 40 24\n0 0 1\n", "cannot be read as numbers"),
     ("\u0664\u0660 0 32\n0 40 24\n0 0 1\n", "cannot be read as numbers"),

@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 from collections import Counter
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,8 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import ConformodalError
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_image, read_sequence
-from conformodal.datasets.convention import FITTED
+from conformodal.datasets.convention import FITTED, with_fitted_focal
 from conformodal.datasets.images import read_image_folder
+from conformodal.datasets.streams.stored import SequenceStream
+from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera, read_tum
 from conformodal.poses.metrics import in_seconds
 
@@ -282,14 +286,81 @@ def test_of_a_model_in_both_formats_the_binary_is_read_as_by_colmap(tmp_path):
     assert "the model is there twice" in dict(sequence.notes)
 
 
-def test_colmap_does_not_turn_images(tmp_path):
-    folder = colmap(tmp_path, [f"3 {PINHOLE}"], [3] * N)
+@pytest.mark.parametrize(("turn", "camera"), [(3, PINHOLE), (6, PINHOLE), (6, "PINHOLE 48 64 40 40 24 32")])
+def test_images_of_colmap_are_those_of_its_cameras_whatever_exif_says(tmp_path, turn, camera):
+    """COLMAP reads images as they are stored; whoever turned them first has a camera of the other shape."""
+    folder = colmap(tmp_path, [f"3 {camera}"], [3] * N)
     exif = Image.Exif()
-    exif[0x0112] = 3
+    exif[0x0112] = turn
+    corner = np.zeros((48, 64, 3), np.uint8)
+    corner[:8, :8] = 200
     for path in (folder / "images").glob("*.png"):
-        Image.open(path).save(path, exif=exif)
-    with pytest.warns(DatasetWarning, match="COLMAP does not turn"):
-        read_sequence(folder)
+        Image.fromarray(corner).save(path, exif=exif)
+    sequence = read_sequence(folder)
+    right(sequence)
+    stored = sequence.camera.width == 64
+    assert sequence.image(1)[0, 0 if stored else -1].tolist() == [200] * 3
+    assert ("images are read as they are stored" in dict(sequence.notes)) == stored
+    assert sequence.recording.tolist() == [0] * N
+
+
+@pytest.mark.parametrize("camera", [1, 3])
+def test_the_other_cameras_of_kitti_and_whole_matrices(tmp_path, camera):
+    folder = WRITERS[Layout.KITTI](tmp_path)
+    (folder / "image_0").rename(folder / f"image_{camera}")
+    edit(folder / "calib.txt", ("P2", f"P{camera}"))
+    np.savetxt(tmp_path / "poses" / "07.txt", matrices().reshape(N, 16))
+    poses = matrices()
+    poses[:, :3, 3] -= poses[:, :3, 0] * 0.2  # 8 / 40 m to the left of its own axes
+    np.testing.assert_allclose(read_sequence(folder).truth.poses_se3, poses, atol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["40 41 32 24", "40 0 32 0\n0 41 24 0\n0 0 1 0\n0 0 0 1"])
+def test_intrinsics_as_four_numbers_and_as_a_whole_matrix(tmp_path, text):
+    folder = WRITERS[Layout.IMAGES](tmp_path)
+    (folder / "camera-intrinsics.txt").write_text(text)
+    assert read_sequence(folder).camera == PinholeCamera(40, 41, 32, 24, 64, 48)
+
+
+@pytest.mark.parametrize("line", ["{t} rgb/{i}.png {t} depth/{i}.png", "{t} depth/{i}.png {t} rgb/{i}.png"])
+def test_lists_of_associated_images_and_depths(tmp_path, line):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    (folder / "rgb.txt").write_text("\n".join(line.format(t=t, i=i) for i, t in enumerate(STAMPS)))
+    right(read_sequence(folder))
+
+
+def test_a_mounting_as_four_rows_and_lenses_that_are_null(tmp_path):
+    folder = WRITERS[Layout.EUROC](tmp_path / "euroc")
+    sensor = tmp_path / "euroc" / "mav0" / "cam0" / "sensor.yaml"
+    numbers = re.search(r"data: \[(.*)\]", sensor.read_text())[1].split(", ")
+    rows = ", ".join(f"[{', '.join(numbers[k : k + 4])}]" for k in (0, 4, 8, 12))
+    edit(sensor, (", ".join(numbers), rows))
+    right(read_sequence(folder))
+    right(read_sequence(nerf(tmp_path / "nerf", top={"camera_model": "OPENCV"}, frames=[{"k1": None}] * N)))
+
+
+def test_positions_in_millimetres_are_told(tmp_path):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    rows = np.column_stack((STAMPS, path_at(STAMPS)))
+    rows[:, 1:4] *= 1000
+    np.savetxt(folder / "groundtruth.txt", rows)
+    assert "moves at 5e+03 m/s" in dict(read_sequence(folder).notes)["speed is unlikely"]
+
+
+@pytest.mark.parametrize("turn", [3, 6])
+def test_images_that_exif_turns_are_written_as_they_are_shown(tmp_path, turn):
+    """A COLMAP model would have them as they are stored."""
+    folder = WRITERS[Layout.IMAGES](tmp_path / "a")
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    for path in folder.glob("*.png"):
+        pixels = np.zeros((48, 64, 3) if turn == 3 else (64, 48, 3), np.uint8)
+        pixels[:8, :8] = 200
+        Image.fromarray(pixels).save(path, exif=exif)
+    given = read_sequence(folder)
+    write_layout(tmp_path / "b", Layout.COLMAP, SequenceStream(given), given.camera, given.truth)
+    right(sequence := read_sequence(tmp_path / "b"))
+    np.testing.assert_array_equal(sequence.image(0), given.image(0))
 
 
 def test_files_that_are_not_read_are_named(tmp_path):
@@ -347,15 +418,28 @@ def test_a_focal_length_is_taken_from_the_user_or_refused(tmp_path):
         read_sequence(nerf(tmp_path / "nerf"), focal=50)
 
 
-def test_a_focal_length_is_fitted_to_poses_and_images(tmp_path, redkitchen):
-    """The published truth by COLMAP has 525.5 pixels for these images."""
-    given = read_sequence(redkitchen)
-    for path in given.image_paths:
-        (tmp_path / path.name).symlink_to(path)
-    np.savetxt(tmp_path / "poses.txt", given.truth.poses_se3[:, :3].reshape(-1, 12))
-    sequence = read_sequence(tmp_path, "images", focal="auto")
-    assert sequence.camera.fx == pytest.approx(525.5, rel=0.1)
-    assert "give or take" in dict(sequence.notes)[FITTED]
+@pytest.mark.parametrize(
+    ("folder", "focal"), [("7scenes/redkitchen", 525.5), ("tum/fr1_desk", 516.9), ("tum/fr1_xyz", 516.9)]
+)
+def test_a_fitted_focal_length_lies_in_its_range(real_data, folder, focal):
+    """Of redkitchen, the published truth by COLMAP; of TUM's first camera, whose lens is not modelled, its makers'."""
+    sequence = without_lens(read_sequence(real_data(*folder.split("/"))))
+    fitted = with_fitted_focal(sequence)
+    low, high = map(int, re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED]).groups())
+    assert low < focal < high < 1.5 * low
+    assert fitted.camera.fx == pytest.approx(focal, rel=0.06)
+
+
+def test_a_camera_that_hardly_turns_does_not_show_its_focal_length(real_data):
+    sequence = without_lens(read_sequence(real_data("kitti", "sequences", "06")))
+    with pytest.raises(DatasetError, match=r"turns by 0\.1\d degrees"):
+        with_fitted_focal(sequence)
+
+
+def without_lens(sequence):
+    camera = sequence.camera
+    middle = {"cx": camera.width / 2, "cy": camera.height / 2}
+    return replace(sequence, camera=replace(camera, fx=100.0, fy=100.0, distortion=(), **middle))
 
 
 # ---- damage

@@ -16,7 +16,7 @@ from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.errors import OdometryError
 from conformodal.poses import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
 from conformodal.poses.alignment import straightness
-from conformodal.poses.metrics import KITTI_LENGTHS_M, MAX_GAP_S, kitti_drift
+from conformodal.poses.metrics import KITTI_LENGTHS_M, MAX_GAP_S, clock_hint, kitti_drift
 from conformodal.running.results.evaluation import bounded_coverage, error_table
 from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
 from conformodal.running.results.provenance import provenance
@@ -102,7 +102,8 @@ def evaluate(
         report_strongly("the run did not come to its end: what it had written until then is evaluated")
     have = noun_for(len(mine), "has", "have")
     answers, gap = counted(len(found.times), "pose"), gaps[mine].max()
-    console.print(f"{len(mine)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s")
+    hint = clock_hint(found.times.timestamps_s, true_poses.timestamps_s) if 2 * len(mine) < len(found.times) else ""
+    console.print(f"{len(mine)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s{hint}")
     if doubt:
         report_strongly(doubt)
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"

@@ -16,9 +16,9 @@ import typer
 
 from conformodal.datasets import Layout, Sequence
 from conformodal.datasets.lenses import as_camera, describe_change
+from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
 from conformodal.datasets.streams.joined import join_streams
-from conformodal.datasets.streams.opening import SeenBy
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.model.errors import OdometryError
@@ -138,7 +138,7 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, bring: bool) -> FrameS
         report_line(f"{exc}: its images are brought to the model's camera, those of {change}")
     if isinstance(stream, SequenceStream):
         return replace(stream, sequence=as_camera(stream.sequence, model.camera))
-    return SeenBy(stream, model.camera)
+    return replace(stream, camera=model.camera) if isinstance(stream, BagStream) else stream
 
 
 class FrameSink(Protocol):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import warnings
+from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,11 +22,17 @@ from conformodal.core.words import counted, listed
 from .console import report_errors, report_line
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
-_SHOWN = 3
+_SHOWN, _NAMED, _FEW = 3, 20, 1000  # rows, columns, rows
 _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _PICTURES = (".svg", ".png", ".pdf")
-_DATE = r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}"
+_DATE = r"^(\d{1,4})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}\d{1,4}"
+_PARTS = (
+    r"^(?P<sign>\(?[-+]?)(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
+    r"(?P<unit>[^-\d.,()]{0,6})(?P<end>[-)]?)$"
+)
+_CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # of values that are missing
+_SEPARATORS, _LOOKED_AT = ";\t,|", 1_000_000  # characters
 
 
 class TableError(ConformodalError):
@@ -116,66 +124,173 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
     Commas, semicolons, tabs or bars separate; numbers may have decimal commas; UTF-8, UTF-16 and the encoding of
     Western Windows are read. A column holds numbers or dates if 95 % of its values are; the others are then missing.
     """
+    raw, names, separator, notes = _cells(file)
+    parts = [_parts(raw[name].dropna()) for name in names]
+    points = [_points(digits) for digits, _ in parts]
+    certain = {its for its in points if len(its) == 1}
+    columns = {}
+    for name, (digits, unit), point in zip(names, parts, points, strict=True):
+        column = raw[name]
+        columns[name] = found = _converted(column, digits, point, certain, separator)
+        told = []
+        if found.dtype.kind == "M":
+            at = (found.dt.day != found.dt.month).where(found.notna(), False).idxmax()
+            told.append(f"dates, of which {column[at]!r} is read as {found[at]:%Y-%m-%d}")
+        elif found.dtype.kind == "f":
+            told += [f"numbers without their {unit!r}"] if unit else []
+            doubtful = digits[_grouped(digits)] if len(point) > 1 else digits[:0]
+            if len(doubtful) and found[at := doubtful.index[0]] != pd.to_numeric(doubtful[at], errors="coerce"):
+                told.append(f"{column[at]!r} is read as {found[at]:.12g}")
+            codes = found[found.isin(_CODES)]
+            if len(codes) > 1 and codes.iloc[0] in (found.min(), found.max()):
+                told.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; leave cells empty if it means missing")
+        if len(lost := column[found.isna() & column.notna()]):
+            told.append(f"{counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
+        notes += [f"{name}: {words}" for words in told]
+    return pd.DataFrame(columns), notes
+
+
+def _cells(file: Path) -> tuple[pd.DataFrame, list[str], str, list[str]]:
+    """The text of all cells, without blanks around it; the columns' names, the separator, and what was found."""
+    text = _text(file)
+    above, separator, width = _arrangement(text)
+    shape: dict[str, Any] = {"sep": separator, "skiprows": above, "header": None, "names": range(width)}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
+            raw = pd.read_csv(io.StringIO(text), dtype=str, skipinitialspace=True, index_col=False, **shape)
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as exc:
+        raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
+    if raw.empty:
+        raise TableError(f"{file}: cannot be read as CSV: holds no values")
+    raw = raw.apply(lambda column: column.str.strip().replace("", None))
+    head, raw = raw.iloc[0], raw[1:].reset_index(drop=True)
+    n_named = int(np.flatnonzero(head.notna())[-1]) + 1
+    quotes = f"values that hold {separator!r}, as decimal commas, need quotes or another separator"
+    more = np.flatnonzero(raw.iloc[:, n_named:].notna().any(axis=1))
+    if more.size:
+        raise TableError(f"{file}: row {more[0] + 1} has more values than the {n_named} names of columns; {quotes}")
+    names = [f"column {j + 1}" if pd.isna(name) else str(name) for j, name in enumerate(head[:n_named])]
+    if pd.to_numeric(pd.Series(names), errors="coerce").notna().all():
+        raise TableError(f"{file}: expected names above the columns, found {', '.join(names[:_SHOWN])}; {quotes}")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise TableError(f"{file}: several columns are called {listed(twice)}; give each a name of its own")
+    notes = [f"{file}: {counted(len(raw), 'row')}, {counted(n_named, 'column')} separated by {separator!r}"]
+    notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
+    return raw.iloc[:, :n_named].set_axis(names, axis=1), names, separator, notes
+
+
+def _text(file: Path) -> str:
     try:
         content = file.read_bytes()
     except OSError as exc:
         raise TableError(f"{file}: cannot be read: {exc.strerror}") from None
-    encodings = ["utf-16"] if content[:2] in (b"\xff\xfe", b"\xfe\xff") else ["utf-8-sig", "cp1252", "latin-1"]
-    for encoding in encodings:
-        try:
-            text = content.decode(encoding)
-            break
-        except UnicodeDecodeError:
-            continue
-    else:
-        raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
-    if "\0" in text:
+    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    if b"\0" in content and not marked:
         raise TableError(f"{file}: is not text; save the spreadsheet as CSV")
-    lines = text.lstrip().splitlines()[:1] or [""]
-    separator = max(";\t,|", key=lambda s: len(next(csv.reader(lines, delimiter=s), [])))
-    try:
-        raw = pd.read_csv(io.StringIO(text), sep=separator, dtype=str, skipinitialspace=True, index_col=False)
-    except (ValueError, pd.errors.ParserError) as exc:
-        raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
-    notes = [f"{file}: {counted(len(raw), 'row')}, {counted(raw.shape[1], 'column')} separated by {separator!r}"]
-    columns = {}
-    for j, name in enumerate(raw.columns):
-        column = raw.iloc[:, j].str.strip().replace("", None)
-        columns[str(name).strip()] = found = _converted(column, separator)
-        lost = column[found.isna() & column.notna()]
-        if len(lost):
-            notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
-    return pd.DataFrame(columns), notes
+    for encoding in ["utf-16"] if marked else ["utf-8-sig", "cp1252", "latin-1"]:
+        with suppress(UnicodeDecodeError):
+            return content.decode(encoding)
+    raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
 
 
-def _converted(column: pd.Series, separator: str) -> pd.Series:
-    """A column of text as numbers or dates if nearly all of its values are, or as it is."""
+def _arrangement(text: str) -> tuple[int, str, int]:
+    """Lines above the names, the separator, and the most values of a row.
+
+    Most rows have equally many values, more than one; names have as many. Of several separators, the one with the least
+    above the names is right.
+    """
+    found = []
+    for k, separator in enumerate(_SEPARATORS):
+        reader = csv.reader(io.StringIO(text[:_LOOKED_AT], newline=""), delimiter=separator, skipinitialspace=True)
+        rows, at = [], 0
+        for row in reader:
+            filled = [i for i, field in enumerate(row, start=1) if field.strip()]
+            rows += [(at, filled[-1], len(row))] if filled else []
+            at = reader.line_num
+        usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
+        above = next((at for at, n, _ in rows if n >= usual), 0)
+        found.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
+    _, above, _, separator, width = min(found)
+    return above, separator, width
+
+
+def _parts(known: pd.Series) -> tuple[pd.Series, str]:
+    """Numbers without blanks, and without the unit or currency that all have; minus signs stand first."""
+    if _is_plain(known):
+        return known, ""
+    digits = known.str.replace(r"[\s'\u2019]", "", regex=True).str.replace("\u2212", "-", regex=False)
+    split = digits.str.extract(_PARTS)
+    units = (split["currency"] + split["unit"]).dropna().unique()
+    if len(units) != 1 or split["number"].notna().mean() < _LEAST_SHARE:
+        return digits, ""
+    minus = split["sign"].str.contains(r"[-(]", regex=True) | split["end"].isin(["-", ")"])
+    return split["number"].where(~minus, "-" + split["number"]).fillna(digits), str(units[0])
+
+
+def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[str], separator: str) -> pd.Series:
+    """A column of text as numbers or dates if nearly all of its values are, or as it is.
+
+    `points` are its decimal marks, and `certain` those of columns that leave no doubt.
+    """
     known = column.dropna()
     if known.empty:
         return column
-    plain = pd.to_numeric(known, errors="coerce")
-    if plain.notna().mean() < _LEAST_SHARE and known.str.match(_DATE).mean() >= _LEAST_SHARE:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of days and months in another order
-            dates = pd.to_datetime(known, errors="coerce", format="mixed", dayfirst=separator == ";", utc=True)
-        if dates.notna().mean() >= _LEAST_SHARE:
-            return dates.dt.tz_localize(None).reindex(column.index)
-    if plain.notna().mean() < _LEAST_SHARE:
-        plain = _with_commas(known.str.replace(r"[\s']", "", regex=True), separator)
-    return plain.reindex(column.index).astype(float) if plain.notna().mean() >= _LEAST_SHARE else column
-
-
-def _with_commas(digits: pd.Series, separator: str) -> pd.Series:
-    """Numbers with a decimal comma and points between thousands, or the other way round; NaN for what is neither."""
-    both = digits[digits.str.contains(",", regex=False) & digits.str.contains(".", regex=False)]
-    if len(both):
-        comma = bool((both.str.rfind(",") > both.str.rfind(".")).all())
-    else:  # 1,234 in a file with commas between its columns is a thousand and more
-        comma = separator != "," or not digits.str.fullmatch(r"-?\d{1,3}(,\d{3})*").all()
-    mark, point = (".", ",") if comma else (",", ".")
-    number = rf"[-+]?(\d{{1,3}}(\{mark}\d{{3}})+|\d+)(\{point}\d*)?([eE][-+]?\d+)?"
+    if _is_plain(digits) and (points == "." or not digits.str.contains(".", regex=False).any()):
+        return _finite(pd.to_numeric(digits), column)
+    dates = known.str.extract(_DATE)
+    if dates[0].notna().mean() >= _LEAST_SHARE:
+        first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 1))
+        day_first = bool((first[first < 32] > 12).any())
+        if not (day_first and (second > 12).any()):  # else nobody knows which is the month
+            day_first |= separator == ";" and not (second > 12).any()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of days and months in another order
+                found = pd.to_datetime(known, errors="coerce", format="mixed", dayfirst=day_first, utc=True)
+            if found.notna().mean() >= _LEAST_SHARE:
+                return found.dt.tz_localize(None).reindex(column.index)
+    if not points:
+        return column
+    point = points[0]
+    if len(points) > 1:  # 1.234: as in other columns; integers beside it make it more than a thousand
+        comma = bool(digits.str.contains(",", regex=False).any())
+        thousands = bool(digits.str.fullmatch(r"[-+]?\d+").any()) or (comma and separator == ",")
+        point = next(iter(certain)) if len(certain) == 1 else "." if comma == thousands else ","
+    mark = "." if point == "," else ","
     plain = digits.str.replace(mark, "", regex=False).str.replace(point, ".", regex=False)
-    return pd.to_numeric(plain.where(digits.str.fullmatch(number)), errors="coerce")
+    numbers = pd.to_numeric(plain.where(digits.str.fullmatch(_number(point))), errors="coerce")
+    return _finite(numbers, column)
+
+
+def _is_plain(digits: pd.Series) -> bool:
+    return bool(pd.to_numeric(digits, errors="coerce").notna().all())
+
+
+def _finite(numbers: pd.Series, column: pd.Series) -> pd.Series:
+    return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
+
+
+def _number(point: str) -> str:
+    """A pattern of numbers with a decimal point or comma, and perhaps the other one between thousands."""
+    mark = "." if point == "," else ","
+    return rf"[-+]?([1-9]\d{{0,2}}(\{mark}\d{{2,3}})*\{mark}\d{{3}}|\d*)(\{point}\d*)?([eE][-+]?\d+)?|[-+]?inf"
+
+
+def _grouped(digits: pd.Series) -> pd.Series:
+    """Which numbers may have a mark between thousands, or before three decimals."""
+    return digits.str.fullmatch(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
+
+
+def _points(digits: pd.Series) -> str:
+    """The decimal marks, of point and comma, with which nearly all are numbers, and most are."""
+    few = digits[:_FEW]
+    if _is_plain(digits) and not (few.str.fullmatch(r"[-+]?\d+") | _grouped(few)).all():
+        return "."
+    shares = {point: digits.str.fullmatch(_number(point)).mean() for point in ".,"} if len(digits) else {}
+    found = "".join(p for p, share in shares.items() if share >= max(_LEAST_SHARE, *shares.values()))
+    if len(found) > 1 and digits.str.fullmatch(r"[-+]?\d{4,}").any() and len(doubtful := digits[_grouped(digits)]):
+        return "," if "," in doubtful.iloc[0] else "."  # 1.234 beside 1234 has no marks between thousands
+    return found
 
 
 def choose_columns(
@@ -209,7 +324,11 @@ def choose_columns(
             notes.append(f"{name} ({', '.join(words)})" if words else name)
     if not used:
         raise TableError(f"{file}: no column is left to learn from; {'; '.join(left_out) or 'all are targets'}")
-    lines = [f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""), f"used: {', '.join(notes)}"]
+    lines = [
+        f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""),
+        f"used: {', '.join(notes[:_NAMED])}",
+    ]
+    lines[1] += f" and {len(notes) - _NAMED} more" if len(notes) > _NAMED else ""
     if left_out:
         lines.append(f"left out: {', '.join(left_out)}")
     if gaps.size:

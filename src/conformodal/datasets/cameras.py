@@ -105,10 +105,13 @@ def camera_beside(
     k = read_numbers(path)
     lens_path = folder / "camera-distortion.txt"
     lens = tuple(read_numbers(lens_path).tolist()) if lens_path.is_file() else ()
-    if k.size != 9:
-        raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3)")
-    check_matrix(path, k.reshape(3, 3))
-    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k[[0, 4, 2, 5]], size, lens, notes=notes)
+    if k.size not in (4, 9, 16):
+        raise DatasetError(f"{path}: holds {k.size} numbers, expected 9 (3x3), 16 (4x4) or fx fy cx cy")
+    if k.size > 4:
+        matrix = k.reshape(round(k.size**0.5), -1)
+        check_matrix(path, matrix[:3, :3])
+        k = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+    return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k, size, lens, notes=notes)
 
 
 def check_matrix(source: Path | str, k: np.ndarray) -> None:

@@ -8,26 +8,28 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.words import counted
 from conformodal.poses import matrix_from_quat_wxyz
 from conformodal.poses.text import length_doubt, number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
-from .decoding import common_size, looked_at, natural_key
+from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import QUATERNIONS, Damaged, FrameTable
-from .lenses import AnyCamera, fisheye_of
+from .lenses import AnyCamera, as_stored, fisheye_of
 from .reading import Note, PathGuard, image_files, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
 
-TWICE = "the model is there twice"
+TWICE, AS_STORED = "the model is there twice", "images are read as they are stored"
 _LEVELS = 3
 _MANY = 10  # cameras, whose notes are told once
 # model: (numbers of fx, fy, cx, cy among the parameters; numbers of k1, k2, p1, p2 and perhaps k3, or of a fisheye
@@ -49,7 +51,7 @@ _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")
 
 def model_folders(folder: Path) -> list[Path]:
     """Where in a folder models lie: COLMAP writes one for every part that it could not join, ``sparse/1`` and so on."""
-    parts = sorted((folder / "sparse").glob("[0-9]*"), key=lambda place: natural_key(place.name))
+    parts = sorted((folder / "sparse").glob("*"), key=lambda place: natural_key(place.name))
     return [place for place in (folder, folder / "sparse", *parts, folder / "text") if _endings(place)]
 
 
@@ -100,16 +102,20 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     unregistered = [] if base == folder else _unregistered(base, list(registered.values()))
     found = registered | {name: image(base, name) for name in unregistered}
     names = sorted(found, key=natural_key)
-    images = [found[name] for name in names]
+    usual = Counter(camera for *_, camera in rows.values()).most_common(1)[0][0]
+    stored = {
+        name: as_stored(found[name], wide=_wide(cameras[rows[name][2] if name in rows else usual])) for name in names
+    }
+    if turned := [name for name in names if stored[name] != found[name]]:
+        where = f"{found[turned[0]]}: EXIF turns it, and COLMAP's poses and cameras are of images as they are stored"
+        notes.append(Note(AS_STORED, f"{where}; {counted(len(turned), 'image')} read so"))
+    images = [stored[name] for name in names]
     poses, why = _poses(of_images, names, rows, notes)
     lenses = _lenses(
-        of_cameras, cameras, {name: (registered[name], rows[name][2]) for name in names if name in rows}, notes
+        of_cameras, cameras, {name: (stored[name], rows[name][2]) for name in names if name in rows}, notes
     )
     most = Counter(lenses.values()).most_common(1)[0][0]  # images that the model does not name are taken for its
-    if turned := looked_at(images)[1]:
-        where = f"{turned[0]}: EXIF turns it, and COLMAP's poses and cameras are of images as they are stored"
-        notes.append(Note("COLMAP does not turn images", where))
-    times, recording = times_by_folder(folder, images)
+    times, recording = times_by_folder(folder, [found[name] for name in names])
     table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence([lenses.get(name, most) for name in names], require_poses=require_poses)
 
@@ -148,6 +154,13 @@ def _lenses(
         made[camera_id] = _camera(path, *cameras[camera_id], size, found)
         notes += [note for note in found if note.what not in {other.what for other in notes} or len(cameras) < _MANY]
     return {name: made[camera] for name, (_, camera) in images.items()}
+
+
+def _wide(camera: tuple[str, list[str]]) -> bool:
+    """Whether a camera's images are wider than high; what is no number is told elsewhere."""
+    with suppress(ValueError, IndexError):
+        return whole_number(camera[1][2]) > whole_number(camera[1][3])
+    return True
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:

@@ -19,12 +19,13 @@ from .sequence import Sequence
 AS_GIVEN = "camera-to-world, OpenCV axes"
 FITTED = "the focal length is an estimate"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-_PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 16, (1, 2, 4, 8), 300, 200
+_PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
 _FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
 _BETTER, _EQUAL = 0.2, 0.02  # share of the matches
 _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
-_CUT_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 3.0, 200, 0.5, 0.1
+_USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
+_NOT_MODELLED, _TURN_DEG = 0.05, 0.1  # standard errors: of lens and principal point, as a share; of turns, by poses
 
 
 def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
@@ -69,24 +70,25 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
 def with_fitted_focal(sequence: Sequence) -> Sequence:
     """The sequence with the focal length under which matched corners lie best on the poses' epipolar lines.
 
-    Its lens has no distortion, and its principal point is that of the camera. A note gives twice the standard error,
-    from drawing the pairs of frames again; what poses and lens have wrong
-    comes on top.
+    Its lens has no distortion, and its principal point is that of the camera. Only turns show it: a camera that moves
+    straight ahead sees the same with any. A note gives the range of twice the standard error: from drawing the pairs of
+    frames again, from errors of the poses beside the turns, and from lens and principal point.
 
     Raises
     ------
     DatasetError
-        If there are no poses, too few matches, or neither poses nor images determine it within 10 per cent.
+        If there are no poses, too few matches, or poses and images do not determine it within 25 per cent.
     """
     if sequence.truth is None:
         raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")
     camera, poses = sequence.camera, sequence.truth.poses_se3
     focals = _FOCALS * max(camera.width, camera.height)
-    costs, near, n_matches = [], [], 0
+    costs, near, turns_deg, n_matches = [], [], [], 0
     for first, second, a, b in _pairs(sequence, _FLOW_FOR_FOCAL_PX):
         motion, centre = np.linalg.inv(poses[second]) @ poses[first], (camera.cx, camera.cy)
+        turns_deg.append(np.degrees(np.arccos(np.clip(np.trace(motion[:3, :3]) / 2 - 0.5, -1, 1))))
         errors = np.array([_epipolar_px(motion, (a - centre) / f, (b - centre) / f, f) for f in focals])
-        costs.append(np.minimum(errors, _CUT_PX).sum(axis=1))
+        costs.append(np.log1p((errors / _USUAL_PX) ** 2).sum(axis=1))  # errors of poses are no Gaussian noise
         near.append((errors < _NEAR_PX).sum(axis=1))
         n_matches += len(a)
     if n_matches < _LEAST_MATCHES:
@@ -94,12 +96,16 @@ def with_fitted_focal(sequence: Sequence) -> Sequence:
     best = int(np.argmin(np.sum(costs, axis=0)))
     share = float(np.sum(near, axis=0)[best] / n_matches)
     drawn = np.random.default_rng(0).multinomial(len(costs), np.full(len(costs), 1 / len(costs)), size=_DRAWS)
-    spread = float(np.std(np.log(focals[np.argmin(drawn @ np.array(costs), axis=1)])))
-    found = f"{focals[best]:.0f} pixels, give or take {200 * spread:.0f} % (95 %)"
+    drawn_again = float(np.std(np.log(focals[np.argmin(drawn @ np.array(costs), axis=1)])))
+    turn_deg = float(np.median(turns_deg))
+    spread = float(np.linalg.norm((drawn_again, _NOT_MODELLED, _TURN_DEG / max(turn_deg, 1e-3))))
+    low, high = focals[best] * np.exp([-2 * spread, 2 * spread])
+    found = f"{focals[best]:.0f} pixels, between {low:.0f} and {high:.0f} (95 %)"
     if share < _LEAST_NEAR or spread > _MOST_UNSURE or best in (0, len(focals) - 1):
         raise DatasetError(
             f"{sequence.name}: poses and images do not tell the focal length: {found}; {100 * share:.0f} % of the "
-            "matched corners fit it. Write camera-intrinsics.txt"
+            f"matched corners fit it, and the camera turns by {turn_deg:.2g} degrees while they move by "
+            f"{_FLOW_FOR_FOCAL_PX:g} pixels. Write camera-intrinsics.txt"
         )
     where = f"{sequence.name}: {found}, from poses and {n_matches} matched corners; without distortion"
     fitted = replace(camera, fx=float(focals[best]), fy=float(focals[best]))

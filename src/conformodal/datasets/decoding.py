@@ -29,7 +29,7 @@ _ORIENTATION = 0x0112
 _WHITES = (1023, 4095, 16383, 65535)
 WIDEST = _WHITES[-1]
 TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
-_SIDEWAYS = 5
+SIDEWAYS = 5
 _EXIF, _FOCAL_MM, _FOCAL_35_MM = 0x8769, 0x920A, 0xA405
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM, _DIAGONAL_MM = {2: 25.4, 3: 10.0, 4: 1.0}, hypot(36, 24)
@@ -56,8 +56,15 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def _size(image: Image.Image) -> tuple[int, int]:
-    sideways = image.format != "TIFF" and _orientation(image) >= _SIDEWAYS  # Pillow turns a TIFF itself
+    sideways = image.format != "TIFF" and _orientation(image) >= SIDEWAYS  # Pillow turns a TIFF itself
     return (image.height, image.width) if sideways else (image.width, image.height)
+
+
+def orientation(path: Path) -> tuple[int, tuple[int, int]]:
+    """EXIF's orientation, and width and height as stored; 1 where nothing is to turn it, as Pillow turns a TIFF."""
+    with suppress(ImageError), _opened(path, "") as image:
+        return 1 if image.format == "TIFF" else _orientation(image), image.size
+    return 1, (0, 0)
 
 
 def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
@@ -159,13 +166,16 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[n
 
 
 def decode(
-    source: Path | bytes, name: str, size: tuple[int, int] | None = None, white: int | None = None
+    source: Path | bytes, name: str, size: tuple[int, int] | None = None, white: int | None = None, turn: bool = True
 ) -> npt.NDArray[np.uint8]:
     """As :func:`read_image`, of a file or of its content.
 
-    `name` is for people; `white` the level of a 16-bit image that becomes 255, by default of the bits that it uses.
+    `name` is for people; `white` the level of a 16-bit image that becomes 255, by default of the bits that it uses;
+    without `turn` the image stays as it is stored.
     """
     with _opened(source, name) as image:
+        if not turn:
+            image.info.pop("exif", None)
         found = _size(image)
         if size is not None and found != size:
             raise ImageError(f"{name}: image is {found[0]}x{found[1]} pixels, the camera's are {size[0]}x{size[1]}")

@@ -22,7 +22,7 @@ from .decoding import common_size
 from .errors import DatasetError
 from .frame_table import Damaged, FrameTable, listed, paired_by_time
 from .lenses import AnyCamera, fisheye_of
-from .reading import Note, PathGuard, read_lines, reader
+from .reading import MALFORMED, Note, PathGuard, read_lines, reader
 from .sequence import Sequence
 
 _BESIDE = "camera-intrinsics.txt"
@@ -100,23 +100,15 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         if name not in content:  # a calibration of cameras alone
             notes.append(Note(_NO_MOUNTING, f"{path}: has no {name}, so the body's poses are taken as the camera's"))
         found = content.get(name, {"data": np.eye(4).ravel().tolist()})
-        rows = found["data"] if isinstance(found, dict) else [v for row in found for v in row]
+        rows = found["data"] if isinstance(found, dict) else found
+        rows = [v for row in rows for v in row] if isinstance(rows[0], list) else rows
         mounting = np.array(_numbers(rows, 16)).reshape(4, 4)
         models = content.get("camera_model", "pinhole"), content.get("distortion_model") or _RADIAL[0]
         if kalibr and content.get("timeshift_cam_imu"):
             (shift_s,) = _numbers([content["timeshift_cam_imu"]], 1)
             notes.append(Note(SHIFTED, f"{path}: timeshift_cam_imu, {shift_s:g} s, is added to the images' for poses"))
         stated = _numbers(content["resolution"], 2) if "resolution" in content else None
-    except (
-        yaml.YAMLError,
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        IndexError,
-        OverflowError,
-        RecursionError,
-    ) as exc:
+    except (yaml.YAMLError, *MALFORMED) as exc:
         raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
     lensless = models[1] == _NO_LENS and not any(lens)
     known = models[0] == "pinhole" and (models[1] in (*_RADIAL, _FISHEYE) or lensless)

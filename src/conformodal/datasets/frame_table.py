@@ -33,7 +33,7 @@ Damaged = dict[int, str]
 NO_POSE = "no pose"
 INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
 QUATERNIONS = "quaternions are doubtful"
-_USUAL_STEP_S = (5e-4, 5.0)
+_USUAL_STEP_S, _FASTEST_MPS = (5e-4, 5.0), 150.0
 _LEFT_OUT = "left out, "
 
 
@@ -97,7 +97,7 @@ class FrameTable:
         if not kept.size:
             first = out[min(out)].where if out else f"{self.name}: holds no frame"
             raise DatasetError(f"{first} ({len(out)} of {len(self.images)} frames cannot be used)")
-        notes = [*self.notes, *(out[i] for i in sorted(out)), *self._unlikely_rate(kept)]
+        notes = [*self.notes, *(out[i] for i in sorted(out)), *self._unlikely(kept, kept[posed[kept]])]
         if not require_poses and posed[kept].any():
             notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
         _warn(self.name, notes)
@@ -132,14 +132,21 @@ class FrameTable:
             self.images = brought(self.images, cameras, camera, white, self.notes)
         return camera
 
-    def _unlikely_rate(self, kept: IntArray) -> list[Note]:
+    def _unlikely(self, kept: IntArray, posed: IntArray) -> list[Note]:
+        """Doubts about the units of times and positions."""
         same = np.ones(len(kept) - 1, dtype=np.bool_) if self.recording is None else np.diff(self.recording[kept]) == 0
-        steps = np.diff(self.times[kept])[same]
-        usual = float(np.median(steps)) if steps.size else 1.0
-        if _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
-            return []
-        where = f"{self.name}: frames are {usual:.3g} s apart; are their times in another unit than seconds?"
-        return [Note("frame rate is unlikely", where)]
+        usual = float(np.median(np.diff(self.times[kept])[same])) if same.any() else 1.0
+        found = []
+        if not _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
+            where = f"{self.name}: frames are {usual:.3g} s apart; are their times in another unit than seconds?"
+            found.append(Note("frame rate is unlikely", where))
+        if self.poses is not None and len(posed) > 1:
+            moved = np.linalg.norm(np.diff(self.poses[posed, :3], axis=0), axis=1)
+            speed = float(np.median(moved / np.diff(self.times[posed])))
+            if speed > _FASTEST_MPS:
+                where = f"{self.name}: the camera moves at {speed:.3g} m/s; are positions in metres, times in seconds?"
+                found.append(Note("speed is unlikely", where))
+        return found
 
     def _pose_fault(self, i: int) -> str:
         return f"{self.images[i].name}: {self.why.get(i, 'has no pose')}"

@@ -23,7 +23,7 @@ from .reading import Note, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 
 FRAME_RATE_HZ = 10.0
-_CAMERAS = ("image_2", "image_0")  # colour where it is there
+CAMERAS = ("image_2", "image_0", "image_3", "image_1")  # colour where it is there; the left one first
 
 
 @reader
@@ -33,16 +33,16 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     Parameters
     ----------
     folder
-        ``.../sequences/NN``, with ``image_2`` or ``image_0``, ``calib.txt`` and perhaps ``times.txt``. Poses are
+        ``.../sequences/NN``, with one of ``CAMERAS``, ``calib.txt`` and perhaps ``times.txt``. Poses are
         looked for in ``.../poses/NN.txt`` and in ``NN.txt``, ``poses.txt`` in the folder itself. Images whose names
         are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
     require_poses
         False also reads a sequence without poses.
     """
     folder = Path(folder).resolve()
-    camera = next((name for name in _CAMERAS if (folder / name).is_dir()), None)
+    camera = next((name for name in CAMERAS if (folder / name).is_dir()), None)
     if camera is None:
-        raise DatasetError(f"{folder}: holds neither image_2 nor image_0; expected a KITTI odometry sequence")
+        raise DatasetError(f"{folder}: holds none of {', '.join(CAMERAS)}; expected a KITTI odometry sequence")
     notes: list[Note] = []
     images = image_files(folder / camera, notes)
     if not images:

@@ -17,7 +17,7 @@ from .convention import with_fitted_focal
 from .errors import DatasetError
 from .euroc import read_euroc_mav
 from .images import POSE_FILES, read_image_folder
-from .kitti import read_kitti_odometry
+from .kitti import CAMERAS, read_kitti_odometry
 from .nerf import FILE, read_nerf, transforms_file
 from .reading import SUFFIXES, image_files, readable, shown
 from .rgbd_scenes import looks_like_scenes, read_rgbd_scenes
@@ -55,25 +55,17 @@ def _is_image_folder(folder: Path) -> bool:
 
 _READERS = {
     Layout.SEVENSCENES: _Reader(
-        read_sevenscenes,
-        "frame-NNNNNN.color.png or .jpg, in it or in folders seq-NN",
-        looks_like_scene,
+        read_sevenscenes, "frame-NNNNNN.color.png or .jpg, in it or in folders seq-NN", looks_like_scene
     ),
-    Layout.RGBD_SCENES: _Reader(
-        read_rgbd_scenes,
-        "imgs/scene_NN, or FFFFF-color.png",
-        looks_like_scenes,
-    ),
+    Layout.RGBD_SCENES: _Reader(read_rgbd_scenes, "imgs/scene_NN, or FFFFF-color.png", looks_like_scenes),
     Layout.KITTI: _Reader(
         read_kitti_odometry,
-        "image_0 or image_2, and calib.txt",
-        lambda f: (f / "calib.txt").is_file() and any((f / name).is_dir() for name in ("image_0", "image_2")),
+        "image_0 to image_3, and calib.txt",
+        lambda f: (f / "calib.txt").is_file() and any((f / name).is_dir() for name in CAMERAS),
     ),
     Layout.TUM: _Reader(read_tum_rgbd, "rgb.txt", lambda f: (f / "rgb.txt").is_file()),
     Layout.EUROC: _Reader(
-        read_euroc_mav,
-        "mav0/cam0",
-        lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0")),
+        read_euroc_mav, "mav0/cam0", lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0"))
     ),
     Layout.COLMAP: _Reader(
         read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: bool(model_folders(f))
@@ -86,7 +78,7 @@ _READERS = {
 _WITHOUT_CAMERA, _TO_BE_FITTED = (Layout.IMAGES, Layout.TUM), 0.0
 _LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
 # Folders of images inside other layouts, which lack something else than a camera.
-_INSIDE_LAYOUTS = ("image_0", "image_2", "images", "rgb", "cam0", "data", "imgs")
+_INSIDE_LAYOUTS = (*CAMERAS, "images", "rgb", "cam0", "data", "imgs")
 
 
 def recognise(folder: Path) -> Layout:
@@ -118,11 +110,13 @@ def recognise(folder: Path) -> Layout:
 def _pictures_without_camera(folder: Path) -> str:
     """What a folder of pictures lacks, if it is one or has one in it."""
     with suppress(OSError):
-        for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
+        below = sorted(path for path in folder.iterdir() if path.is_dir())
+        if named := [shown(str(place)) for place in below if any(its.fits(place) for its in _READERS.values())]:
+            return f": name a folder in it, such as {', '.join(named[:3])}"
+        for place in (folder, *below):
             if place.name not in _INSIDE_LAYOUTS and (pictures := image_files(place)):
-                lacks = not (place / "camera-intrinsics.txt").is_file()
-                what = "put camera-intrinsics.txt beside them" if lacks else "name that folder"
-                return f": {shown(str(place))} holds {counted(len(pictures), 'picture')}; {what}"
+                where = f"{shown(str(place))} holds {counted(len(pictures), 'picture')}"
+                return f": {where}; put camera-intrinsics.txt beside them"
         kinds = Counter(path.suffix for path in folder.iterdir() if path.is_file() and path.suffix)
         if kinds:
             kind, n = kinds.most_common(1)[0]

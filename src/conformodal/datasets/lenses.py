@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -28,7 +29,7 @@ from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera
 
 from .cameras import MOST_BENT, Size, camera_of
-from .decoding import decode, image_fault
+from .decoding import SIDEWAYS, decode, image_fault, orientation
 from .errors import DatasetError, ImageError
 from .reading import Note
 from .sequence import Sequence
@@ -188,20 +189,41 @@ def brought(
 def _brought(image: Path, camera: AnyCamera, *, place: Path, target: PinholeCamera, white: int | None) -> Path:
     if camera == target and white is None:
         return image
+    own = camera.pinhole if isinstance(camera, Fisheye) else camera
+
+    def make(content: bytes) -> npt.NDArray[Any]:
+        return seen_by(decode(content, str(image), (own.width, own.height), white), camera, target)
+
+    return _cached(image, place, f"{camera} {target} {white} ", (target.width, target.height), make)
+
+
+def as_stored(image: Path, *, wide: bool) -> Path:
+    """An image that EXIF turns, as it is stored: a file in the cache; any other image itself.
+
+    `wide` is whether the camera's images are wider than high; of an image that EXIF turns by a quarter, it tells
+    whether the camera is that of the image as it is stored, or after.
+    """
+    turned, (width, height) = orientation(image)
+    if turned == 1 or (turned >= SIDEWAYS and width != height and wide != (width > height)):
+        return image
+    make = partial(decode, name=str(image), turn=False)
+    return _cached(image, default_cache_dir() / "undistorted", "as stored ", (width, height), make)
+
+
+def _cached(image: Path, place: Path, key: str, size: Size, make: Callable[[bytes], npt.NDArray[Any]]) -> Path:
+    """A file in the cache with what is made of an image's content; the image itself where it cannot be read."""
     try:
         content = image.read_bytes()
     except OSError:
         return image
-    digest = hashlib.sha256(f"{camera} {target} {white} ".encode() + content).hexdigest()
+    digest = hashlib.sha256(key.encode() + content).hexdigest()
     made = place / digest[:2] / digest / f"{image.stem}.png"
-    if made.is_file() and not image_fault(made, (target.width, target.height)):
+    if made.is_file() and not image_fault(made, size):
         return made
-    own = camera.pinhole if isinstance(camera, Fisheye) else camera
     try:
-        pixels: npt.NDArray[Any] = decode(content, str(image), (own.width, own.height), white)
+        pixels = make(content)
     except ImageError:
         return image
-    pixels = seen_by(pixels, camera, target)
     written = io.BytesIO()
     Image.fromarray(pixels).save(written, "PNG", compress_level=1)
     write_whole(made, written.getvalue())

@@ -20,7 +20,7 @@ from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import FrameTable
 from .lenses import AnyCamera, fisheye_of
-from .reading import SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
+from .reading import MALFORMED, SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -60,9 +60,10 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
         world = _original_world(path, content)
         cameras = [{**content, **{k: frame[k] for k in _OWN_CAMERA if k in frame}} for frame in frames]
+        cameras = [{k: v for k, v in camera.items() if v is not None} for camera in cameras]
     except DatasetError:
         raise
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as exc:
+    except MALFORMED as exc:
         raise DatasetError(f"{path}: is no NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if not frames:
         raise DatasetError(f"{path}: needs frames with 4x4 matrices, found none")

@@ -24,6 +24,8 @@ FRAME_RATE_HZ = 30.0
 BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
 _NO_NUMBER = str.maketrans("[](),;", " " * 6)
+# What a file of another kind leads to, when it is taken for YAML or JSON of a known form.
+MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
 
 

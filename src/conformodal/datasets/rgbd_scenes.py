@@ -18,11 +18,10 @@ from .cameras import camera_beside
 from .decoding import common_size
 from .errors import DatasetError
 from .frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
-from .reading import Note, reader
+from .reading import FRAME_RATE_HZ, Note, reader
 from .sequence import Sequence
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
-FRAME_RATE_HZ = 30.0
 _IMAGE = re.compile(r"([0-9]{1,9})-color\.(png)", re.IGNORECASE)
 _SCENE = re.compile(r"scene_[0-9]{1,9}")
 

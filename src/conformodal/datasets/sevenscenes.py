@@ -23,10 +23,9 @@ from .cameras import camera_beside
 from .decoding import common_size
 from .errors import DatasetError
 from .frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
-from .reading import Note, read_frame_rate, read_lines, read_numbers, reader
+from .reading import FRAME_RATE_HZ, Note, read_frame_rate, read_lines, read_numbers, reader
 from .sequence import Sequence
 
-FRAME_RATE_HZ = 30.0
 CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
 _LISTS = ("TrainSplit.txt", "TestSplit.txt")
 _LISTED = re.compile(r"seq(?:uence)?[ _-]*([0-9]{1,9})", re.IGNORECASE)

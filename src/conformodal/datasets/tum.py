@@ -22,6 +22,8 @@ CAMERAS = {
     "3": PinholeCamera(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
 
+_ASSOCIATED = re.compile(r"([\d.]+)\s+(\S+)\s+([\d.]+)\s+(\S+)")
+
 
 @reader
 def read_tum_rgbd(
@@ -52,6 +54,8 @@ def read_tum_rgbd(
         time, name = re.split(r"[,;\s]", line.strip(), maxsplit=1)
         if not name.strip():
             raise ValueError(line)
+        if match := _ASSOCIATED.fullmatch(f"{time} {name.strip()}"):  # of an image and its depth, in either order
+            time, name = match.groups()[2:] if "depth" in match[2] else match.groups()[:2]
         return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", notes)

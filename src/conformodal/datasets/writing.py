@@ -17,8 +17,10 @@ from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
 from conformodal.poses.metrics import MAX_GAP_S, clock_hint
 
+from .decoding import orientation
 from .errors import DatasetError
 from .layouts import Layout
+from .reading import FRAME_RATE_HZ
 from .staging import staged
 from .streams.frames import Frame, FrameStream
 from .streams.stored import SequenceStream
@@ -34,7 +36,6 @@ WRITABLE = tuple(_PLACES)
 _MOST_NAMES = 20
 _UNEVEN = 0.2  # of a frame's time
 _MOST_NUMBERED = 999_999  # six digits
-_USUAL_HZ = 30.0
 
 
 @dataclass
@@ -156,12 +157,13 @@ class _Frames:
         place = self.place / f"seq-{frame.recording + 1:02d}" if self.several else self.place
         place.mkdir(exist_ok=True)
         source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else Path()
-        suffix = source.suffix if source.suffix in (".png", ".jpg") else ".png"
+        upright = source.suffix in (".png", ".jpg") and orientation(source)[0] == 1
+        suffix = source.suffix if upright else ".png"
         stem = self.pattern.format(number=self.counts[frame.recording], time_s=frame.timestamp_s)
         target = place / f"{stem}{suffix}"
         if target.exists():
             raise DatasetError(f"{target}: two frames have this name")
-        if source.suffix == suffix:
+        if upright:
             shutil.copyfile(source, target)
         else:
             Image.fromarray(np.asarray(frame.image)).save(target)
@@ -245,7 +247,7 @@ def _numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, In
     inner = np.flatnonzero(np.diff(recording) == 0)
     steps = np.diff(times)[inner]
     if not steps.size:
-        return _USUAL_HZ, counted_on, True
+        return FRAME_RATE_HZ, counted_on, True
     passed = times - times[start]
     for step in (np.median(steps), steps.min()):  # where most frames are missing, few steps are of one frame
         rise = np.zeros(len(times))

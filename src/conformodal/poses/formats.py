@@ -99,11 +99,17 @@ def read_kitti(path: Path) -> Trajectory:
 
 def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of a file, as :func:`tum_table`."""
-    rows = read_rows(path, _numbers, 12, "twelve numbers", damaged, by_line=True)
+    rows = read_rows(path, _upper_rows, 12, "twelve numbers", damaged, by_line=True)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows.reshape(-1, 3, 4)
     drop_faults(poses, matrix_faults(poses), path, damaged)
     return table_of(poses)
+
+
+def _upper_rows(line: str) -> list[float]:
+    """Of a whole matrix, the upper three rows."""
+    found = _numbers(line)
+    return found[:12] if found[12:] == [0, 0, 0, 1] else found
 
 
 def read_euroc(path: Path) -> Trajectory:

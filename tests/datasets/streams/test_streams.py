@@ -1,7 +1,7 @@
 import threading
 import time
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import cv2
@@ -11,7 +11,7 @@ import pytest
 from conformodal.datasets import DatasetError, read_sequence
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, SourceError
-from conformodal.datasets.streams.opening import SeenBy, open_stream
+from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.prefetch import Pace, prefetch
 from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, white_of
 from conformodal.datasets.streams.stored import SequenceStream
@@ -75,6 +75,37 @@ def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
     path.write_bytes(whole[:moov] + whole[moov:-300])
     with pytest.raises(SourceError):
         list(open_stream(path))
+
+
+def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path):
+    camera = PinholeCamera(40, 40, 32, 24, 64, 48)
+    assert open_stream(video(tmp_path / "v.avi"), camera=camera).camera == camera
+    path = video(tmp_path / "w.avi", size=(128, 96))
+    with pytest.raises(SourceError, match=r"w\.avi: has images of 128x96 pixels .* 64x48\. Give its camera"):
+        open_stream(path, camera=camera)
+    bag = write_bag(tmp_path / "a", "mcap", with_info=False)
+    with pytest.raises(SourceError, match=r"64x48 pixels and no calibration"):
+        open_stream(bag, camera=PinholeCamera(40, 40, 64, 48, 128, 96))
+
+
+def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"stts") - 4
+    step = int.from_bytes(content[at + 20 : at + 24])
+    entries = [3, 10, step, 10, 2 * step, 10, step // 2]  # ten frames each of 0.1, 0.2 and 0.05 s
+    box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        k = content.find(name) - 4
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
+    content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
+    k = content.find(b"elst") + 12
+    content[k : k + 4] = (3500).to_bytes(4)
+    path.write_bytes(content)
+    frames = list(open_stream(path))
+    times = np.cumsum(np.repeat([0.1, 0.2, 0.05], 10))
+    np.testing.assert_allclose([f.timestamp_s for f in frames], [0, *times[:-1]], atol=2e-3)
+    assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
 
 
 def test_a_video_that_is_turned_says_so(tmp_path):
@@ -324,6 +355,22 @@ def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, e
     assert any(("P, for rectified" if rectified else "K and D") in where for _, where in notes)
 
 
+@pytest.mark.parametrize("model", ["Plumb_Bob", "PLUMB_BOB ", "Brown Conrady"])
+def test_the_usual_lens_has_several_names(model):
+    assert camera_of_info(info(model=model), "info").distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
+    with pytest.raises(SourceError, match="inverse_brown_conrady"):
+        camera_of_info(info(model="Inverse Brown Conrady"), "info")
+
+
+def test_a_camera_info_without_a_size_is_of_the_images():
+    message = info()
+    message.width = message.height = 0
+    camera = camera_of_info(message, "info", size=(120, 90))
+    assert (camera.fx, camera.cx, camera.width) == (80, 64, 120)
+    with pytest.raises(SourceError, match="0x0"):
+        camera_of_info(message, "info")
+
+
 def test_a_rational_lens_without_its_denominator_is_a_plumb_bob():
     lens = (-0.1, 0.02, 0.001, 0.002, 0.003)
     assert camera_of_info(info(model="rational_polynomial", d=(*lens, 0, 0, 0)), "info").distortion == lens
@@ -411,7 +458,7 @@ def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
     bent = cv2.fisheye.distortPoints(rays[:, None], stream.camera.matrix, k)[:, 0]
     (frame,) = stream
     np.testing.assert_allclose(frame.image[at[:, 1], at[:, 0], :2], bent * (4, 5), atol=3)
-    brought = list(SeenBy(stream, PinholeCamera(20, 20.5, 16, 12, 32, 24)))
+    brought = list(replace(stream, camera=PinholeCamera(20, 20.5, 16, 12, 32, 24)))
     np.testing.assert_allclose(brought[0].image[12, 16, :2], frame.image[24, 32, :2], atol=8)
 
 

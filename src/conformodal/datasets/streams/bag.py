@@ -15,7 +15,7 @@ from conformodal.datasets.lenses import AnyCamera, Fisheye, seen_by
 from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
-from .frames import Frame, SourceError
+from .frames import Frame, SourceError, check_size
 from .ros_messages import (
     COMPRESSED,
     INFO,
@@ -55,7 +55,7 @@ class BagStream:
         Of the images; may be left out if there is only one.
     camera
         Intrinsics; by default those of the first ``CameraInfo`` beside the images, to whose camera images of a fisheye
-        lens, and of a later ``CameraInfo``, are brought.
+        lens, and of a later ``CameraInfo``, are brought. Another one replaces it where `first_lens` is known.
     received
         Whether times are those at which messages were received: the first headers have no stamps, or the same. Else
         the headers'.
@@ -98,6 +98,7 @@ class BagStream:
                 raise SourceError(f"{self.path}: holds no images on {chosen}; there are {', '.join(topics)}")
             object.__setattr__(self, "topic", chosen)
             size = self._look_at_first(reader, [c for c in images if c.topic == chosen], notes)
+            check_size(f"{self.path}: {chosen}", None if self.first_lens else size, self.camera)
             if self.camera is None and (lens := self._info(reader, size, notes)) is not None:
                 object.__setattr__(self, "camera", lens.pinhole if isinstance(lens, Fisheye) else lens)
                 object.__setattr__(self, "first_lens", lens)
@@ -201,7 +202,9 @@ class BagStream:
             except Exception as exc:  # as above
                 raise SourceError(f"{self.path}: {connection.topic} cannot be decoded: {exc}") from exc
             return camera_of_info(message, f"{self.path}: {connection.topic}", str(self.topic), size, notes)
-        notes.append(Note("no CameraInfo", f"{self.path}: {self.topic}: its camera is not known"))
+        others = ", ".join(sorted({c.topic for c in reader.connections if c.msgtype == INFO})) or "none"
+        where = f"{self.path}: {self.topic}: its camera is not known; in other name spaces: {others}"
+        notes.append(Note("no CameraInfo", where))
         return None
 
 

@@ -17,6 +17,15 @@ class SourceError(DatasetError):
     """A source that cannot be opened, or that ends where it should not; what came before it is sound."""
 
 
+def check_size(place: str, size: tuple[int, int] | None, camera: PinholeCamera | None) -> None:
+    """Refuse images of another size than the camera's that a source without calibration is assumed to have."""
+    if size and camera is not None and size != (camera.width, camera.height):
+        raise SourceError(
+            f"{place}: has images of {size[0]}x{size[1]} pixels and no calibration; expected the model's "
+            f"{camera.width}x{camera.height}. Give its camera by data convert --camera, and run what that writes"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A frame as a camera delivers it.

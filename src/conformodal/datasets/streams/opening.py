@@ -3,55 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from conformodal.core.ranges import as_member
 from conformodal.datasets.layouts import Layout, read_sequence
-from conformodal.datasets.lenses import seen_by
 from conformodal.poses import PinholeCamera
 
 from .bag import BagStream, is_bag
-from .frames import Frame, FrameStream, SourceError
+from .frames import FrameStream, SourceError
 from .stored import SequenceStream
 from .video import CameraStream, VideoStream
 
 _PACKED = (".zst", ".zstd", ".gz", ".bz2", ".zip", ".7z", ".tar", ".tgz", ".lz4")
 _CAMERA = re.compile(r"camera:([0-9]{1,9})$")
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*):/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of the slashes
-
-
-@dataclass(frozen=True)
-class SeenBy:
-    """Frames of a stream with a camera, as another camera would have seen them."""
-
-    stream: FrameStream
-    camera: PinholeCamera
-
-    @property
-    def name(self) -> str:
-        """The stream's."""
-        return self.stream.name
-
-    @property
-    def n_frames(self) -> int | None:
-        """The stream's."""
-        return self.stream.n_frames
-
-    @property
-    def live(self) -> bool:
-        """The stream's."""
-        return self.stream.live
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Bring frame after frame to the camera."""
-        own = self.stream.camera
-        for frame in self.stream:
-            if own is None or frame.image is None:
-                yield frame
-            else:
-                yield replace(frame, image=seen_by(frame.image, own, self.camera))
 
 
 def open_stream(

@@ -24,7 +24,7 @@ _ENCODINGS: dict[str, tuple[int, int, int, int | None]] = {
     "bgr8": (1, 3, 2, cv2.COLOR_BGR2RGB),
     "8UC3": (1, 3, 2, cv2.COLOR_BGR2RGB),
     "rgba8": (1, 4, 2, cv2.COLOR_RGBA2RGB),
-    "bgra8": (1, 4, 2, cv2.COLOR_BGRA2RGB),
+    **dict.fromkeys(("bgra8", "8UC4"), (1, 4, 2, cv2.COLOR_BGRA2RGB)),
     "mono8": (1, 1, 2, cv2.COLOR_GRAY2RGB),
     "8UC1": (1, 1, 2, cv2.COLOR_GRAY2RGB),
     "rgb16": (2, 3, 2, None),
@@ -40,7 +40,13 @@ _ENCODINGS: dict[str, tuple[int, int, int, int | None]] = {
     "nv12": (1, 1, 3, cv2.COLOR_YUV2RGB_NV12),
     "nv21": (1, 1, 3, cv2.COLOR_YUV2RGB_NV21),
 }
-_LENSES = ("plumb_bob", "radtan", "rational_polynomial", "")  # the third with k4 to k6 zero, as the first
+_LENSES = (
+    "plumb_bob",
+    "radtan",
+    "rational_polynomial",
+    "brown_conrady",
+    "",
+)  # the third with k4 to k6 zero, as the first
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt4")
 
 
@@ -146,7 +152,7 @@ def camera_of_info(
     found: list[Note] = []
     lens = tuple(np.asarray(_field(message, "D"), dtype=np.float64).tolist())
     P = np.array(_field(message, "P"), dtype=np.float64).reshape(3, 4)[:, :3]
-    rectified, model = is_rectified(topic), message.distortion_model
+    rectified, model = is_rectified(topic), message.distortion_model.strip().lower().replace(" ", "_")
     if rectified and not P.any() and any(lens):
         raise SourceError(f"{place}: P is zero, and {topic} has rectified images, whose camera K and D are not")
     by_p = rectified and P.any()
@@ -162,6 +168,8 @@ def camera_of_info(
         )
     roi = message.roi
     whole = int(message.width), int(message.height)
+    if whole == (0, 0) and size is not None:  # as drivers without a calibration of their own say it
+        whole = size
     window = (int(roi.width), int(roi.height)) if roi.width and roi.height else whole
     binning = max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     stated = window[0] // binning[0], window[1] // binning[1]

@@ -18,7 +18,7 @@ from conformodal.datasets.decoding import TURNED
 from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
-from .frames import Frame, SourceError
+from .frames import Frame, SourceError, check_size
 
 # Containers count frames roughly; fewer than this share of them is a file that was cut off.
 _WHOLE = 0.98
@@ -70,6 +70,8 @@ class VideoStream:
             raise SourceError(f"{self.path}: no such video")
         with self._open() as capture:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+            sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        check_size(str(self.path), (int(sides[0]), int(sides[1])) if all(sides) else None, self.camera)
         if turned:
             where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
             object.__setattr__(self, "notes", (Note(TURNED, where),))
