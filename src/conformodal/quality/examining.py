@@ -114,10 +114,11 @@ def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress:
         report, usable, local = stage_of(progress, "held-out"), [], []
         for done, i in enumerate(wanted.tolist(), start=1):
             try:
-                local.append(frame_features(sequence, i) if model.looks_at_local_features else None)
+                sequence.image(i)
             except ImageError:
                 continue
             usable.append(i)
+            local.append(frame_features(sequence, i) if model.looks_at_local_features else None)
             if report is not None:
                 report(done, len(wanted))
         files = [sequence.image_paths[i] for i in usable]
