@@ -110,11 +110,12 @@ def _matched(one: FloatArray, other: FloatArray) -> IntArray:
     if len(one) < 2 or len(other) < 2:
         return np.empty((0, 2), np.int64)
     cosines = one @ other.T
-    two = np.argpartition(-cosines, 1, axis=1)[:, :2]
-    near = 2 - 2 * np.take_along_axis(cosines, two, axis=1)
-    nearest = two[np.arange(len(two)), near.argmin(axis=1)]
-    sure = np.sqrt(np.maximum(near.min(axis=1), 0)) < RATIO * np.sqrt(near.max(axis=1))
-    rows = np.flatnonzero(sure & (cosines.argmax(axis=0)[nearest] == np.arange(len(one))))
+    every, back = np.arange(len(one)), cosines.argmax(axis=0)
+    nearest = cosines.argmax(axis=1)
+    first = cosines[every, nearest]
+    cosines[every, nearest] = -1
+    sure = 1 - first < RATIO**2 * (1 - cosines.max(axis=1))  # squared distances are twice these
+    rows = np.flatnonzero(sure & (back[nearest] == every))
     return np.column_stack((rows, nearest[rows]))
 
 
