@@ -87,6 +87,7 @@ def answers(maps: dict[str, PeerMap], new: Sequence, frames: IntArray) -> dict[s
 
 
 def _sift() -> Any:
+    pycolmap.set_random_seed(0)
     options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
     options.sift.max_num_features = KEYPOINTS
     return pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
