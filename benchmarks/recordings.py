@@ -142,7 +142,7 @@ def main() -> None:
     asked.runs.mkdir(parents=True, exist_ok=True)
     columns = ("rmse_m", "median_m", "unbounded", "coverage", "least_target", "most_target", "length_m", "reliable")
     beside = ("median_m", "rmse_m", "far", "localised", "position_held", "length_m", "ms", "map_s", "mb")
-    digits = {"ms": 0, "map_s": 0, "mb": 1}
+    digits = {"rmse_m": 4, "median_m": 4, "ms": 0, "map_s": 0, "mb": 1}
     rows, peers = [], []
 
     def numbers(row: dict[str, float], names: tuple[str, ...]) -> list[str]:
