@@ -1,24 +1,32 @@
-"""Map one recording, answer another: TUM freiburg1, from fr1_desk to fr1_xyz and back; ours and the paper's system.
+"""Map one recording, answer another: TUM freiburg1, from fr1_desk to fr1_xyz and back.
 
 python benchmarks/recordings.py [--seed 10] [--runs FOLDER]
+
+Ours, the paper's system, and pycolmap. Its numbers are kept as ours are; to measure them anew, delete those in
+benchmarks/results/recordings and install benchmarks/peers/recordings.txt.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import time
 from functools import partial
-from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from common import DATA, RESULTS, ROOT, cached_json, write_table
+from common import DATA, RESULTS, ROOT, cached_json, table_lines, write_page
+from scipy.stats import chi2
 
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import SplitKind, read_sequence
+from conformodal.datasets import Sequence, SplitKind, read_sequence
 from conformodal.datasets.joining import near_known
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.store import load_model, save_model
+from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache
@@ -26,6 +34,16 @@ from conformodal.vision.features import FeatureCache
 PAIRS = (("fr1_desk", "fr1_xyz"), ("fr1_xyz", "fr1_desk"))
 NEAR_M, NEAR_RAD, ALPHA = 0.3, np.radians(30.0), 0.1
 SYSTEMS = {Method.CONFORMODAL: "ours", Method.PAPER: "the paper's"}
+PEERS = {"fixed": "pycolmap, poses as given", "refined": "pycolmap, poses refined"}
+TIMED, FAR_M = 60, 0.3  # frames whose time is taken; a large error
+MOST_ASKED = 100  # images that the peer answers, evenly spread
+
+
+def _sequences(source: str, target: str) -> tuple[Sequence, Sequence, BoolArray]:
+    """Both recordings, and which posed frames of the second lie near a frame of the first."""
+    known, new = (read_sequence(DATA / "tum" / name) for name in (source, target))
+    near = near_known(new.poses, known.require_truth(), NEAR_M, NEAR_RAD)
+    return known, new, near
 
 
 def measured(source: str, target: str, seed: int, runs: Path, method: Method) -> dict[str, dict[str, float]]:
@@ -34,33 +52,86 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
     The paper's system is calibrated as the paper says: on random frames of the training recording.
     """
     cache, folder = FeatureCache(default_cache_dir()), runs / f"{source}-{seed}-{method}"
-    known, new = (read_sequence(DATA / "tum" / name) for name in (source, target))
+    known, new, near = _sequences(source, target)
     if not (folder / "model.json").is_file():
         make = ModelConfig.paper if method is Method.PAPER else ModelConfig
-        config = make(split=SplitKind.BLOCKS, seed=seed, alpha=ALPHA)
-        save_model(train_model(prepare_training_data(known, config, cache), config), folder)
-    model = load_model(folder)
-    run = odometry_of(model).process(new, new.posed, cache=cache)
-    truth, views = new.poses[np.searchsorted(new.posed, run.frames)], known.require_truth()
-    near = near_known(truth, views, NEAR_M, NEAR_RAD)
-    targets, found = pose_targets(truth, model.sign_reference), {}
+        config, began = make(split=SplitKind.BLOCKS, seed=seed, alpha=ALPHA), time.process_time()
+        save_model(train_model(prepare_training_data(known, config, FeatureCache(None)), config), folder)
+        folder.with_suffix(".seconds").write_text(f"{time.process_time() - began}")
+    model, answered = load_model(folder), new.posed
+    run = odometry_of(model).process(new, answered, cache=cache)
+    truth, near = new.poses[np.searchsorted(answered, run.frames)], near[np.searchsorted(answered, run.frames)]
+    targets, found, drawn = pose_targets(truth, model.sign_reference), {}, {}
     regions = {"image alone": run.regions, **run.path_regions}
     alone = np.array([its.positions_xyz[np.argmax(its.log_mass)] for its in run.candidates])
     for name, positions in {"image alone": alone, **{k: t.positions_xyz for k, t in run.trajectories.items()}}.items():
         off = np.linalg.norm(positions - truth.positions_xyz, axis=1)[near]
-        found[name] = {"rmse_m": float(np.sqrt(np.mean(off**2))), "median_m": float(np.median(off))}
+        found[name] = _errors(off)
         if name in regions:
             bounded = ~regions[name].unbounded.any(axis=1) & near
-            held, each = regions[name].contains(targets, joint=True), regions[name].contains(targets)[bounded]
+            held, each = regions[name].contains(targets, joint=True), regions[name].contains(targets)
+            lengths = regions[name].length[:, :3].mean(axis=1)
             found[name] |= {
                 "unbounded": float(1 - bounded.sum() / near.sum()),
                 "coverage": float(held[bounded].mean()),
-                "least_target": float(each.mean(axis=0).min()),
-                "most_target": float(each.mean(axis=0).max()),
-                "length_m": float(np.median(regions[name].length[bounded, :3].mean(axis=1))),
+                "least_target": float(each[bounded].mean(axis=0).min()),
+                "most_target": float(each[bounded].mean(axis=0).max()),
+                "length_m": float(np.median(lengths[bounded])),
+                "localised": float(bounded.sum() / near.sum()),
+                "position_held": float(each[bounded, :3].all(axis=1).mean()),
             }
+            drawn[name] = {"off_m": off.tolist(), "length_m": np.where(bounded, lengths, np.nan)[near].tolist()}
     found[run.answer]["reliable"] = float(run.reliable[near].mean())
-    return found | {"frames": {"near": int(near.sum()), "all": len(near)}}
+    (runs / f"{target}-{method}.json").write_text(json.dumps(drawn))
+    costs = {
+        "ms": _ms_per_frame(model, new, run, near),
+        "map_s": float(folder.with_suffix(".seconds").read_text()),
+        "mb": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6,
+    }
+    return found | {"frames": {"near": int(near.sum()), "all": len(near)}, "costs": costs}
+
+
+def _errors(off: FloatArray) -> dict[str, float]:
+    return {
+        "rmse_m": float(np.sqrt(np.mean(off**2))),
+        "median_m": float(np.median(off)),
+        "far": float(np.mean(off > FAR_M)),
+    }
+
+
+def _ms_per_frame(model: Any, new: Sequence, run: OdometryRun, near: BoolArray) -> float:
+    """CPU time of a frame of a stream, without reading the image, over the first frames near known ones."""
+    odometry, spent = odometry_of(model), []
+    for i in run.frames[near][:TIMED].tolist():
+        image, began = new.image(i), time.process_time()
+        odometry.step(image, new.timestamps_s[i])
+        spent.append(time.process_time() - began)
+    return 1e3 * float(np.mean(spent))
+
+
+def measured_peer(source: str, target: str, runs: Path) -> dict[str, dict[str, float]]:
+    """The same numbers of pycolmap on the same frames; its errors are those of the images that it localises."""
+    from recordings_peer import answers, build_maps  # noqa: PLC0415 - pycolmap
+
+    known, new, near = _sequences(source, target)
+    rows = np.flatnonzero(near)
+    rows = rows[:: -(-len(rows) // MOST_ASKED)]
+    maps, found, drawn = build_maps(known, runs / f"{source}-pycolmap"), {}, {}
+    for name, answer in answers(maps, new, new.posed[rows]).items():
+        error, ok = answer.positions_xyz - new.poses.positions_xyz[rows], np.isfinite(answer.positions_xyz[:, 0])
+        inverse, bound = np.linalg.inv(answer.covariances[ok]), chi2.ppf(1 - ALPHA, 3)
+        lengths = 2 * np.sqrt(bound * np.einsum("naa->na", answer.covariances)).mean(axis=1)
+        found[name] = _errors(np.linalg.norm(error[ok], axis=1)) | {
+            "localised": float(ok.mean()),
+            "position_held": float(np.mean(np.einsum("na,nab,nb->n", error[ok], inverse, error[ok]) < bound)),
+            "length_m": float(np.median(lengths[ok])),
+            "ms": float(answer.ms.mean()),
+            "map_s": float(maps[name].seconds),
+            "mb": maps[name].megabytes,
+        }
+        drawn[name] = {"off_m": np.linalg.norm(error, axis=1).tolist(), "length_m": lengths.tolist()}
+    (runs / f"{target}-pycolmap.json").write_text(json.dumps(drawn))
+    return found
 
 
 def main() -> None:
@@ -68,25 +139,50 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=10)
     parser.add_argument("--runs", type=Path, default=ROOT / "recordings-out")
     asked = parser.parse_args()
+    asked.runs.mkdir(parents=True, exist_ok=True)
     columns = ("rmse_m", "median_m", "unbounded", "coverage", "least_target", "most_target", "length_m", "reliable")
-    rows = []
-    for (source, target), method in product(PAIRS, SYSTEMS):
-        file = RESULTS / "recordings" / f"{source}-{asked.seed}-{method}.json"
-        found = cached_json(file, partial(measured, source, target, asked.seed, asked.runs, method))
-        frames = found.pop("frames")
-        for name, row in found.items():
-            numbers = [f"{row[key]:.3f}" if key in row else "" for key in columns]
+    beside = ("median_m", "rmse_m", "far", "localised", "position_held", "length_m", "ms", "map_s", "mb")
+    digits = {"rmse_m": 4, "median_m": 4, "ms": 0, "map_s": 0, "mb": 1}
+    rows, peers = [], []
+
+    def numbers(row: dict[str, float], names: tuple[str, ...]) -> list[str]:
+        return [f"{row[key]:.{digits.get(key, 3)}f}" if key in row else "" for key in names]
+
+    for source, target in PAIRS:
+        for method, system in SYSTEMS.items():
+            file = RESULTS / "recordings" / f"{source}-{asked.seed}-{method}.json"
+            found = cached_json(file, partial(measured, source, target, asked.seed, asked.runs, method))
+            frames, costs = found.pop("frames"), found.pop("costs", {})
             shown = f"{target} from {source}, {frames['near']} of {frames['all']} frames"
-            rows.append([shown, SYSTEMS[method], name, *numbers])
+            rows += [[shown, system, name, *numbers(row, columns)] for name, row in found.items()]
+            if method is Method.CONFORMODAL:
+                peers += [[shown, f"ours, {name}", *numbers(row | costs, beside)] for name, row in found.items()]
+        file = RESULTS / "recordings" / f"{source}-pycolmap.json"
+        found = cached_json(file, partial(measured_peer, source, target, asked.runs))
+        peers += [[shown, PEERS[name], *numbers(row, beside)] for name, row in found.items()]
     note = (
         f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {asked.seed}, alpha {ALPHA}: "
         "stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. Coverage is that "
         "of bounded regions, of the whole pose, and of the least and the most covered target; the paper asks 0.9 of "
         "each target, ours of the whole pose. Length is the median over frames of the mean along x, y and z."
     )
-    line = f"python benchmarks/recordings.py --seed {asked.seed}"
-    write_table(
-        "recordings", "Another recording of a known place", line, ["frames", "system", "from", *columns], rows, note
+    peer_note = (
+        f"pycolmap 4.2.1 with SIFT on the same frames, at most {MOST_ASKED} evenly spread ones, each image alone "
+        "(benchmarks/recordings_peer.py; the map takes every third image). Errors are "
+        f"over all frames for ours, and over those that it localises for pycolmap; far: off by more than {FAR_M} m. "
+        "Localised: with a bounded region, or with a pose. Held: true positions in our regions, or in the ellipsoids "
+        "that hold 0.9 according to its covariance; length: of either, as above. ms: CPU time of a frame, from the "
+        "decoded image to pose and region; map_s: CPU time of `train` or of the map, from images. mb: of the model, "
+        "or of what the map needs: descriptors in bytes, points and retrieval in single precision."
+    )
+    write_page(
+        "recordings",
+        "Another recording of a known place",
+        f"python benchmarks/recordings.py --seed {asked.seed}",
+        table_lines(["frames", "system", "from", *columns], rows),
+        note,
+        table_lines(["frames", "system", *beside], peers),
+        peer_note,
     )
 
 

@@ -11,9 +11,9 @@ BUDGET = {
     "conformal": 5670,
     "core": 410,
     "datasets": 5640,
-    "localization": 2940,
+    "localization": 2970,
     "model": 1430,
-    "motion": 990,
+    "motion": 1050,
     "networks": 730,
     "poses": 1020,
     "quality": 940,
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 6730
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7100
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20090
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20150

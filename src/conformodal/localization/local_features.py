@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.datasets import thumbnail
+from conformodal.datasets import Sequence, thumbnail
+from conformodal.motion.flow import NO_FLOW, at_pose_time, flow_of
 from conformodal.motion.tracker import grey_image
 from conformodal.motion.two_view import undistort
 from conformodal.poses import PinholeCamera
@@ -28,6 +29,16 @@ class LocalFeatures(NamedTuple):
     descriptors: npt.NDArray[np.uint8]  # (n, 32)
     global_descriptor: npt.NDArray[np.float32]  # (768,), see conformodal.datasets.thumbnail
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
+    flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.motion.flow
+
+    @property
+    def flows(self) -> FloatArray:
+        """Flow (n, 2) of each corner, pixels per second."""
+        return np.asarray(self.pixels @ self.flow[:, :2].T + self.flow[:, 2])
+
+    def at_pose_time(self, shutter: FloatArray, camera: PinholeCamera) -> LocalFeatures:
+        """With corners where they are when the pose is taken, see :func:`~conformodal.motion.flow.at_pose_time`."""
+        return self._replace(pixels=at_pose_time(self.pixels, self.flows, shutter, camera))
 
 
 def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> LocalFeatures:
@@ -46,6 +57,12 @@ def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) 
     # pixel centres are whole numbers, so that enlarging moves them by half a pixel
     pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
     return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture, quality)
+
+
+def frame_features(sequence: Sequence, i: int) -> LocalFeatures:
+    """Local features of a frame of a sequence, with its flow."""
+    image = sequence.image(i)
+    return extract_local_features(image, sequence.camera)._replace(flow=flow_of(sequence, i, image))
 
 
 def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import ImageError, Sequence
+from conformodal.motion.flow import affine_flow
 from conformodal.motion.frontend import FrontEnd, MotionFrontEnd
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
@@ -55,10 +56,10 @@ def measure_motions(
     local
         Whether submaps are built and local features extracted.
     """
-    answer = set(frames.tolist())
+    answer, times = set(frames.tolist()), sequence.timestamps_s
     front_end = front_end or MotionFrontEnd(sequence.camera)
     found = MotionRecord({}, {})
-    recording = None
+    recording, before = None, 0
     corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
@@ -77,7 +78,9 @@ def measure_motions(
             found.motions[i] = front_end.measure(image)
             if local:
                 corners[i] = front_end.corners
-                found.local_features[i] = extract_local_features(image, sequence.camera)
+                flow = affine_flow(front_end.tracks, float(times[i] - times[before]), sequence.camera)
+                found.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
+            before = i
         else:
             front_end.track_only(image)
         if progress is not None:

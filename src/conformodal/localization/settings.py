@@ -154,6 +154,7 @@ class _CameraFitSettings:
     sigma_log_focal: float = 0.2  # prior standard deviation of the logarithm of the focal length
     sigma_mount_rad: float = 0.05  # of the mount's angles
     sigma_mount_depths: float = 0.05  # of the mount's position, in scene depths
+    sigma_s: float = 0.02  # of the shutter's delays
     most_sigmas: float = 3.0  # further off, the poses do not belong to the images
 
 

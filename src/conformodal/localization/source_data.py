@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from conformodal.vision.projection import Projection, fit_projection
 from conformodal.vision.settings import TrainingConfig
 
 from .errors import LocalizationError
-from .local_features import LocalFeatures, Matcher, extract_local_features
+from .local_features import LocalFeatures, Matcher, frame_features
 from .parallel import in_threads
 
 
@@ -98,8 +98,6 @@ class SourceData:
         """Local features of some frames, cached."""
         report = stage_of(self.progress, "local features")
         missing = [i for i in frames.tolist() if i not in self._local_features]
-        found = in_threads(
-            lambda i: extract_local_features(self.sequence.image(i), self.sequence.camera), missing, report
-        )
+        found = in_threads(partial(frame_features, self.sequence), missing, report)
         self._local_features.update(zip(missing, found, strict=True))
         return [self._local_features[i] for i in frames.tolist()]

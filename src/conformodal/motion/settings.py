@@ -24,6 +24,16 @@ class _TrackerSettings:
 
 
 @dataclass(frozen=True)
+class _FlowSettings:
+    """Affine flow of a frame's corners."""
+
+    longest_s: float = 0.2  # between frames: what moved before says little about now
+    least_corners: int = 16
+    iterations: int = 6
+    least_px: float = 0.1  # scale of the residuals, at least
+
+
+@dataclass(frozen=True)
 class _RelativePoseSettings:
     """When a relative motion is measured, and how uncertain it is."""
 
@@ -93,6 +103,6 @@ class _BundleSettings:
     nearest: float = 1e-3  # least depth in front of a camera, as a share of the anchor's
 
 
-TRACKER = _TrackerSettings()
+TRACKER, FLOW = _TrackerSettings(), _FlowSettings()
 RELATIVE_POSE, MOTION_ERRORS = _RelativePoseSettings(), _MotionErrorSettings()
 SUBMAPS, BUNDLE = _SubmapSettings(), _BundleSettings()

@@ -11,7 +11,7 @@ from conformodal.core.arrays import BoolArray, IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import ImageError, Sequence
 from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.local_features import frame_features
 from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
 from conformodal.model.radius import depth_or_default
@@ -114,11 +114,11 @@ def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress:
         report, usable, local = stage_of(progress, "held-out"), [], []
         for done, i in enumerate(wanted.tolist(), start=1):
             try:
-                image = sequence.image(i)
+                sequence.image(i)
             except ImageError:
                 continue
             usable.append(i)
-            local.append(extract_local_features(image, sequence.camera) if model.looks_at_local_features else None)
+            local.append(frame_features(sequence, i) if model.looks_at_local_features else None)
             if report is not None:
                 report(done, len(wanted))
         files = [sequence.image_paths[i] for i in usable]

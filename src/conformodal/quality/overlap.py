@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,7 +13,7 @@ from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.datasets.joining import near_known
 from conformodal.localization.landmarks.mapping import build_map
-from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.localization.local_features import LocalFeatures, frame_features
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.parallel import in_threads
 
@@ -112,7 +113,7 @@ def _best(estimates: list[PoseMeasurement]) -> PoseMeasurement | None:
 
 
 def _features(sequence: Sequence, frames: IntArray) -> list[LocalFeatures]:
-    return in_threads(lambda i: extract_local_features(sequence.image(i), sequence.camera), frames.tolist())
+    return in_threads(partial(frame_features, sequence), frames.tolist())
 
 
 def _spread(n: int, most: int) -> IntArray:

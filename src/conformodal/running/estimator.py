@@ -22,6 +22,7 @@ from conformodal.model.errors import OdometryError
 from conformodal.model.model import PATHS, Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
+from conformodal.motion.flow import affine_flow
 from conformodal.motion.frontend import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory, concatenate
 from conformodal.reasoning.filter import PoseFilter, Window, hindsight_posteriors
@@ -84,13 +85,18 @@ class VisualOdometry(Odometry):
         self._front_end = MotionFrontEnd(self.model.camera)
         self._filter.reset()
         self._seen_s = None
+        self._answered_s: float | None = None  # of the frame that the front end measured last
         self._n_steps = 0
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
-        local = self._local_features(image)
-        found = self.model.localize(FrameEvidence(features, [local]))
         motion = self._front_end.measure(image)
+        local = self._local_features(image)
+        if local is not None and self._answered_s is not None:
+            seconds = timestamp_s - self._answered_s
+            local = local._replace(flow=affine_flow(self._front_end.tracks, seconds, self.model.camera))
+        self._answered_s = timestamp_s
+        found = self.model.localize(FrameEvidence(features, [local]))
         return replace(
             self._push(self._filter, found, motion, timestamp_s),
             tracks=self._front_end.tracks,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from conformodal.datasets import Sequence as Frames
 from conformodal.localization.belief import Beliefs, belief_cells
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.image_quality import QualityRange
-from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.local_features import frame_features
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.motions import measure_motions
 from conformodal.localization.parallel import in_threads
@@ -156,7 +157,7 @@ def calibrate_disturbed(
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-DISTURBED.most // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
-        copies = in_threads(lambda i: extract_local_features(sequence.image(i), sequence.camera), frames.tolist())
+        copies = in_threads(partial(frame_features, sequence), frames.tolist())
         left = quality.left_by(np.array([its.quality for its in copies]))
         if not left.any():
             continue

@@ -31,7 +31,7 @@ def looked_at(world, monkeypatch):
     asked, features = [], world.local_features()
     monkeypatch.setattr(Sequence, "image", lambda self, i: i)
     monkeypatch.setattr(
-        "conformodal.localization.source_data.extract_local_features", lambda i, camera: asked.append(i) or features[i]
+        "conformodal.localization.source_data.frame_features", lambda sequence, i: asked.append(i) or features[i]
     )
     # errors learnt from fewer frames: a third of the time
     monkeypatch.setattr("conformodal.localization.landmarks.source.MAPPING", replace(MAPPING, left_out=15))

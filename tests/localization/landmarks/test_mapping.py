@@ -13,6 +13,7 @@ from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.landmarks.triangulation import Rays, triangulate
 from conformodal.localization.local_features import Matcher, match
 from conformodal.localization.settings import ADJUSTMENT, GUIDING, MAPPING, PNP
+from conformodal.motion.flow import NO_FLOW
 from conformodal.poses import Trajectory
 from tests.localization.landmarks.conftest import CAMERA, DEPTH, make_world
 
@@ -62,6 +63,24 @@ def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, fa
     assert errors(estimate, pose) == pytest.approx((0, 0), abs=0.02)
 
 
+def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, depth_m):
+    world, rng, shutter = world_of(), np.random.default_rng(2), np.array([-0.005, 0.02])
+
+    def rolled(image):
+        flow = np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 400, 2)))
+        still = image._replace(flow=flow)
+        return still._replace(pixels=still.at_pose_time(-shutter, stated_camera).pixels)
+
+    landmarks = build_map([rolled(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
+    assert landmarks.shutter == pytest.approx(shutter, abs=0.001)
+    off = {True: [], False: []}
+    for i in range(2, 58, 5):
+        image = rolled(world.see(world.poses_se3[i], seed=800 + i))
+        for known, its in ((True, image), (False, image._replace(flow=NO_FLOW))):
+            off[known].append(errors(landmarks.localize(its)[0], world.poses_se3[i]))
+    assert (np.median(off[True], axis=0) < 0.5 * np.median(off[False], axis=0)).all()
+
+
 def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     world_of, stated_camera, depth_m, monkeypatch
 ):
@@ -104,7 +123,7 @@ def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
 
 
 def test_few_matches_leave_the_camera_as_it_was(stated_camera):
-    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)))
+    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 2)))
     bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
     found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
     assert found.camera == stated_camera  # corners come without distortion

@@ -97,7 +97,8 @@ def adjust(now: Adjusted, poses_se3: FloatArray, tracks: Tracks) -> Adjusted:
     mount[:3, 3] = np.median(relative[:, :3, 3], axis=0)
     off = _deviations(bundle, poses_se3 @ mount)
     spread = np.repeat([np.median(np.abs(off[:, :3])), np.median(np.abs(off[:, 3:]))], 3) / MAD_OF_NORMAL
-    mounted = Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), mount)
+    focused = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    mounted = now.mounted._replace(camera=focused, T_pose_cam=mount)
     return Adjusted(mounted, poses, np.maximum(spread, ADJUSTMENT.least_sigma * now.sigmas))
 
 

@@ -1,7 +1,8 @@
-"""Camera calibration from known poses: the focal length, and the camera's pose on the rig whose poses are given.
+"""Camera calibration from known poses: focal length, shutter, and the camera's pose on the rig whose poses are given.
 
 The poses of a data set are often those of another sensor (7-Scenes gives the depth camera's), and its focal length is
-nominal; both distort a map. Matches between frames must lie on epipolar lines, which determines seven unknowns.
+nominal; both distort a map. Matches between frames must lie on epipolar lines, which determines nine unknowns.
+Two are the shutter's: rows that are read one after the other bend the picture of a moving camera, and clocks differ.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.localization.settings import CAMERA_FIT
+from conformodal.motion.flow import at_pose_time
 from conformodal.poses import PinholeCamera
+
+NO_DELAY = np.zeros(2)
 
 
 class Matches(NamedTuple):
@@ -23,6 +27,7 @@ class Matches(NamedTuple):
 
     frames: IntArray  # (m, 2)
     pixels: FloatArray  # (m, 2, 2) undistorted, in the one and in the other
+    flows: FloatArray  # (m, 2, 2) of the same, pixels per second
 
 
 class Mounted(NamedTuple):
@@ -30,6 +35,7 @@ class Mounted(NamedTuple):
 
     camera: PinholeCamera
     T_pose_cam: FloatArray
+    shutter: FloatArray = NO_DELAY  # (2,), see conformodal.motion.flow.at_pose_time
 
 
 def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
@@ -42,16 +48,18 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     if len(matches.frames) < CAMERA_FIT.least:
         return given
     order = np.random.default_rng(0).permutation(len(matches.frames))[: CAMERA_FIT.most]
-    fitted, checked = (Matches(matches.frames[half], matches.pixels[half]) for half in np.array_split(order, 2))
-    spreads = np.array(
-        [CAMERA_FIT.sigma_log_focal, *[CAMERA_FIT.sigma_mount_rad] * 3, *[CAMERA_FIT.sigma_mount_depths * depth_m] * 3]
+    fitted, checked = (
+        Matches(matches.frames[half], matches.pixels[half], matches.flows[half]) for half in np.array_split(order, 2)
     )
+    its = CAMERA_FIT
+    sigmas = its.sigma_log_focal, its.sigma_mount_rad, its.sigma_mount_depths * depth_m, its.sigma_s
+    spreads = np.repeat(sigmas, (1, 3, 3, 2))
 
     def residuals(unknowns: FloatArray) -> FloatArray:
         errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
         return np.concatenate((errors / CAMERA_FIT.scale_px, unknowns))
 
-    found = least_squares(residuals, np.zeros(7), loss="cauchy", max_nfev=30)
+    found = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30)
     better = _mounted(given, found.x * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
     return better if after < before and np.abs(found.x).max() < CAMERA_FIT.most_sigmas else given
@@ -60,9 +68,9 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
 def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:
     factor = float(np.exp(unknowns[0]))
     T_pose_cam = np.eye(4)
-    T_pose_cam[:3, :3], T_pose_cam[:3, 3] = Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:]
+    T_pose_cam[:3, :3], T_pose_cam[:3, 3] = Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7]
     camera = given.camera
-    return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam)
+    return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
 
 
 def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArray) -> FloatArray:
@@ -70,7 +78,7 @@ def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArra
     camera = mounted.camera
     poses = poses_se3 @ mounted.T_pose_cam
     (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
-    plane = camera.on_plane(matches.pixels)
+    plane = camera.on_plane(at_pose_time(matches.pixels, matches.flows, mounted.shutter, camera))
     rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
     baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
     line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))

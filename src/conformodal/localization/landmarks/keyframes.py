@@ -31,6 +31,7 @@ class LandmarkMap:
 
     camera: PinholeCamera  # without distortion; see camera_fit
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
+    shutter: FloatArray  # (2,), see conformodal.motion.flow.at_pose_time
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
     global_descriptors: npt.NDArray[np.float16]  # (n, 768)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
@@ -57,7 +58,7 @@ class LandmarkMap:
         `matches` caches those of the image by keyframe.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
-        matches = {} if matches is None else matches
+        matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
         places = self._retrieve(image.global_descriptor, shown)[:most]
         found = (self._solve(image, near, shown, matches) for near in places)
         return [estimate for estimate in found if estimate is not None]

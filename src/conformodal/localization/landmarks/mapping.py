@@ -33,6 +33,7 @@ def build_map(
     """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
+    features = [its.at_pose_time(mounted.shutter, camera) for its in features]
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
@@ -55,6 +56,7 @@ def build_map(
     return LandmarkMap(
         camera=now.mounted.camera,
         T_pose_cam=now.mounted.T_pose_cam,
+        shutter=mounted.shutter,
         poses_se3=poses_se3,
         global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
         starts=np.concatenate(([0], np.cumsum(sound)))[before],
@@ -121,15 +123,16 @@ def _matched(
 
 
 def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]]) -> Matches:
-    rng = np.random.default_rng(0)
-    frames, pixels = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))]
+    rng, moving = np.random.default_rng(0), [its.flows for its in features]
+    frames, pixels, flows = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))], [np.empty((0, 2, 2))]
     for i, others in enumerate(pairs):
         for j, found in others:
             if i < j:
                 some = found[rng.permutation(len(found))[: MAPPING.matches_per_pair]]
                 frames.append(np.tile([i, j], (len(some), 1)))
                 pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
-    return Matches(np.concatenate(frames), np.concatenate(pixels))
+                flows.append(np.stack((moving[i][some[:, 0]], moving[j][some[:, 1]]), axis=1))
+    return Matches(np.concatenate(frames), np.concatenate(pixels), np.concatenate(flows))
 
 
 def _rays(

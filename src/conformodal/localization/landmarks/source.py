@@ -23,7 +23,8 @@ from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
 from .keyframes import LandmarkMap
 from .mapping import build_map, view_overlap
 
-_ARRAYS = ("T_pose_cam", "poses_se3", "global_descriptors", "starts", "points_xyz", "descriptors", "corrections")
+_MAPPED = ("T_pose_cam", "shutter", "poses_se3", "global_descriptors", "starts", "points_xyz")
+_ARRAYS = (*_MAPPED, "descriptors", "corrections")
 
 
 @register_source

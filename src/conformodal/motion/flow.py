@@ -1,0 +1,57 @@
+"""How fast the picture moves where a frame is taken: an affine model of the flow of tracked corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray
+from conformodal.datasets import ImageError, Sequence
+from conformodal.poses import PinholeCamera
+
+from .settings import FLOW
+from .tracker import CornerTracker, grey_image
+from .two_view import undistort
+
+NO_FLOW = np.zeros((2, 3))
+
+
+def affine_flow(tracks: tuple[FloatArray, FloatArray] | None, seconds: float, camera: PinholeCamera) -> FloatArray:
+    """Flow (2, 3) in pixels per second, as ``flow @ (x, y, 1)`` at an undistorted pixel, by robust least squares.
+
+    `tracks` are pixels (n, 2) of the same corners `seconds` ago and now. Zero, if they are few or that is long ago.
+    """
+    if tracks is None or not 0 < seconds < FLOW.longest_s or len(tracks[0]) < FLOW.least_corners:
+        return NO_FLOW
+    before, now = (undistort(pixels, camera) for pixels in tracks)
+    moved, rows = now - before, np.column_stack((now, np.ones(len(now))))
+    weights = np.ones((len(now), 1))
+    for _ in range(FLOW.iterations):
+        flow, *_ = np.linalg.lstsq(rows * weights, moved * weights, rcond=None)
+        off = np.linalg.norm(moved - rows @ flow, axis=1)
+        weights = 1 / np.sqrt(1 + (off / (np.median(off) + FLOW.least_px)) ** 2)[:, None]
+    return np.asarray(flow.T / seconds)
+
+
+def flow_of(sequence: Sequence, i: int, image: npt.NDArray[np.uint8]) -> FloatArray:
+    """The flow (2, 3) in a frame of a sequence, its `image`, from the frame before it."""
+    seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[i - 1]) if i else 0.0
+    if not 0 < seconds < FLOW.longest_s or sequence.recording[i] != sequence.recording[i - 1]:
+        return NO_FLOW
+    tracker = CornerTracker()
+    try:
+        tracker.advance(grey_image(sequence.image(i - 1)))
+    except ImageError:
+        return NO_FLOW
+    tracker.mark()
+    tracker.advance(grey_image(image))
+    return affine_flow(tracker.pairs(), seconds, sequence.camera)
+
+
+def at_pose_time(pixels: FloatArray, flow: FloatArray, shutter: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """Where undistorted pixels (..., 2) are when the given pose is taken, from their flow (..., 2).
+
+    `shutter` are the seconds by which the middle row is late, and those between the first row and the last.
+    """
+    late = shutter[0] + shutter[1] * (pixels[..., 1:] / camera.height - 0.5)
+    return np.asarray(pixels - late * flow)
