@@ -7,22 +7,22 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2880,
+    "cli": 2980,
     "conformal": 5670,
     "core": 410,
-    "datasets": 5640,
-    "localization": 2970,
-    "model": 1430,
+    "datasets": 5650,
+    "localization": 3250,
+    "model": 1450,
     "motion": 1050,
     "networks": 730,
     "poses": 1020,
-    "quality": 940,
-    "reasoning": 1480,
+    "quality": 810,
+    "reasoning": 1500,
     "report": 870,
     "ros": 710,
     "running": 2310,
-    "training": 780,
-    "vision": 470,
+    "training": 1070,
+    "vision": 480,
 }
 
 
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7100
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7240
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20130
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20280

@@ -3,11 +3,12 @@
 import io
 import json
 import re
+import time
 
 import numpy as np
 import pytest
 
-from conformodal.cli.console import PlainConsole, plain
+from conformodal.cli.console import PlainConsole, plain, progress_bars
 from conformodal.core.files import write_whole
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
@@ -94,3 +95,14 @@ def test_frames_of_any_name_go_into_parquet(name, tmp_path):
 def test_text_of_any_kind_can_be_written(name, tmp_path):
     write_whole(tmp_path / "x.md", name)
     assert (tmp_path / "x.md").read_bytes().decode() == name.encode("utf-8", "backslashreplace").decode()
+
+
+def test_progress_is_written_beside_the_folder_of_results(tmp_path, monkeypatch):
+    monkeypatch.setattr("conformodal.cli.console._LOG_EVERY_S", 0.01)
+    log = tmp_path / "model.log"
+    with progress_bars(tmp_path / "model") as report:
+        report("features", 5, 5)
+        report("training", 1, 3)
+        while not log.exists() or "training 1/3\n" not in log.read_text():
+            time.sleep(0.01)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d training 1/3", log.read_text().splitlines()[-1])

@@ -49,7 +49,7 @@ def calibrate(
     with lock_output(model, "train", apart=[data]):
         features = FeatureCache(cache_folder(cache))
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
-        with progress_bars() as report:
+        with progress_bars(model) as report:
             radius = calibrate_selection(
                 loaded, sequence, alpha, guarantee, method, metres_per_radian, cache=features, progress=report
             )

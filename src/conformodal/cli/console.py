@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, ParamSpec, Self
 
 import typer
@@ -29,6 +30,7 @@ from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
 from .options import check_options
 
 P = ParamSpec("P")
+_LOG_EVERY_S = 10.0
 
 
 def plain(text: str) -> str:
@@ -101,8 +103,12 @@ def report_strongly(text: str) -> None:
 
 
 @contextmanager
-def progress_bars() -> Iterator[StageProgress]:
-    """Bars for stages: call the yielded function with stage, steps done and steps in all."""
+def progress_bars(out: Path | None = None) -> Iterator[StageProgress]:
+    """Bars for stages: call the yielded function with stage, steps done and steps in all.
+
+    Every ten seconds, a line with the stages under way is written into the file ``OUT.log`` beside the folder of the
+    results, if there is one.
+    """
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
         tasks: dict[str, int] = {}
@@ -112,7 +118,24 @@ def progress_bars() -> Iterator[StageProgress]:
                 tasks[stage] = progress.add_task(stage, total=total)
             progress.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
 
-        yield report
+        ended = Event()
+        if out is not None:
+            Thread(target=_log_progress, args=(out, progress, ended), daemon=True).start()
+        try:
+            yield report
+        finally:
+            ended.set()
+
+
+def _log_progress(out: Path, progress: Progress, ended: Event) -> None:
+    log, mode = out.resolve(), "w"
+    log = log.with_name(f"{log.name}.log")
+    while not ended.wait(_LOG_EVERY_S):
+        tasks = [task for task in progress.tasks if not task.finished] or progress.tasks[-1:]
+        stages = ", ".join(f"{task.description} {task.completed:g}/{task.total:g}" for task in tasks)
+        with suppress(OSError), log.open(mode, encoding="utf-8") as file:  # what cannot be written stops no work
+            print(time.strftime("%Y-%m-%d %H:%M:%S"), stages, file=file)
+        mode = "a"
 
 
 _NAMES = {

@@ -23,13 +23,13 @@ from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import WRITABLE, write_layout
+from conformodal.localization.overlap import Overlap, measure_overlap
 from conformodal.model.model import PoseModel
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import PinholeCamera
 from conformodal.poses.metrics import MAX_GAP_S
 from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
-from conformodal.quality.overlap import Overlap, measure_overlap
 from conformodal.running.results.folders import lock_output
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics

@@ -49,7 +49,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started = time.perf_counter()
     config = _config(method, seed)
-    with lock_output(out, "demo"), progress_bars() as report:
+    with lock_output(out, "demo"), progress_bars(out) as report:
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
         outcome = answer_test_part(model, config, out, sequence, report)

@@ -170,7 +170,7 @@ def train(
         sequence = open_sequences(
             data, layout, require_poses=True, follow_outside=follow_outside, focal=focal, test=held_out
         )
-        with progress_bars() as report:
+        with progress_bars(out) as report:
             train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)
 

@@ -45,6 +45,13 @@ class Split:
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", as_member(self.kind, SplitKind, "split", SplitError))
 
+    def joined(self, other: Split, first: int) -> Split:
+        """Return this split with the parts of another one, whose frames are numbered from `first` on."""
+        train, calibration, test = (
+            np.append(getattr(self, name), first + getattr(other, name)) for name in ("train", "calibration", "test")
+        )
+        return replace(self, train=train, calibration=calibration, test=test)
+
     def part(self, name: str) -> IntArray:
         """Indices of ``"train"``, ``"calibration"`` or ``"test"``."""
         if name not in ("train", "calibration", "test"):

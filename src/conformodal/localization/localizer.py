@@ -13,7 +13,7 @@ from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
 from conformodal.reasoning.candidates import Candidates, mode_candidates
 
-from .belief import Beliefs, belief_cells
+from .belief import Beliefs, belief_cells, widened
 from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import Mixture, fuse
@@ -53,8 +53,9 @@ class Localizer:
         """A localizer for each part (m,) of the frames, which learns from it alone.
 
         A source that cannot be fitted is left out. One among `fitted` that learnt from exactly these frames is reused:
-        the caller knows that fitting it again would give the same. Each source learns in a thread, part after part:
-        networks share random numbers, so no two are trained at once.
+        the caller knows that fitting it again would give the same. Sources learn in threads. One that uses local
+        features, which takes longest, learns several parts at once, the last part (by default all frames, whose matches
+        the others share) before; others learn part after part: networks share random numbers.
         """
 
         def told(stage: str, done: int, total: int) -> None:
@@ -62,19 +63,50 @@ class Localizer:
             if data.progress is not None:
                 data.progress(stage, done, total)
 
-        def fit(name: str) -> list[PoseSource | None]:
+        def fit(job: tuple[str, list[int]]) -> list[PoseSource | None]:
+            name, which = job
             found = []
-            for frames in parts:
+            for frames in (parts[k] for k in which):
                 go_on()
                 same = [s for s in fitted if s.name == name and np.array_equal(s.frames, frames)]
                 found.append(same[-1] if same else find_source(name).fit(replace(data, progress=told), frames))
             return found
 
-        columns = in_threads(fit, names[::-1])[::-1]  # by default, the last takes longest
+        each, local = list(range(len(parts))), [name for name in names if find_source(name).local]
+        jobs = [(name, each[-1:]) for name in local] + [(name, each) for name in names if name not in local]
+        jobs += [(name, [k]) for k in each[:-1] for name in local]
+        found = {}
+        for (name, which), its in zip(jobs, in_threads(fit, jobs), strict=True):
+            found.update({(name, k): source for k, source in zip(which, its, strict=True)})
         return [
-            cls(tuple(source for source in own if source is not None), data.bins_of(frames), data.sign_reference)
-            for frames, *own in zip(parts, *columns, strict=True)
+            cls(
+                tuple(source for name in names if (source := found[name, k]) is not None),
+                data.bins_of(frames),
+                data.sign_reference,
+            )
+            for k, frames in enumerate(parts)
         ]
+
+    def extended(self, data: SourceData, parts: Sequence[IntArray], first: int) -> list[Localizer]:
+        """A localizer for each part (m,) of new frames, which knows it beside what this one knows.
+
+        Sources with a method ``extended(data, frames, first, beyond)`` learn the part, see :class:`HeadSource`; others
+        stay as they are. New frames are numbered from `first` on.
+        """
+        per_bin = len(self.frames) / max(self.bins.sizes)
+
+        def learnt(frames: IntArray) -> Localizer:
+            bins, beyond = widened(self.bins, data.targets[frames], data.margin, per_bin)
+            its = (getattr(source, "extended", None) for source in self.sources)
+            sources = (
+                source if extend is None else extend(data, frames, first, beyond)
+                for source, extend in zip(self.sources, its, strict=True)
+            )
+            return replace(self, sources=tuple(sources), bins=bins)
+
+        *folds, whole = parts
+        last = learnt(whole)  # alone: most matches between keyframes of the others are among its own
+        return [*in_threads(learnt, folds), last]
 
     @property
     def frames(self) -> IntArray:

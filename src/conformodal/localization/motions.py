@@ -14,6 +14,7 @@ from conformodal.motion.tracker import Corners
 from conformodal.poses import RelativeMotion, Submap
 
 from .local_features import LocalFeatures, extract_local_features
+from .parallel import go_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ def measure_motions(
     corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
+        go_on()
         if sequence.recording[i] != recording:
             _add_submaps(found, corners, sequence)
             corners = {}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from threading import Event, current_thread, main_thread
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -45,9 +45,16 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     return found
 
 
+def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[Item, Result]:
+    """Results of two pieces of work that run at the same time, see :func:`in_threads`."""
+    jobs: list[Callable[[], Any]] = [one, other]
+    first, second = in_threads(lambda job: job(), jobs)
+    return first, second
+
+
 def go_on() -> None:
-    """Raise KeyboardInterrupt if the main thread was interrupted."""
-    if _interrupted.is_set():
+    """Raise KeyboardInterrupt in other threads if the main thread was interrupted."""
+    if _interrupted.is_set() and current_thread() is not main_thread():
         raise KeyboardInterrupt
 
 

@@ -176,8 +176,25 @@ class _AdjustmentSettings:
     sigma_focal: float = 0.02  # of the logarithm of the focal length
 
 
+@dataclass(frozen=True)
+class _OverlapSettings:
+    """How two recordings are compared."""
+
+    near_m: float = 0.3
+    near_deg: float = 30.0
+    keyframes: int = 150  # of the known recording, that are mapped
+    images: int = 40  # of the other, that are localised
+    inliers: int = 25  # distinct, that an estimate needs
+    least: int = 8  # images that must agree
+    agree_depths: float = 0.1  # scene depths within which motions agree
+    agree_deg: float = 5.0
+    offset_m: float = 0.1  # above, world frames differ
+    offset_deg: float = 3.0
+
+
 BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
 NEIGHBOURS = _NeighbourSettings()
 LOCAL_FEATURES, RETRIEVAL = _LocalFeatureSettings(), _RetrievalSettings()
 PNP, GUIDING = _PnpSettings(), _GuidingSettings()
 MAPPING, CAMERA_FIT, ADJUSTMENT = _MappingSettings(), _CameraFitSettings(), _AdjustmentSettings()
+OVERLAP = _OverlapSettings()

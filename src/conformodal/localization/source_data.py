@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +67,7 @@ class SourceData:
     progress: StageProgress | None = None
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+    _extracting: Lock = field(default_factory=Lock)
     _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -97,7 +99,8 @@ class SourceData:
     def local_features(self, frames: IntArray) -> list[LocalFeatures]:
         """Local features of some frames, cached."""
         report = stage_of(self.progress, "local features")
-        missing = [i for i in frames.tolist() if i not in self._local_features]
-        found = in_threads(partial(frame_features, self.sequence), missing, report)
-        self._local_features.update(zip(missing, found, strict=True))
+        with self._extracting:  # sources that learn at the same time share them
+            missing = [i for i in frames.tolist() if i not in self._local_features]
+            found = in_threads(partial(frame_features, self.sequence), missing, report)
+            self._local_features.update(zip(missing, found, strict=True))
         return [self._local_features[i] for i in frames.tolist()]

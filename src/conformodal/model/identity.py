@@ -47,6 +47,11 @@ class FrameIdentities:
         """Return the identities of some of the frames, in the order of their indices (m,)."""
         return FrameIdentities(self.files[frames], self.pixels[frames], self.poses[frames])
 
+    def joined(self, others: FrameIdentities) -> FrameIdentities:
+        """Return these identities, then the others."""
+        names = ("files", "pixels", "poses")
+        return FrameIdentities(*(np.concatenate((getattr(self, name), getattr(others, name))) for name in names))
+
     def known(self, others: FrameIdentities) -> BoolArray:
         """(m,) which of the `others` have the pixels of one of these frames."""
         mine = {row.tobytes() for row in self.pixels} - {_NOTHING}

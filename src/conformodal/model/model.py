@@ -12,7 +12,7 @@ from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.ranges import as_member, check_ranges
-from conformodal.datasets import Split
+from conformodal.datasets import Split, SplitKind
 from conformodal.localization.belief import Beliefs
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.image_quality import QualityRange
@@ -126,6 +126,11 @@ class PoseModel:
     def method(self) -> Method:
         """Whether the model is this project's system or the paper's."""
         return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
+
+    @property
+    def frames_are_exchangeable(self) -> bool:
+        """Whether test frames are to those that calibrate: drawn with them, and answered by the same sources."""
+        return self.split.kind is SplitKind.INTERLEAVED and not self.configuration.get("extended")
 
     @property
     def alpha(self) -> float:

@@ -9,7 +9,6 @@ from math import ceil
 import numpy as np
 
 from conformodal.conformal import SplitConformal, coverage_band
-from conformodal.datasets import SplitKind
 from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
 
@@ -49,7 +48,7 @@ class EvidenceGuarantee:
 
 def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     """What a model can guarantee, one for each evidence type that has regions of its own."""
-    exchangeable = model.split.kind is SplitKind.INTERLEAVED
+    exchangeable = model.frames_are_exchangeable
     rules, found = model.rules, []
     for kind, rule in rules.of.items():
         own = rules.own[kind]

@@ -26,20 +26,4 @@ class QualitySettings:
     most_advice: int = 8  # sentences on what to record next
 
 
-@dataclass(frozen=True)
-class _OverlapSettings:
-    """How two recordings are compared."""
-
-    near_m: float = 0.3
-    near_deg: float = 30.0
-    keyframes: int = 150  # of the known recording, that are mapped
-    images: int = 40  # of the other, that are localised
-    inliers: int = 25  # distinct, that an estimate needs
-    least: int = 8  # images that must agree
-    agree_depths: float = 0.1  # scene depths within which motions agree
-    agree_deg: float = 5.0
-    offset_m: float = 0.1  # above, world frames differ
-    offset_deg: float = 3.0
-
-
-QUALITY, OVERLAP = QualitySettings(), _OverlapSettings()
+QUALITY = QualitySettings()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,24 @@ class MotionPrior:
     depth_m: float = math.nan
     depth_spread: float = math.nan
     volume_m3: float = 1.0
+
+    def widened(self, other: MotionPrior, volume_m3: float) -> MotionPrior:
+        """A prior that allows what either allows, in another volume; depths stay."""
+        speeds, densities = (
+            tuple(np.maximum(own, np.interp(self.intervals_s, other.intervals_s, its)).tolist())
+            for own, its in (
+                (self.top_speed_mps, other.top_speed_mps),
+                (self.acceleration_density, other.acceleration_density),
+            )
+        )
+        turn_rate = max(self.turn_rate_rad_s, other.turn_rate_rad_s)
+        return replace(
+            self,
+            turn_rate_rad_s=turn_rate,
+            top_speed_mps=speeds,
+            acceleration_density=densities,
+            volume_m3=volume_m3,
+        )
 
     def reach_m(self, step_s: float) -> float:
         """How far the camera can get within a time step, in metres."""

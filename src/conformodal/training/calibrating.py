@@ -23,7 +23,6 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.local_features import frame_features
 from conformodal.localization.localizer import Localizer
-from conformodal.localization.motions import measure_motions
 from conformodal.localization.parallel import in_threads
 from conformodal.localization.regions import pose_scores
 from conformodal.localization.source_data import SourceData
@@ -33,6 +32,7 @@ from conformodal.model.errors import OdometryError
 from conformodal.model.model import PATHS, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.model.region_rules import EvidenceType, RegionRules, part_of
+from conformodal.poses import RelativeMotion
 from conformodal.reasoning.filter import Posterior, filter_posteriors, hindsight_posteriors
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, same_place
@@ -63,11 +63,20 @@ class Calibrated:
 
 
 def calibrate_regions(
-    data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
+    data: SourceData,
+    folds: Folds,
+    localizers: Sequence[Localizer],
+    novelty: PlaceNovelty | None,
+    config: ModelConfig,
+    extended: Localizer | None = None,
 ) -> Calibrated:
-    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
+    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
+
+    `extended` is the localizer of a model that is extended: regions have its cells, and ``bonferroni`` stays as it is
+    where only one threshold for the whole pose would be finite.
+    """
     for fold, localizer in zip(folds.folds, localizers, strict=True):
-        _check_unseen(localizer, fold.held_out)
+        _check_unseen(localizer, folds.first + fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
     # scores per unit of the target are scaled by its spread, which does not depend on calibration frames
@@ -81,7 +90,7 @@ def calibrate_regions(
         return made
 
     asked = as_joint(config.joint)
-    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" else [asked]
+    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" and extended is None else [asked]
     overall: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     matched: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
@@ -102,7 +111,7 @@ def calibrate_regions(
         found.append(beliefs)
     # with a fold without landmarks, beliefs with them cannot be calibrated
     local = len(matched[asked]) == len(localizers)
-    cells = belief_cells(data.bins_of(folds.region_frames))
+    cells = belief_cells(data.bins_of(folds.region_frames)) if extended is None else extended.cells
     recognised = np.concatenate([its.recognised for its in found]) if local else np.zeros(len(held_out), dtype=bool)
     known_p = matched_p = np.ones(len(held_out))
     if novelty is not None:
@@ -129,7 +138,7 @@ def calibrate_regions(
         )
 
     rules = calibrated(asked)
-    rules = calibrated("max") if asked == "bonferroni" and _has_type_for_max_only(rules) else rules
+    rules = calibrated("max") if len(joints) > 1 and _has_type_for_max_only(rules) else rules
     return Calibrated(rules, novelty, found)
 
 
@@ -141,17 +150,19 @@ def calibrate_disturbed(
     localizers: Sequence[Localizer],
     calibrated: Calibrated,
     progress: StageProgress | None = None,
+    earlier: QualityRange | None = None,
 ) -> tuple[Calibrated, QualityRange | None]:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
-    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or with
-    too few such copies, nothing changes.
+    Those count whose quality is beyond that of all frames that the sources learn from; `earlier` is that of frames that
+    they learnt from before. Without local features, or with too few such copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.matched is None or novelty is None:
         return calibrated, None
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
+    quality = quality if earlier is None else quality.joined(earlier)
     sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
     found: list[tuple[RealArray, FloatArray, FloatArray, BoolArray, IntArray]] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
@@ -168,7 +179,7 @@ def calibrate_disturbed(
         own = SplitConformal(localizer.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
         own.rule = rules.overall.rule
         scores = score_beliefs(own, localizer, beliefs, data.targets[frames])
-        pieces = folds.pieces[frames] if len(folds.folds) > 1 else None
+        pieces = None if folds.units is None else folds.pieces[frames]
         distances = novelty.distances(features, pieces)
         beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
         found.append((scores, distances, beliefs.recognition, beyond, frames))
@@ -193,9 +204,10 @@ def calibrate_paths(
     localizers: Sequence[Localizer],
     calibrated: Calibrated,
     prior: MotionPrior,
-    progress: StageProgress | None = None,
+    motions: dict[int, RelativeMotion | None],
 ) -> tuple[dict[str, SplitConformal], float]:
     """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
+    `motions` are those between held-out frames.
 
     Also the probability of a place from which its pose counts as reliable: a frame with a wrong place that is at least
     as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
@@ -204,7 +216,6 @@ def calibrate_paths(
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
     """
-    motions = measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
     rules = calibrated.rules
     units = sequence.recording if folds.units is None else folds.units
     known = rules.known_with_local | rules.recognised
@@ -334,8 +345,9 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
 
 def _appearance(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> tuple[FloatArray, FloatArray]:
     """p-values of the calibration frames by appearance, each against the frames of other pieces, and distances."""
-    if len(folds.folds) == 1:
+    if folds.units is None:
         distances = novelty.distances(data.features[folds.held_out])
         return novelty.test.p_values(distances), distances
-    at = np.searchsorted(folds.region_frames, folds.held_out)
+    # the frames that the sources learn from are the last of the references
+    at = np.searchsorted(folds.region_frames, folds.held_out) - len(folds.region_frames)
     return novelty.test.left_out_p_values()[at], novelty.test.scores_[at]

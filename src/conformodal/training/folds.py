@@ -13,6 +13,7 @@ from conformodal.core.ranges import as_member
 from conformodal.datasets import Sequence, Split, SplitKind, held_out_together
 from conformodal.model.config import Calibration
 from conformodal.model.errors import OdometryError
+from conformodal.model.model import PoseModel
 
 from .settings import FOLDS
 
@@ -33,6 +34,8 @@ class Folds:
     region_frames: IntArray  # that the model's own sources learn from
     units: IntArray | None  # exchangeable units; None where every held-out frame is one
     pieces: IntArray  # frames of one piece are held out together in the novelty test
+    first: int = 0  # number of the first frame among all that sources know
+    whole_recordings: bool = False  # whether units are recordings
 
     @property
     def held_out(self) -> IntArray:
@@ -57,11 +60,32 @@ def make_folds(
     used = np.sort(np.concatenate((split.train, split.calibration)))
     units = sequence.recording
     n_recordings = len(np.unique(units[used]))
-    if conformal_rank(n_recordings, alpha) > n_recordings:
+    whole = conformal_rank(n_recordings, alpha) <= n_recordings
+    if not whole:
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
-    names = np.random.default_rng(split.seed).permutation(np.unique(units[used]))
-    folds = []
-    for part in np.array_split(names, min(FOLDS.most, len(names))):
+    return Folds(_folds(used, units, split.seed, FOLDS.most), used, units, units, whole_recordings=whole)
+
+
+def make_added_folds(sequence: Sequence, split: Split, model: PoseModel, n_blocks: int) -> Folds:
+    """The folds of recordings that are added to a model, from units as its own; `n_blocks` are the stretches.
+
+    Units and pieces are numbered on from the model's.
+    """
+    assert model.novelty is not None
+    first, next_piece = len(model.known_frames), int(model.novelty.test.groups.max()) + 1
+    if model.calibration.groups_ is None:
+        pieces = next_piece + held_out_together(sequence.recording, split.kind, n_blocks)
+        return Folds([Fold(split.train, split.calibration)], split.train, None, pieces, first)
+    used = np.sort(np.concatenate((split.train, split.calibration)))
+    whole = bool(model.configuration.get("whole_recordings"))
+    units = sequence.recording if whole else held_out_together(sequence.recording, SplitKind.BLOCKS, n_blocks)
+    units = next_piece + units
+    return Folds(_folds(used, units, split.seed, FOLDS.most_added), used, units, units, first, whole)
+
+
+def _folds(used: IntArray, units: IntArray, seed: int, most: int) -> list[Fold]:
+    names, folds = np.random.default_rng(seed).permutation(np.unique(units[used])), []
+    for part in np.array_split(names, min(most, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
-    return Folds(folds, used, units, units)
+    return folds

@@ -13,20 +13,22 @@ from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence, make_split, with_random_calibration
 from conformodal.localization.localizer import Localizer
+from conformodal.localization.motions import measure_motions
+from conformodal.localization.parallel import side_by_side
 from conformodal.localization.source import PoseSource
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method, ModelConfig, Runtime, record_of
 from conformodal.model.identity import identify
 from conformodal.model.model import PoseModel
 from conformodal.model.place_novelty import PlaceNovelty
-from conformodal.poses import sign_reference
+from conformodal.poses import RelativeMotion, sign_reference
 from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
 from conformodal.reasoning.settings import FILTER
 from conformodal.vision.backbone import Backbone
 from conformodal.vision.features import FeatureCache, extract_features
 
 from .calibrating import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources, paper_rules
-from .folds import make_folds
+from .folds import Folds, make_folds
 from .training_data import TrainingData
 
 
@@ -103,7 +105,10 @@ def train_model(
     parts = [fold.train for fold in folds.folds]
     if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
         parts.append(folds.region_frames)
-    *localizers, localizer = Localizer.fit_each(sources, parts, config.sources, fitted)
+    (*localizers, localizer), (motions, known_frames) = side_by_side(
+        lambda: Localizer.fit_each(sources, parts, config.sources, fitted),
+        lambda: (_held_out_motions(data.sequence, folds, config, progress), identify(data.sequence)),
+    )
     localizers = localizers or [localizer]
     prior = _motion_prior(data, config)
     if config.method is Method.PAPER:  # without a novelty test
@@ -114,7 +119,7 @@ def train_model(
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         its = calibrate_regions(sources, folds, localizers, novelty, config)
-        paths, reliable_p = calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, progress)
+        paths, reliable_p = calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, motions)
         its, quality = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress)
         rules, novelty = its.rules, its.novelty
     stretches, test = folds.units is not None, data.split.test
@@ -126,13 +131,22 @@ def train_model(
         prior=prior,
         camera=data.sequence.camera,
         split=data.split,
-        known_frames=identify(data.sequence),
-        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames"),
+        known_frames=known_frames,
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
+        | {"whole_recordings": folds.whole_recordings},
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
         path_rules=paths,
         reliable_p=reliable_p,
         quality=quality,
     )
+
+
+def _held_out_motions(
+    sequence: Sequence, folds: Folds, config: ModelConfig, progress: StageProgress | None
+) -> dict[int, RelativeMotion | None]:
+    if config.method is Method.PAPER:
+        return {}
+    return measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
 
 
 def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:

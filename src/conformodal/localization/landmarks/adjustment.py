@@ -22,6 +22,8 @@ from conformodal.localization.settings import ADJUSTMENT
 from .camera_fit import Mounted
 from .triangulation import Rays
 
+_FIXED = 1e-9  # sigma of what does not change
+
 
 class Tracks(NamedTuple):
     """Points, each seen by several frames at disjoint corners."""
@@ -38,6 +40,7 @@ class Adjusted(NamedTuple):
     mounted: Mounted
     poses_cam: FloatArray
     sigmas: FloatArray  # (6,) radians in the camera's frame, and metres
+    known_camera: bool = False  # whether focal length and mount are those of an earlier map, and stay
 
 
 def choose_tracks(chunks: Sequence[tuple[Rays, FloatArray, BoolArray]], n_frames: int, tolerance: float) -> Tracks:
@@ -57,14 +60,13 @@ def choose_tracks(chunks: Sequence[tuple[Rays, FloatArray, BoolArray]], n_frames
     counts = np.diff(np.append(starts, len(own)))
     used, taken = np.zeros(int(max(seen.max(initial=0), own.max(initial=0))) + 1, dtype=bool), np.zeros(n_frames, int)
     rows: list[IntArray] = []
-    for k in np.argsort(-counts, kind="stable").tolist():
-        at = np.arange(starts[k], starts[k] + counts[k])
-        at = at[~used[seen[at]]]
-        if (
-            len(at) >= ADJUSTMENT.least_views
-            and not used[own[starts[k]]]
-            and taken[frame[at]].min() < ADJUSTMENT.tracks
-        ):
+    order = np.argsort(-counts, kind="stable")
+    order = order[counts[order] >= ADJUSTMENT.least_views]
+    for k, start, end in zip(own[starts[order]].tolist(), starts[order], (starts + counts)[order], strict=True):
+        if used[k]:
+            continue
+        at = np.arange(start, end)[~used[seen[start:end]]]
+        if len(at) >= ADJUSTMENT.least_views and taken[frame[at]].min() < ADJUSTMENT.tracks:
             used[seen[at]] = True
             taken[frame[at]] += 1
             rows.append(at)
@@ -92,14 +94,17 @@ def adjust(now: Adjusted, poses_se3: FloatArray, tracks: Tracks) -> Adjusted:
     poses, camera, factor = now.poses_cam.copy(), now.mounted.camera, float(np.exp(bundle.log_focal))
     poses[:, :3, :3], poses[:, :3, 3] = bundle.R, bundle.centres
     relative = np.linalg.inv(poses_se3) @ poses
-    mount = np.eye(4)
-    mount[:3, :3] = Rotation.from_matrix(relative[:, :3, :3]).mean().as_matrix()
-    mount[:3, 3] = np.median(relative[:, :3, 3], axis=0)
+    mount = now.mounted.T_pose_cam.copy()
+    if not now.known_camera:
+        mount[:3, :3] = Rotation.from_matrix(relative[:, :3, :3]).mean().as_matrix()
+        mount[:3, 3] = np.median(relative[:, :3, 3], axis=0)
     off = _deviations(bundle, poses_se3 @ mount)
     spread = np.repeat([np.median(np.abs(off[:, :3])), np.median(np.abs(off[:, 3:]))], 3) / MAD_OF_NORMAL
     focused = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-    mounted = now.mounted._replace(camera=focused, T_pose_cam=mount)
-    return Adjusted(mounted, poses, np.maximum(spread, ADJUSTMENT.least_sigma * now.sigmas))
+    mounted = now.mounted if now.known_camera else now.mounted._replace(camera=focused, T_pose_cam=mount)
+    return now._replace(
+        mounted=mounted, poses_cam=poses, sigmas=np.maximum(spread, ADJUSTMENT.least_sigma * now.sigmas)
+    )
 
 
 def given_frame_errors(adjusted: Adjusted, poses_se3: FloatArray) -> FloatArray:
@@ -130,20 +135,19 @@ def _deviations(bundle: _Bundle, prior: FloatArray) -> FloatArray:
 
 def _solve(bundle: _Bundle, now: Adjusted, poses_se3: FloatArray, tracks: Tracks) -> _Bundle:
     prior, focal = poses_se3 @ now.mounted.T_pose_cam, (now.mounted.camera.fx + now.mounted.camera.fy) / 2
+    sigma_focal = _FIXED if now.known_camera else ADJUSTMENT.sigma_focal
 
     def residuals(its: _Bundle) -> _Residuals:
         local = np.einsum("mba,mb->ma", its.R[tracks.frame], its.points[tracks.point] - its.centres[tracks.frame])
         ahead = np.maximum(local[:, 2:], 1e-6)
         pixels = (local[:, :2] / ahead * np.exp(its.log_focal) - tracks.plane) * focal
         priors = _deviations(its, prior) / now.sigmas
-        cost = (
-            np.log1p((pixels**2).sum(axis=1)).sum() + (priors**2).sum() + (its.log_focal / ADJUSTMENT.sigma_focal) ** 2
-        )
+        cost = np.log1p((pixels**2).sum(axis=1)).sum() + (priors**2).sum() + (its.log_focal / sigma_focal) ** 2
         return _Residuals(local, pixels, priors, float(cost))
 
     found, damping = residuals(bundle), 1e-4
     for _ in range(ADJUSTMENT.iterations):
-        system = _System.of(bundle, found, tracks, now.sigmas, focal)
+        system = _System.of(bundle, found, tracks, now.sigmas, focal, sigma_focal)
         for _ in range(ADJUSTMENT.dampings):
             after = system.step(bundle, damping)
             its = residuals(after)
@@ -176,7 +180,15 @@ class _System(NamedTuple):
     starts: IntArray  # (n + 1,) first observation of each frame
 
     @classmethod
-    def of(cls, bundle: _Bundle, found: _Residuals, tracks: Tracks, sigmas: FloatArray, focal: float) -> _System:
+    def of(
+        cls,
+        bundle: _Bundle,
+        found: _Residuals,
+        tracks: Tracks,
+        sigmas: FloatArray,
+        focal: float,
+        sigma_focal: float,
+    ) -> _System:
         order = np.argsort(tracks.frame, kind="stable")
         n, frame, point = len(bundle.R), tracks.frame[order], tracks.point[order]
         x, y, z = found.local[order].T
@@ -206,12 +218,12 @@ class _System(NamedTuple):
             frames=frames,
             points=summed(turned @ by_point, point, p),
             between=np.swapaxes(by_frame, 1, 2) @ by_point,
-            focal=float((by_focal**2).sum()) + 1 / ADJUSTMENT.sigma_focal**2,
+            focal=float((by_focal**2).sum()) + 1 / sigma_focal**2,
             focal_frames=summed(np.einsum("mka,mk->ma", by_frame, by_focal), frame, n),
             focal_points=summed(np.einsum("mka,mk->ma", by_point, by_focal), point, p),
             pull_frames=pull_frames,
             pull_points=summed(np.einsum("mka,mk->ma", by_point, weighted), point, p),
-            pull_focal=float((by_focal * weighted).sum()) + bundle.log_focal / ADJUSTMENT.sigma_focal**2,
+            pull_focal=float((by_focal * weighted).sum()) + bundle.log_focal / sigma_focal**2,
             point=point,
             starts=starts,
         )

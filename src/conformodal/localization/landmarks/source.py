@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -20,6 +20,7 @@ from conformodal.localization.source import SourceAnswer, SourceState, register_
 from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
 
+from .camera_fit import Mounted
 from .keyframes import LandmarkMap
 from .mapping import build_map, view_overlap
 
@@ -54,9 +55,7 @@ class LandmarkSource:
         if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
-        chosen = frames[
-            np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAPPING.max_keyframes)).round().astype(int))
-        ]
+        chosen = _spread(frames)
         return cls.of(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen],
@@ -95,6 +94,22 @@ class LandmarkSource:
         errors = _fit_errors(landmarks, features, truth, groups, left_out, done(n))
         return None if errors is None else cls(landmarks, frames, errors)
 
+    def extended(self, data: SourceData, frames: IntArray, first: int, beyond: IntArray) -> Self:
+        """With a map of new frames beside the old one, in its camera; the error model stays."""
+        if len(frames) < ERROR_MODEL.least_estimates:
+            return self
+        chosen, its = _spread(frames), self.map
+        added = build_map(
+            data.local_features(chosen),
+            data.sequence.require_truth()[chosen].poses_se3,
+            its.camera,
+            its.depth_m,
+            stage_of(data.progress, "landmarks"),
+            data.matcher,
+            Mounted(its.camera, its.T_pose_cam, its.shutter),
+        )
+        return replace(self, map=its.with_keyframes(added), frames=np.append(self.frames, first + frames))
+
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
         if not evidence.local_features:
@@ -122,6 +137,11 @@ class LandmarkSource:
         its = {k: state.arrays[k] for k in _ARRAYS}
         own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
         return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]))
+
+
+def _spread(frames: IntArray) -> IntArray:
+    most = min(len(frames), MAPPING.max_keyframes)
+    return np.asarray(frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))])
 
 
 def _fit_errors(

@@ -76,6 +76,16 @@ class NeighbourSource:
         limit = max(float(np.quantile(answers.novelty, NEIGHBOURS.usual)), typical)
         return None if errors is None else cls(regression, frames, typical, limit, errors)
 
+    def extended(self, data: SourceData, frames: IntArray, first: int, beyond: IntArray) -> Self:
+        """With new frames as references; settings, projection and error model stay."""
+        own = self.regression
+        regression = replace(
+            own,
+            references=np.concatenate((own.references, own.projection.apply(data.features[frames]))),
+            targets=np.concatenate((own.targets, data.targets[frames])),
+        )
+        return replace(self, regression=regression, frames=np.append(self.frames, first + frames))
+
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per place that the nearest frames come from."""
         found = self.regression.predict(evidence.features)

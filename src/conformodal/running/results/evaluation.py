@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal, grouped_coverage_band
-from conformodal.datasets import SplitKind
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.model import PoseModel
@@ -306,8 +305,8 @@ def radius_table(
 
 
 def is_exchangeable(model: PoseModel, part: str | None) -> bool:
-    """Whether the guarantee reaches a part, if all its frames are answered: only the test part of ``interleaved``."""
-    return part == "test" and model.split.kind is SplitKind.INTERLEAVED
+    """Whether the guarantee reaches a part, if all its frames are answered: only the test part of single frames."""
+    return part == "test" and model.frames_are_exchangeable
 
 
 def _regions_from(model: PoseModel, *, matched_all: bool) -> str:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from conformodal.localization.overlap import Overlap, _common_motion, measure_overlap
 from conformodal.poses import Trajectory
-from conformodal.quality.overlap import Overlap, _common_motion, measure_overlap
 
 TURN = Rotation.from_rotvec([0, 0, 0.2])
 

@@ -12,11 +12,13 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.datasets.joining import near_known
-from conformodal.localization.landmarks.mapping import build_map
-from conformodal.localization.local_features import LocalFeatures, frame_features
-from conformodal.localization.measurement import PoseMeasurement
-from conformodal.localization.parallel import in_threads
+from conformodal.poses import Trajectory
 
+from .landmarks.keyframes import LandmarkMap
+from .landmarks.mapping import build_map
+from .local_features import LocalFeatures, frame_features
+from .measurement import PoseMeasurement
+from .parallel import in_threads
 from .settings import OVERLAP
 
 
@@ -75,11 +77,17 @@ def measure_overlap(known: Sequence, new: Sequence, depth_m: float) -> Overlap:
         If one of them has no poses.
     """
     views, poses = known.poses or known.require_truth(), new.poses or new.require_truth()
-    near = float(near_known(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
     if not np.isfinite(depth_m):
-        return Overlap(near)
-    mapped, asked = _spread(len(views), OVERLAP.keyframes), _spread(len(poses), OVERLAP.images)
+        return Overlap(_share_near(poses, views))
+    mapped = _spread(len(views), OVERLAP.keyframes)
     landmarks = build_map(_features(known, known.posed[mapped]), views[mapped].poses_se3, known.camera, depth_m)
+    return overlap_with(landmarks, views, new)
+
+
+def overlap_with(landmarks: LandmarkMap, views: Trajectory, new: Sequence) -> Overlap:
+    """As :func:`measure_overlap`, with a map of a recording and the poses of its frames."""
+    poses, depth_m = new.poses or new.require_truth(), landmarks.depth_m
+    near, asked = _share_near(poses, views), _spread(len(poses), OVERLAP.images)
     found = [_best(landmarks.localize(image)) for image in _features(new, new.posed[asked])]
     localized = [(one, i) for one, i in zip(found, asked.tolist(), strict=True) if one is not None]
     if len(localized) < OVERLAP.least:
@@ -105,6 +113,10 @@ def _common_motion(motions: FloatArray, middle: FloatArray, near: float, n_asked
         return Overlap(near, n_asked, len(motions), n)
     apart = float(np.linalg.norm(np.median(places[its], axis=0) - middle))
     return Overlap(near, n_asked, len(motions), n, apart, float(np.degrees(turns[its].mean().magnitude())))
+
+
+def _share_near(poses: Trajectory, views: Trajectory) -> float:
+    return float(near_known(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
 
 
 def _best(estimates: list[PoseMeasurement]) -> PoseMeasurement | None:

@@ -1,0 +1,240 @@
+"""Adding recordings to a trained model, without the images that it was trained on."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from conformodal.conformal import SplitConformal
+from conformodal.core.arrays import IntArray
+from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.words import counted
+from conformodal.datasets import Sequence, Split, SplitKind, make_split
+from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.localization.motions import measure_motions
+from conformodal.localization.overlap import overlap_with
+from conformodal.localization.parallel import side_by_side
+from conformodal.localization.source_data import SourceData
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import Method, ModelConfig, config_of
+from conformodal.model.errors import OdometryError
+from conformodal.model.identity import FrameIdentities, identify
+from conformodal.model.model import PoseModel
+from conformodal.poses import Trajectory
+from conformodal.reasoning.prior import fit_motion_prior
+from conformodal.vision.features import FeatureCache, extract_features
+
+from .calibrating import Calibrated, calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources
+from .folds import make_added_folds
+
+_LEAST_BLOCKS = 5
+
+
+def extend_model(
+    model: PoseModel,
+    sequence: Sequence,
+    cache: FeatureCache | None = None,
+    progress: StageProgress | None = None,
+    *,
+    check_world: bool = True,
+) -> PoseModel:
+    """A model that knows the recordings of a sequence beside those that it was trained on.
+
+    The map gets new keyframes, the neighbours and the novelty test new frames; heads, error models and significance
+    level stay. Frames are held out as in training. The regions are calibrated on the earlier scores and on those of
+    the new recordings, whose stretches (or recordings, or frames) are answered by sources that know all but these.
+    The earlier scores are of sources that knew less, so the guarantee needs that more frames do not make scores of
+    the earlier places larger. Disturbed images are calibrated on the new recordings alone; a radius is dropped.
+
+    Parameters
+    ----------
+    model
+        Is not changed.
+    sequence
+        One or several recordings with poses, by the model's camera and in its world frame.
+    cache, progress
+        As for training.
+    check_world
+        Whether to compare the world frames where the map recognises images. Turn it off for places that look alike.
+
+    Raises
+    ------
+    OdometryError
+        If the camera or the world frame is another one, a frame is known already, or the model is of the paper's
+        system, whose only source is a head.
+    PoseError
+        If the sequence has no poses.
+    SplitError
+        If it has too few frames for its parts.
+    """
+    truth, first = sequence.require_truth(), len(model.known_frames)
+    config = replace(config_of(model.settings), joint=model.rules.overall.joint, novelty_level=float(model.rules.level))
+    if model.method is Method.PAPER or model.novelty is None:
+        raise OdometryError("the model has no novelty test to extend (the paper's system has none): train again")
+    model.check_camera(sequence.camera)
+    new = identify(sequence, model.known_frames)
+    _check_new(model, sequence, new)
+    if check_world and model.landmarks is not None:
+        _check_world(model, model.landmarks, sequence)
+    n_blocks = _n_blocks(model, sequence)
+    cache, split = cache or FeatureCache(None), _split(sequence, config, n_blocks)
+    features = extract_features(
+        sequence.image_paths, model.backbone, cache, stage_of(progress, "features"), sequence.noise
+    )
+    data = SourceData(
+        sequence,
+        features,
+        pose_targets(truth, model.sign_reference),
+        model.sign_reference,
+        split.kind,
+        margin=config.margin,
+        progress=progress,
+    )
+    folds = make_added_folds(sequence, split, model, n_blocks)
+    # where frames calibrate, the sources of the only fold are the model's own
+    parts = [] if folds.units is None else [fold.train for fold in folds.folds]
+    (*localizers, localizer), record = side_by_side(
+        lambda: model.localizer.extended(data, [*parts, folds.region_frames], first),
+        lambda: measure_motions(sequence, np.sort(folds.held_out), progress, local=False),
+    )
+    localizers = localizers or [localizer]
+    novelty = model.novelty.extended(features[folds.region_frames], folds.pieces[folds.region_frames])
+    own, together = _pooled(model, calibrate_regions(data, folds, localizers, novelty, config, localizer))
+    known = model.known_frames.joined(new)
+    whole = model.split.joined(split, first)
+    learnt = fit_motion_prior(truth[folds.region_frames], sequence.recording[folds.region_frames])
+    extent = np.ptp(known.poses[whole.train, :3], axis=0)
+    prior = model.prior.widened(learnt, float(np.prod(np.maximum(extent, 1e-3))))
+    paths, reliable_p = calibrate_paths(sequence, data.targets, folds, localizers, own, prior, record.motions)
+    disturbed, quality = calibrate_disturbed(
+        data, model.backbone, cache, folds, localizers, own, progress, model.quality
+    )
+    rules = replace(together.rules, disturbed=disturbed.rules.disturbed, disturbed_p=disturbed.rules.disturbed_p)
+    assert together.novelty is not None
+    assert disturbed.novelty is not None
+    novelty = replace(together.novelty, disturbed=disturbed.novelty.disturbed)
+    compared = folds.units is not None and len(split.test) > 0
+    now = {
+        "data": f"{model.configuration['data']} + {sequence.name}",
+        "n_frames": first + len(sequence),
+        "extended": int(model.configuration.get("extended", 0)) + 1,
+    }
+    return replace(
+        model,
+        localizer=localizer,
+        novelty=novelty,
+        rules=rules,
+        prior=prior,
+        split=whole,
+        known_frames=known,
+        configuration={**model.configuration, **now},
+        radius=None,
+        comparison=compare_sources(data, localizers, localizer, novelty, rules, split.test) if compared else None,
+        path_rules={path: _both(rule, paths[path]) for path, rule in model.path_rules.items()},
+        reliable_p=max(model.reliable_p, reliable_p),
+        quality=quality,
+    )
+
+
+def _check_new(model: PoseModel, sequence: Sequence, new: FrameIdentities) -> None:
+    """Refuse frames that the model knows.
+
+    Raises
+    ------
+    OdometryError
+        For the first of them.
+    """
+    again = model.known_frames.known(new)
+    if again.any():
+        raise OdometryError(
+            f"{sequence.image_paths[int(again.argmax())]}: has the pixels of a frame that the model knows, and so have "
+            f"{again.sum()} of {counted(len(again), 'frame')}; add recordings that it does not know"
+        )
+
+
+def _check_world(model: PoseModel, landmarks: LandmarkSource, sequence: Sequence) -> None:
+    """Refuse poses in another world frame.
+
+    Raises
+    ------
+    OdometryError
+        If images that the map recognises agree on one motion between the frames.
+    """
+    poses = model.known_frames.poses[landmarks.frames]
+    views = Trajectory(np.arange(len(poses), dtype=np.float64), poses[:, :3], poses[:, 3:])
+    overlap = overlap_with(landmarks.map, views, sequence)
+    if overlap.moved:
+        raise OdometryError(overlap.describe("the model's recordings", sequence.name))
+
+
+def _split(sequence: Sequence, config: ModelConfig, n_blocks: int) -> Split:
+    """Parts as in training; recordings are added whole where whole ones were held out."""
+    if config.split in (SplitKind.RECORDINGS, SplitKind.GIVEN):
+        none = np.empty(0, dtype=np.int64)
+        return Split(config.split, config.seed, np.arange(len(sequence)), none, none)
+    return make_split(
+        sequence.recording,
+        config.split,
+        seed=config.seed,
+        test=config.test,
+        calibration=config.calibration,
+        used=config.used,
+        n_blocks=n_blocks,
+    )
+
+
+def _n_blocks(model: PoseModel, sequence: Sequence) -> int:
+    """Stretches of new recordings, which are as long as the earlier ones, but not so few that a part would be empty."""
+    groups = model.calibration.groups_
+    if groups is None:
+        return _LEAST_BLOCKS
+    return max(round(len(sequence) / np.median(np.unique(groups, return_counts=True)[1])), _LEAST_BLOCKS)
+
+
+def _pooled(model: PoseModel, its: Calibrated) -> tuple[Calibrated, Calibrated]:
+    """What calibrates the new frames, whose p-values are among all frames, and what calibrates all frames."""
+    old, new, before, novelty = model.rules, its.rules, model.novelty, its.novelty
+    assert before is not None
+    assert novelty is not None
+    labels, groups = old.overall.groups_, _end_to_end(old.overall.groups_, new.overall.groups_)
+    known_p, matched_p, at = old.known_p, old.matched_p, None
+    if labels is not None:  # the frames that calibrate are those of the references, in another order of units
+        at = np.empty(len(labels), dtype=np.int64)
+        at[np.argsort(labels, kind="stable")] = np.argsort(before.test.groups, kind="stable")
+        known_p = np.where(known_p > 0, novelty.test.left_out_p_values()[at], 0.0)
+    rules = replace(
+        old,
+        overall=_both(old.overall, new.overall),
+        matched=None if old.matched is None or new.matched is None else _both(old.matched, new.matched),
+        recognised=np.concatenate((old.recognised, new.recognised)),
+        known_p=np.concatenate((known_p, new.known_p)),
+    )
+    if before.matched is not None and novelty.matched is not None and matched_p is not None:
+        assert new.matched_p is not None
+        scores = before.matched.scores_  # below 0 where a place was recognised, else distances
+        scores = scores if at is None else np.where(scores < 0, scores, novelty.test.scores_[at])
+        test = novelty.test.rescored(
+            np.concatenate((scores, novelty.matched.scores_)),
+            np.arange(len(rules.known_p)) if groups is None else groups,
+        )
+        beyond = np.concatenate((matched_p, new.matched_p)) == 0
+        novelty = replace(novelty, matched=test)
+        all_p = np.where(beyond, 0.0, test.left_out_p_values())
+        rules = replace(rules, matched_p=all_p)
+        new = replace(new, matched_p=all_p[len(known_p) :])
+    return replace(its, rules=new, novelty=novelty), replace(its, rules=rules, novelty=novelty)
+
+
+def _both(old: SplitConformal, new: SplitConformal) -> SplitConformal:
+    """The rule of the new frames, calibrated on the scores of all."""
+    return copy(new).calibrate_scores(
+        np.concatenate((old.scores_, new.scores_)),
+        _end_to_end(old.groups_, new.groups_),
+        _end_to_end(old.group_sizes_, new.group_sizes_),
+    )
+
+
+def _end_to_end(old: IntArray | None, new: IntArray | None) -> IntArray | None:
+    return None if old is None or new is None else np.concatenate((old, new))

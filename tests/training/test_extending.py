@@ -1,0 +1,131 @@
+"""Recordings that are added to a trained model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformodal.datasets import read_sequence
+from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.targets import pose_targets
+from conformodal.model.config import ModelConfig
+from conformodal.model.errors import OdometryError
+from conformodal.model.store import load_model, save_model
+from conformodal.training.extending import extend_model
+from conformodal.training.training import prepare_training_data, train_model
+from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.vision.settings import TrainingConfig
+from tests.helpers import fly, refusal
+
+ALPHA = 0.2
+
+
+def part(sequence, rows):
+    return replace(
+        sequence,
+        image_paths=sequence.image_paths[rows],
+        timestamps_s=sequence.timestamps_s[rows],
+        recording=sequence.recording[rows],
+        truth=sequence.truth[rows],
+    )
+
+
+@pytest.fixture(scope="module")
+def by_frames(small_world, sequence, tmp_path_factory):
+    """The small world's model, which has landmarks, and another flight."""
+    folder = fly(tmp_path_factory.mktemp("other") / "seq-01", 100, slice(70), 1000)
+    return load_model(small_world.model), sequence, read_sequence(folder.parent)
+
+
+@pytest.fixture(scope="module")
+def by_stretches(small_world, sequence):
+    """A model of the first half of a flight, and the second half."""
+    half = len(sequence) // 2
+    first, second = part(sequence, slice(half)), part(sequence, slice(half, None))
+    config = ModelConfig(split="blocks", alpha=ALPHA, sources=("head", "neighbours"), training=TrainingConfig(epochs=1))
+    return train_model(prepare_training_data(first, config, FeatureCache(small_world.cache)), config), first, second
+
+
+@pytest.fixture(scope="module", params=["by_frames", "by_stretches"])
+def extended(request, cache):
+    model, first, second = request.getfixturevalue(request.param)
+    return model, extend_model(model, second, cache, check_world=False), first, second
+
+
+@pytest.fixture(scope="module")
+def cache(small_world):
+    return FeatureCache(small_world.cache)
+
+
+def localized(model, sequence, frames, cache):
+    """Distances from the truth, and whether regions contain it."""
+    features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache)
+    local = [extract_local_features(sequence.image(i), sequence.camera) for i in frames]
+    found = model.localize(FrameEvidence(features, local))
+    best = np.array([its.positions_xyz[0] for its in found.candidates])
+    targets = pose_targets(sequence.truth, model.sign_reference)[frames]
+    off = np.linalg.norm(best - sequence.truth.positions_xyz[frames], axis=1)
+    return off, found.regions.contains(targets, joint=True)
+
+
+def test_new_places_are_answered_and_earlier_ones_no_worse(extended, cache):
+    model, more, first, second = extended
+    new = more.split.test[more.split.test >= len(first)] - len(first)
+    before, _ = localized(model, second, new, cache)
+    after, covered = localized(more, second, new, cache)
+    assert np.median(after) < np.median(before)
+    assert covered.mean() >= 1 - ALPHA - 0.15  # of few frames
+    before, _ = localized(model, first, model.split.test, cache)
+    after, covered = localized(more, first, model.split.test, cache)
+    assert np.median(after) <= 1.1 * np.median(before) + 1e-3
+    assert covered.mean() >= 1 - ALPHA - 0.15
+
+
+def test_earlier_scores_stay_and_new_units_join_them(extended):
+    model, more, first, second = extended
+    n = model.n_calibration
+    np.testing.assert_array_equal(more.calibration.scores_[:n], model.calibration.scores_)
+    assert more.n_calibration > n
+    if model.calibration.groups_ is not None:
+        old, new = more.calibration.groups_[:n], more.calibration.groups_[n:]
+        np.testing.assert_array_equal(old, model.calibration.groups_)
+        assert old.max() < new.min()
+    assert len(more.known_frames) == len(first) + len(second)
+    for name in ("train", "calibration", "test"):
+        assert (more.split.part(name)[len(model.split.part(name)) :] >= len(first)).all()
+    assert more.rules.level == model.rules.level
+    assert more.alpha == model.alpha
+
+
+def test_an_extended_model_is_stored_and_extended_again(extended, cache, tmp_path):
+    _, more, first, second = extended
+    save_model(more, tmp_path)
+    back = load_model(tmp_path)
+    one, covered = localized(more, first, more.split.test[:5], cache)
+    other, again = localized(back, first, more.split.test[:5], cache)
+    np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(covered, again)
+    with pytest.raises(OdometryError, match=r"has the pixels of a frame that the model knows, and so have"):
+        extend_model(back, second, cache)
+
+
+def test_another_camera_is_refused(extended, cache):
+    model, _, _, second = extended
+    with pytest.raises(OdometryError, match="the model was trained with"):
+        extend_model(model, replace(second, camera=replace(second.camera, fx=2 * second.camera.fx)), cache)
+
+
+def test_another_world_frame_is_refused(by_frames, cache):
+    model, _, second = by_frames
+    away = replace(
+        second, truth=replace(second.truth, positions_xyz=second.truth.positions_xyz + np.array([0, 0.5, 0.5]))
+    )
+    with pytest.raises(OdometryError, match="world frames are likely"):
+        extend_model(model, away, cache)
+
+
+def test_the_command_refuses_the_recording_that_it_knows(small_world, tmp_path):
+    found = refusal("extend", small_world.model, small_world.folder, "--out", tmp_path / "more", "--no-check-world")
+    assert "has the pixels of a frame that the model knows, and so have" in found
+    assert not (tmp_path / "more" / "model.json").exists()
