@@ -51,7 +51,7 @@ def model(split, **how):
     made = rule(60, joint="max", **how)
     recognised = np.arange(60) < 20
     rules = RegionRules(made, made, recognised, np.ones(60), 0.0)
-    return SimpleNamespace(rules=rules, split=SimpleNamespace(kind=split))
+    return SimpleNamespace(rules=rules, frames_are_exchangeable=split is SplitKind.INTERLEAVED)
 
 
 def test_each_evidence_type_has_a_guarantee_of_its_own():
@@ -99,7 +99,7 @@ def test_regions_are_bounded_from_the_least_alpha_on(case, joint):
     groups = np.arange(n) % 16 if case.startswith("stretches") else None
     whole = rule(n, infinite=infinite or 0, joint=joint, groups=groups)
     rules = RegionRules(whole, whole, np.arange(n) < n_recognised, np.ones(n), 0.0)
-    for one in guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))):
+    for one in guarantees(SimpleNamespace(rules=rules, frames_are_exchangeable=False)):
         kind, least = np.array([one.evidence]), one.least_alpha
         larger = [least, *(least + (1 - least) * Fraction(k, 10) for k in range(1, 10))]
         for alpha in larger:
@@ -116,7 +116,7 @@ def stretches(n_units, joint="max"):
     whole = rule(4 * n_units, joint=joint, groups=np.repeat(np.arange(n_units), 4))
     known_p = np.tile([1.0, 1.0, 1.0, 0.0], n_units)
     rules = RegionRules(whole, whole, np.tile([True, False, False, False], n_units), known_p, 0.0)
-    return SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.BLOCKS))
+    return SimpleNamespace(rules=rules, frames_are_exchangeable=False)
 
 
 @pytest.mark.parametrize("joint", ["max", "bonferroni"])
@@ -135,7 +135,7 @@ def test_as_many_stretches_as_are_said_to_be_needed_give_bounded_regions(joint):
 def test_more_of_the_same_is_not_advised_where_too_many_frames_lie_beyond_the_range():
     made = rule(60, infinite=7, joint="max")
     rules = RegionRules(made, None, np.zeros(60, dtype=bool), np.ones(60), 0.0)
-    (one,) = guarantees(SimpleNamespace(rules=rules, split=SimpleNamespace(kind=SplitKind.INTERLEAVED)))
+    (one,) = guarantees(SimpleNamespace(rules=rules, frames_are_exchangeable=True))
     assert not one.finite
     assert one.n_needed is None
     assert "beyond the training range" in _more_units(one)
