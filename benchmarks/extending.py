@@ -19,7 +19,7 @@ from conformodal.core.files import default_cache_dir
 from conformodal.datasets import Sequence, SplitKind, read_sequence
 from conformodal.datasets.joining import join_sequences
 from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import extract_local_features
+from conformodal.localization.local_features import frame_features
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.model import PoseModel
@@ -86,7 +86,7 @@ def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
 def answered(model: PoseModel, sequence: Sequence, frames: np.ndarray, cache: FeatureCache) -> dict[str, float]:
     """Errors of the most probable pose of each image, and coverage and size of its region."""
     features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache)
-    local = [extract_local_features(sequence.image(i), sequence.camera) for i in frames]
+    local = [frame_features(sequence, i) for i in frames.tolist()]
     found = model.localize(FrameEvidence(features, local))
     best = np.array([its.positions_xyz[0] for its in found.candidates])
     truth = sequence.require_truth()
