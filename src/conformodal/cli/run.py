@@ -103,8 +103,9 @@ def run(
         _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
             loaded.set_novelty_level(novelty_level)
+        assumed = loaded.camera if part is Part.ALL else None  # of sources without calibration, which have no parts
         open_one = partial(open_source, topic=topic, as_trained=part is not Part.ALL, follow_outside=follow_outside)
-        opened = [open_one(source, layout, camera=loaded.camera) for source in sources]
+        opened = [open_one(source, layout, camera=assumed) for source in sources]
         stream = join_streams([_as_trained(loaded, its, bring=part is Part.ALL) for its in opened])
         if isinstance(stream, SequenceStream):
             stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
