@@ -166,6 +166,10 @@ class _AdjustmentSettings:
     iterations: int = 8
     dampings: int = 8  # tried in one iteration
     enough: float = 3e-3  # share of the cost below which an iteration ends it
+    # residual, as a share of the gradient, at which a step is solved, and steps of the solver. With 1e-2 to 1e-4 maps
+    # localise alike
+    solved: float = 1e-3
+    solving: int = 300
     tracks: int = 80  # of each frame, the longest first
     least_views: int = 3
     least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
@@ -229,30 +229,46 @@ class _System(NamedTuple):
         )
 
     def step(self, bundle: _Bundle, damping: float) -> _Bundle:
-        """The bundle after a damped step; the Schur complement removes the points."""
+        """The bundle after a damped step.
+
+        The Schur complement removes the points; conjugate gradients solve for the rest, with the frames' own blocks as
+        the preconditioner (Agarwal et al. 2010). Its matrix is never formed, which took most of the time.
+        """
         n, p = len(self.frames), len(self.points)
         diagonal = np.einsum("mii->mi", self.points)[:, None] * np.eye(3)
         inverse = np.linalg.inv(self.points + damping * diagonal + 1e-9 * np.eye(3))
-        shape = (6 * n, 3 * p)
-        between = sparse.bsr_array((self.between, self.point, self.starts), shape=shape)
-        through = sparse.bsr_array((self.between @ inverse[self.point], self.point, self.starts), shape=shape)
-        full = np.zeros((6 * n + 1, 6 * n + 1))
-        full[:-1, :-1] = -(through @ between.T).toarray()
-        rows = 6 * np.arange(n)[:, None] + np.arange(6)
+        shape, through_points = (6 * n, 3 * p), self.between @ inverse[self.point]
+        through = sparse.bsr_array((through_points, self.point, self.starts), shape=shape).tocsr()
+        back = sparse.bsr_array((self.between, self.point, self.starts), shape=shape).T.tocsr()
         damped = self.frames + damping * np.einsum("mii->mi", self.frames)[:, None] * np.eye(6)
-        full[rows[:, :, None], rows[:, None, :]] += damped
-        full[:-1, -1] = full[-1, :-1] = self.focal_frames.ravel() - through @ self.focal_points.ravel()
         led = np.einsum("pab,pb->pa", inverse, self.focal_points)
-        full[-1, -1] = self.focal * (1 + damping) - (led * self.focal_points).sum()
+        corner = self.focal * (1 + damping) - (led * self.focal_points).sum()
+        border = self.focal_frames.ravel() - through @ self.focal_points.ravel()
         pull = np.append(
             self.pull_frames.ravel() - through @ self.pull_points.ravel(),
             self.pull_focal - (led * self.pull_points).sum(),
         )
-        try:
-            move = -cho_solve(cho_factor(full, overwrite_a=True, check_finite=False), pull, check_finite=False)
-        except LinAlgError:
-            return bundle
-        left = self.pull_points + self.focal_points * move[-1] + (between.T @ move[:-1]).reshape(p, 3)
+        taken = np.concatenate(
+            (np.zeros((1, 6, 6)), np.cumsum(through_points @ np.swapaxes(self.between, 1, 2), axis=0))
+        )
+        own = np.linalg.inv(damped - np.diff(taken[self.starts], axis=0))
+
+        def product(move: FloatArray) -> FloatArray:
+            frames = np.einsum("nab,nb->na", damped, move[:-1].reshape(n, 6)).ravel() - through @ (back @ move[:-1])
+            return np.append(frames + border * move[-1], border @ move[:-1] + corner * move[-1])
+
+        def each_alone(pull: FloatArray) -> FloatArray:
+            return np.append(np.einsum("nab,nb->na", own, pull[:-1].reshape(n, 6)).ravel(), pull[-1] / corner)
+
+        size = (6 * n + 1, 6 * n + 1)
+        move, _ = cg(
+            LinearOperator(size, product, dtype=np.float64),
+            -pull,
+            rtol=ADJUSTMENT.solved,
+            maxiter=ADJUSTMENT.solving,
+            M=LinearOperator(size, each_alone, dtype=np.float64),
+        )
+        left = self.pull_points + self.focal_points * move[-1] + (back @ move[:-1]).reshape(p, 3)
         turn, shift = np.split(move[:-1].reshape(n, 6), 2, axis=1)
         return _Bundle(
             bundle.R @ Rotation.from_rotvec(turn).as_matrix(),
