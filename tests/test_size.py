@@ -7,11 +7,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2980,
-    "conformal": 5670,
+    "cli": 2990,
+    "conformal": 5690,
     "core": 410,
     "datasets": 5650,
-    "localization": 3250,
+    "localization": 3270,
     "model": 1450,
     "motion": 1050,
     "networks": 730,
@@ -21,7 +21,7 @@ BUDGET = {
     "report": 870,
     "ros": 710,
     "running": 2310,
-    "training": 1070,
+    "training": 1090,
     "vision": 480,
 }
 
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20280
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20350

@@ -11,8 +11,9 @@ from conformodal.localization.local_features import frame_features
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
+from conformodal.model.region_rules import part_of
 from conformodal.model.store import load_model, save_model
-from conformodal.training.extending import extend_model
+from conformodal.training.extending import _split, extend_model
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.settings import TrainingConfig
@@ -131,3 +132,50 @@ def test_the_command_refuses_the_recording_that_it_knows(small_world, tmp_path):
     found = refusal("extend", small_world.model, small_world.folder, "--out", tmp_path / "more", "--no-check-world")
     assert "has the pixels of a frame that the model knows, and so have" in found
     assert not (tmp_path / "more" / "model.json").exists()
+
+
+def test_one_recording_joins_whole_recordings(by_stretches, cache):
+    model, first, second = by_stretches
+    whole = replace(model, configuration=model.configuration | {"whole_recordings": True, "split": "recordings"})
+    more = extend_model(whole, second, cache, check_world=False)
+    n = model.n_calibration
+    assert len(np.unique(more.calibration.groups_[n:])) == 1
+    assert more.n_calibration == n + len(second)
+    assert np.isfinite(more.calibration.scores_).any()
+    # one recording is too few for a threshold of its own, so its largest score counts
+    own = more.calibration.scores_[n:].max(axis=1)
+    assert (more.calibration.thresholds_ >= own[np.isfinite(own)].max()).all()
+
+
+def test_each_addition_is_covered_by_itself(extended):
+    model, more, _, _ = extended
+    rule, n = more.calibration, model.n_calibration
+    np.testing.assert_array_equal(rule.batches_, np.arange(len(rule.scores_)) >= n)
+    alone = part_of(rule, rule.batches_ == 1)
+    assert (rule.thresholds_ >= np.where(np.isfinite(alone.thresholds_), alone.thresholds_, 0)).all()
+    assert (rule.at(ALPHA / 2).thresholds_ >= rule.thresholds_).all()
+
+
+def test_earlier_disturbed_images_keep_calibrating(by_frames, cache):
+    model, _, second = by_frames
+    more = extend_model(model, second, cache, check_world=False)
+    n = len(model.rules.disturbed.scores_)
+    assert len(more.rules.disturbed.scores_) > n > 0
+    np.testing.assert_array_equal(more.rules.disturbed.scores_[:n], model.rules.disturbed.scores_)
+    assert len(more.novelty.disturbed.scores_) == len(more.rules.disturbed.scores_)
+    assert (more.quality.low <= model.quality.low).all()
+
+
+def test_frames_that_lists_name_for_testing_stay_out(sequence):
+    named = np.arange(len(sequence)) % 4 == 0
+    listed = replace(sequence, given_test=named)
+    config = ModelConfig(split="given")
+    split = _split(listed, config, 5, frames_calibrate=False)
+    np.testing.assert_array_equal(split.test, np.flatnonzero(named))
+    assert not named[split.train].any()
+
+
+@pytest.mark.parametrize("split", ["recordings", "given"])
+def test_added_frames_calibrate_where_frames_do(sequence, split):
+    found = _split(sequence, ModelConfig(split=split), 5, frames_calibrate=True)
+    assert min(map(len, (found.train, found.calibration, found.test))) > 0

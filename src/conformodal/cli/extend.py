@@ -47,13 +47,14 @@ def extend(
         sequence = open_sequences(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars(out) as report:
             extended = extend_model(known, sequence, features, report, check_world=check_world)
+        before = model_digest(model)
         save_model(extended, out)
         first, split, comparison = len(known.known_frames), extended.split, extended.comparison
         added = {name: int((split.part(name) >= first).sum()) for name in ("train", "calibration", "test")}
         metrics = {
             "command": "train",
             "model": model_digest(out),
-            "extended_from": model_digest(model) if out != model else None,
+            "extended_from": before,
             "provenance": provenance(),
             "configuration": extended.settings,
             "added": added,

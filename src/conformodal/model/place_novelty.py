@@ -45,13 +45,17 @@ class PlaceNovelty:
 
     def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
         """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
-        return self.test.rescored(_with_recognition(distances, recognition), groups)
+        return self.test.rescored(self.ranked(distances, recognition), groups)
 
-    def disturbed_p(self, test: NoveltyTest, distances: FloatArray, recognition: FloatArray) -> FloatArray:
+    @staticmethod
+    def ranked(distances: FloatArray, recognition: FloatArray) -> FloatArray:
+        """Novelty scores of images whose local features were matched: below 0 where a place was recognised."""
+        return np.where(recognition > 0, -recognition, distances)
+
+    def disturbed_p(self, test: NoveltyTest) -> FloatArray:
         """(m,) p-values of the disturbed frames that calibrate `test`, as those of new images will be."""
         assert self.matched is not None
-        by_appearance = self.matched.p_values(_with_recognition(distances, recognition))
-        return np.asarray(np.where(recognition > 0, test.left_out_p_values(), by_appearance))
+        return np.asarray(np.where(test.scores_ < 0, test.left_out_p_values(), self.matched.p_values(test.scores_)))
 
     def distances(self, features: npt.NDArray[np.float32], left_out: IntArray | None = None) -> FloatArray:
         """(n,) distances of features (n, F) to those of the most similar known frame.
@@ -75,7 +79,7 @@ class PlaceNovelty:
         p = self.test.p_values(distances)
         if self.matched is None or recognition is None:
             return p
-        looked, scores = np.isfinite(recognition), _with_recognition(distances, recognition)
+        looked, scores = np.isfinite(recognition), self.ranked(distances, recognition)
         p[looked] = self.matched.p_values(scores[looked])
         if self.disturbed is not None:
             looked &= disturbed & (recognition > 0)  # others are as novel as their appearance
@@ -92,11 +96,6 @@ class PlaceNovelty:
         by_frame = bool((self.test.weights_ == 1).all())
         least = max(its.least_p for its in (self.test, self.matched) if its is not None)
         return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, least)
-
-
-def _with_recognition(distances: FloatArray, recognition: FloatArray) -> FloatArray:
-    """Novelty scores of images whose local features were matched."""
-    return np.where(recognition > 0, -recognition, distances)
 
 
 def _descriptors(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float16]:

@@ -167,11 +167,12 @@ def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
     part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
     if rule.joint == "max":
         part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_
+    batches = None if rule.batches_ is None else rule.batches_[chosen]
     if rule.groups_ is None:
-        return part.calibrate_scores(rule.scores_[chosen])
+        return part.calibrate_scores(rule.scores_[chosen], batches=batches)
     # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
     _, group, counts = np.unique(rule.groups_, return_inverse=True, return_counts=True)
-    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen])
+    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen], batches)
 
 
 def _wider(own: SplitConformal, both: SplitConformal) -> SplitConformal:

@@ -41,7 +41,7 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-16"
+_FORMAT = "conformodal-model-17"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -122,12 +122,16 @@ def _calibration_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
         arrays["calibration.matched_p"] = rules.matched_p
     if rules.overall.groups_ is not None:
         arrays["calibration.groups"] = rules.overall.groups_
+    if rules.overall.batches_ is not None:
+        arrays["calibration.batches"] = rules.overall.batches_
     if rules.matched is not None:
         arrays["calibration.matched"] = rules.matched.scores_
     for path, rule in model.path_rules.items():
         arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
         if rule.groups_ is not None and rule.group_sizes_ is not None:
             arrays |= {f"calibration.{path}_groups": rule.groups_, f"calibration.{path}_sizes": rule.group_sizes_}
+        if rule.batches_ is not None:
+            arrays[f"calibration.{path}_batches"] = rule.batches_
     if rules.overall.joint == "max":
         arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
     return arrays
@@ -290,13 +294,14 @@ def _calibration(
     calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
-    return calibration.calibrate_scores(arrays[scores], arrays.get("calibration.groups"))
+    groups, batches = (arrays.get(f"calibration.{its}") for its in ("groups", "batches"))
+    return calibration.calibrate_scores(arrays[scores], groups, batches=batches)
 
 
 def _path_rule(rules: RegionRules, arrays: dict[str, npt.NDArray[Any]], name: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[name][:, None], rule.bins.n_targets, axis=1)
-    return rule.calibrate_scores(scores, arrays.get(f"{name}_groups"), arrays.get(f"{name}_sizes"))
+    return rule.calibrate_scores(scores, *(arrays.get(f"{name}_{its}") for its in ("groups", "sizes", "batches")))
 
 
 def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:

@@ -68,25 +68,28 @@ def calibrate_regions(
     localizers: Sequence[Localizer],
     novelty: PlaceNovelty | None,
     config: ModelConfig,
-    extended: Localizer | None = None,
+    extended: tuple[RegionRules, QuantileBins] | None = None,
 ) -> Calibrated:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
 
-    `extended` is the localizer of a model that is extended: regions have its cells, and ``bonferroni`` stays as it is
-    where only one threshold for the whole pose would be finite.
+    `extended` are the rules of a model that is extended, and the cells of its regions from now on: scores are on its
+    scale, local features count if they did before, and ``bonferroni`` stays as it is where only one threshold for the
+    whole pose would be finite.
     """
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         _check_unseen(localizer, folds.first + fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    # scores per unit of the target are scaled by its spread, which does not depend on calibration frames
-    spread = np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
+    local = all(its.local for its in localizers) and (extended is None or extended[0].matched is not None)
 
     def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
         made = SplitConformal(cells, config.alpha, config.score, joint)
         made.rule.keep_scale()
-        if is_per_unit(made.score):
-            made.rule.scale_ = 1 / spread
+        if is_per_unit(made.score) and joint == "max":
+            if extended is not None:
+                made.rule.scale_ = extended[0].overall.rule.scale_
+            else:  # by the targets' spread, which does not depend on calibration frames
+                made.rule.scale_ = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
         return made
 
     asked = as_joint(config.joint)
@@ -103,17 +106,15 @@ def calibrate_regions(
         beyond[False] += [its.out_of_range for its in localizer.supports(beliefs)]
         for joint, own in own_rules.items():
             overall[joint].append(score_beliefs(own, localizer, beliefs, targets))
-        if localizer.local:
+        if local:  # in all folds: otherwise beliefs with them cannot be calibrated
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
             beyond[True] += [its.out_of_range for its in localizer.supports(beliefs)]
             for joint, own in own_rules.items():
                 matched[joint].append(score_beliefs(own, localizer, beliefs, targets))
         found.append(beliefs)
-    # with a fold without landmarks, beliefs with them cannot be calibrated
-    local = len(matched[asked]) == len(localizers)
-    cells = belief_cells(data.bins_of(folds.region_frames)) if extended is None else extended.cells
+    cells = belief_cells(data.bins_of(folds.region_frames)) if extended is None else extended[1]
     recognised = np.concatenate([its.recognised for its in found]) if local else np.zeros(len(held_out), dtype=bool)
-    known_p = matched_p = np.ones(len(held_out))
+    known_p, matched_p = np.ones(len(held_out)), np.ones(len(held_out)) if local else None
     if novelty is not None:
         known_p, distances = _appearance(novelty, folds, data)
         if local:
@@ -124,7 +125,7 @@ def calibrate_regions(
             matched_p = novelty.matched.left_out_p_values()
     # of the evidence type of unknown places, as such images will be
     known_p = np.where(beyond[False], 0.0, known_p)
-    matched_p = np.where(beyond[True], 0.0, matched_p) if local else matched_p
+    matched_p = None if matched_p is None else np.where(beyond[True], 0.0, matched_p)
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
 
     def calibrated(joint: Joint) -> RegionRules:
@@ -150,21 +151,26 @@ def calibrate_disturbed(
     localizers: Sequence[Localizer],
     calibrated: Calibrated,
     progress: StageProgress | None = None,
-    earlier: QualityRange | None = None,
+    earlier: tuple[RegionRules, QualityRange | None] | None = None,
 ) -> tuple[Calibrated, QualityRange | None]:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
-    Those count whose quality is beyond that of all frames that the sources learn from; `earlier` is that of frames that
-    they learnt from before. Without local features, or with too few such copies, nothing changes.
+    Those count whose quality is beyond that of all frames that the sources learn from. `earlier` are the rules of a
+    model that is extended, whose copies count beside the new ones, and the range of its frames. Without local features,
+    or with too few copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.matched is None or novelty is None:
         return calibrated, None
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
-    quality = quality if earlier is None else quality.joined(earlier)
+    before, its_range = earlier or (rules, None)
+    quality = quality if its_range is None else quality.joined(its_range)
     sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
-    found: list[tuple[RealArray, FloatArray, FloatArray, BoolArray, IntArray]] = []
+    found: list[tuple[RealArray, FloatArray, BoolArray, IntArray]] = []  # scores, novelty, out of range, units
+    if before.disturbed is not None and before.disturbed_p is not None and novelty.disturbed is not None:
+        its = novelty.disturbed
+        found.append((before.disturbed.scores_, its.scores_, before.disturbed_p == 0, its.groups))
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-DISTURBED.most // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
@@ -180,20 +186,17 @@ def calibrate_disturbed(
         own.rule = rules.overall.rule
         scores = score_beliefs(own, localizer, beliefs, data.targets[frames])
         pieces = None if folds.units is None else folds.pieces[frames]
-        distances = novelty.distances(features, pieces)
         beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
-        found.append((scores, distances, beliefs.recognition, beyond, frames))
+        ranked = novelty.ranked(novelty.distances(features, pieces), beliefs.recognition)
+        found.append((scores, ranked, beyond, frames if folds.units is None else folds.units[frames]))
     if not found:
         return calibrated, None
-    scores, distances, recognition, beyond, frames = (np.concatenate(its) for its in zip(*found, strict=True))
-    units = None if folds.units is None else folds.units[frames]
-    test = novelty.calibrated(distances, recognition, np.arange(len(frames)) if units is None else units)
+    scores, ranked, beyond, units = (np.concatenate(its) for its in zip(*found, strict=True))
+    test = novelty.test.rescored(ranked, np.arange(len(scores)) if folds.units is None else units)
     if 0 < rules.level < test.least_p:  # so few that none could be flagged as unknown
         return calibrated, None
-    rule = copy(rules.overall).calibrate_scores(scores, units)
-    rules = replace(
-        rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, novelty.disturbed_p(test, distances, recognition))
-    )
+    rule = copy(rules.overall).calibrate_scores(scores, None if folds.units is None else units)
+    rules = replace(rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, novelty.disturbed_p(test)))
     return replace(calibrated, rules=rules, novelty=replace(novelty, disturbed=test)), quality
 
 

@@ -45,8 +45,8 @@ def extend_model(
     The map gets new keyframes, the neighbours and the novelty test new frames; heads, error models and significance
     level stay. Frames are held out as in training. The regions are calibrated on the earlier scores and on those of
     the new recordings, whose stretches (or recordings, or frames) are answered by sources that know all but these.
-    The earlier scores are of sources that knew less, so the guarantee needs that more frames do not make scores of
-    the earlier places larger. Disturbed images are calibrated on the new recordings alone; a radius is dropped.
+    Thresholds are no smaller than those of the new recordings alone. The earlier scores are of sources that knew less,
+    so the guarantee needs that more frames do not make scores of the earlier places larger. A radius is dropped.
 
     Parameters
     ----------
@@ -79,7 +79,10 @@ def extend_model(
     if check_world and model.landmarks is not None:
         _check_world(model, model.landmarks, sequence)
     n_blocks = _n_blocks(model, sequence)
-    cache, split = cache or FeatureCache(None), _split(sequence, config, n_blocks)
+    cache, split = (
+        cache or FeatureCache(None),
+        _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None),
+    )
     features = extract_features(
         sequence.image_paths, model.backbone, cache, stage_of(progress, "features"), sequence.noise
     )
@@ -101,7 +104,8 @@ def extend_model(
     )
     localizers = localizers or [localizer]
     novelty = model.novelty.extended(features[folds.region_frames], folds.pieces[folds.region_frames])
-    own, together = _pooled(model, calibrate_regions(data, folds, localizers, novelty, config, localizer))
+    known_before = model.rules, localizer.cells
+    own, together = _pooled(model, calibrate_regions(data, folds, localizers, novelty, config, known_before))
     known = model.known_frames.joined(new)
     whole = model.split.joined(split, first)
     learnt = fit_motion_prior(truth[folds.region_frames], sequence.recording[folds.region_frames])
@@ -109,7 +113,7 @@ def extend_model(
     prior = model.prior.widened(learnt, float(np.prod(np.maximum(extent, 1e-3))))
     paths, reliable_p = calibrate_paths(sequence, data.targets, folds, localizers, own, prior, record.motions)
     disturbed, quality = calibrate_disturbed(
-        data, model.backbone, cache, folds, localizers, own, progress, model.quality
+        data, model.backbone, cache, folds, localizers, own, progress, (model.rules, model.quality)
     )
     rules = replace(together.rules, disturbed=disturbed.rules.disturbed, disturbed_p=disturbed.rules.disturbed_p)
     assert together.novelty is not None
@@ -169,14 +173,20 @@ def _check_world(model: PoseModel, landmarks: LandmarkSource, sequence: Sequence
         raise OdometryError(overlap.describe("the model's recordings", sequence.name))
 
 
-def _split(sequence: Sequence, config: ModelConfig, n_blocks: int) -> Split:
-    """Parts as in training; recordings are added whole where whole ones were held out."""
-    if config.split in (SplitKind.RECORDINGS, SplitKind.GIVEN):
-        none = np.empty(0, dtype=np.int64)
-        return Split(config.split, config.seed, np.arange(len(sequence)), none, none)
+def _split(sequence: Sequence, config: ModelConfig, n_blocks: int, *, frames_calibrate: bool) -> Split:
+    """Parts as in training; recordings are added whole where whole ones were held out, unless their frames calibrate.
+
+    Frames that the data set names for testing stay out where its lists held out frames before.
+    """
+    by_recording = config.split in (SplitKind.RECORDINGS, SplitKind.GIVEN)
+    if by_recording and not frames_calibrate:
+        test = np.zeros(len(sequence), dtype=bool)
+        if config.split is SplitKind.GIVEN and sequence.given_test is not None:
+            test = sequence.given_test
+        return Split(config.split, config.seed, np.flatnonzero(~test), np.empty(0, np.int64), np.flatnonzero(test))
     return make_split(
         sequence.recording,
-        config.split,
+        SplitKind.BLOCKS if by_recording else config.split,
         seed=config.seed,
         test=config.test,
         calibration=config.calibration,
@@ -210,6 +220,7 @@ def _pooled(model: PoseModel, its: Calibrated) -> tuple[Calibrated, Calibrated]:
         matched=None if old.matched is None or new.matched is None else _both(old.matched, new.matched),
         recognised=np.concatenate((old.recognised, new.recognised)),
         known_p=np.concatenate((known_p, new.known_p)),
+        matched_p=None,
     )
     if before.matched is not None and novelty.matched is not None and matched_p is not None:
         assert new.matched_p is not None
@@ -228,11 +239,13 @@ def _pooled(model: PoseModel, its: Calibrated) -> tuple[Calibrated, Calibrated]:
 
 
 def _both(old: SplitConformal, new: SplitConformal) -> SplitConformal:
-    """The rule of the new frames, calibrated on the scores of all."""
+    """The rule of the new frames, calibrated on the scores of all; added frames are a batch of their own."""
+    before = np.zeros(len(old.scores_), dtype=np.int64) if old.batches_ is None else old.batches_
     return copy(new).calibrate_scores(
         np.concatenate((old.scores_, new.scores_)),
         _end_to_end(old.groups_, new.groups_),
         _end_to_end(old.group_sizes_, new.group_sizes_),
+        np.concatenate((before, np.full(len(new.scores_), before.max(initial=-1) + 1))),
     )
 
 

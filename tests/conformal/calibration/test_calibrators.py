@@ -212,3 +212,25 @@ def test_rows_that_look_alike_may_scale_and_calibrate():
     one = cm.QuantileBins.from_edges([np.arange(3.0)])  # a scale changes no order of one target's scores
     cal = cm.SplitConformal(one, 0.1, "lac", "max").fit_scale(proba[:, 0], y[:, 0])
     assert np.isfinite(cal.calibrate(proba[:, 0], y[:, 0]).thresholds_).all()
+
+
+def test_each_batch_is_covered():
+    rng, bins = np.random.default_rng(0), cm.QuantileBins.from_edges([[0, 1]])
+    held, trials = np.zeros(2), 4000
+    for _ in range(trials):
+        easy, hard = rng.random(60), 3 + rng.random(12)
+        rule = cm.SplitConformal(bins, 0.1)
+        rule.calibrate_scores(np.append(easy, hard)[:, None], batches=np.repeat([0, 1], [60, 12]))
+        held += [rng.random() <= rule.thresholds_[0], 3 + rng.random() <= rule.thresholds_[0]]
+    # the 12th of 12 scores is the threshold: 12 of 13 new ones are at most as large
+    assert held[0] == trials
+    assert abs(held[1] / trials - 12 / 13) < 4 * np.sqrt(12 / 13**2 / trials)
+
+
+def test_a_batch_too_small_for_alpha_counts_with_its_largest_score():
+    rule = cm.SplitConformal(cm.QuantileBins.from_edges([[0, 1]]), 0.1)
+    rule.calibrate_scores(np.append(np.arange(50.0), [70, 60, np.inf])[:, None], batches=np.repeat([0, 1], [50, 3]))
+    assert rule.thresholds_ == [70]
+    assert rule.at(0.3).thresholds_ == [np.inf]  # the third of three
+    with pytest.raises(cm.ConformalError, match="need one batch"):
+        rule.p_values(np.ones((1, 1)), [[0.5]])

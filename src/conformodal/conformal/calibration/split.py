@@ -42,6 +42,7 @@ class SplitConformal(Calibrator):
     scores_ : (n, d) calibration scores of the true bins, ``+inf`` for values outside the edges
     groups_ : (n,) labels of the calibration samples, or None
     group_sizes_ : (n,) size of each sample's whole group, if only one category of its members is here, or None
+    batches_ : (n,) labels of batches that thresholds hold for one by one, or None
     thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
 
     Examples
@@ -59,6 +60,7 @@ class SplitConformal(Calibrator):
     scores_: RealArray
     groups_: npt.NDArray[Any] | None
     group_sizes_: IntArray | None
+    batches_: IntArray | None
     thresholds_: RealArray
 
     @property
@@ -108,31 +110,46 @@ class SplitConformal(Calibrator):
         scores: RealArray,
         groups: npt.ArrayLike | None = None,
         group_sizes: IntArray | None = None,
+        batches: IntArray | None = None,
     ) -> Self:
         """Set the thresholds from calibration scores (n, d) of :meth:`score_samples`.
 
         `group_sizes` (n,) are the sizes of the whole groups if only members of one category are given, see
-        :func:`~conformodal.conformal.grouped_quantile`.
+        :func:`~conformodal.conformal.grouped_quantile`. `batches` (n,) label samples of several origins: thresholds are
+        no smaller than those of any batch by itself, so that each is covered. A batch that is too small for a finite
+        threshold counts with its largest finite score.
         """
         scores = as_scores(scores)
         if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
             raise ConformalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
-        columns, rate = self.rule.calibration_columns(scores), self.alpha_per_target
-        if groups is None:
-            if group_sizes is not None:
-                raise ConformalError("group_sizes need groups")
-            found = conformal_quantile(columns, rate)
-        else:
+        if groups is not None:
             groups = as_groups(groups, len(scores))
-            labels, codes = factorise(groups)
-            parts = [columns[codes == code] for code in range(len(labels))]
             if group_sizes is not None:
-                group_sizes = _as_sizes(group_sizes, codes)
-            sizes = None if group_sizes is None else [int(group_sizes[codes == code][0]) for code in range(len(labels))]
-            found = np.array([grouped_quantile([p[:, j] for p in parts], rate, sizes) for j in range(columns.shape[1])])
-        self.scores_, self.groups_, self.group_sizes_ = scores, groups, group_sizes
+                group_sizes = _as_sizes(group_sizes, factorise(groups)[1])
+        elif group_sizes is not None:
+            raise ConformalError("group_sizes need groups")
+        columns = self.rule.calibration_columns(scores)
+        found = self._quantiles(columns, groups, group_sizes)
+        for batch in () if batches is None else np.unique(batches):
+            its = batches == batch
+            units = [None if of is None else of[its] for of in (groups, group_sizes)]
+            own, enough = (self._quantiles(of, *units) for of in (columns[its], np.zeros_like(columns[its])))
+            finite = np.where(np.isfinite(columns[its]), columns[its], -np.inf).max(axis=0)
+            found = np.maximum(found, np.where(np.isfinite(enough), own, finite))
+        self.scores_, self.groups_, self.group_sizes_, self.batches_ = scores, groups, group_sizes, batches
         self.thresholds_ = self.rule.per_target(found)
         return self
+
+    def _quantiles(
+        self, columns: RealArray, groups: npt.NDArray[Any] | None, group_sizes: IntArray | None
+    ) -> RealArray:
+        rate = self.alpha_per_target
+        if groups is None:
+            return conformal_quantile(columns, rate)
+        labels, codes = factorise(groups)
+        parts = [columns[codes == code] for code in range(len(labels))]
+        sizes = None if group_sizes is None else [int(group_sizes[codes == code][0]) for code in range(len(labels))]
+        return np.array([grouped_quantile([p[:, j] for p in parts], rate, sizes) for j in range(columns.shape[1])])
 
     def predict(self, proba: Probabilities) -> Regions:
         """Regions of new samples: every bin whose score is at most the threshold."""
@@ -144,7 +161,7 @@ class SplitConformal(Calibrator):
         other = copy(self)
         as_alpha(alpha)
         other.alpha = alpha
-        other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_)
+        other.calibrate_scores(self._calibrated(), self.groups_, self.group_sizes_, self.batches_)
         other.warn_of_whole_range(other.thresholds_)
         return other
 
@@ -153,9 +170,11 @@ class SplitConformal(Calibrator):
 
         ``(1 + number of calibration scores at least as large) / (n + 1)``; with groups, ``(1 + sum over groups of the
         share of such scores) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its p-value
-        exceeds alpha.
+        exceeds alpha; p-values are not defined where batches are covered one by one.
         """
         calibration = self.rule.columns(self._calibrated())
+        if self.batches_ is not None:
+            raise ConformalError("p-values need one batch of calibration samples")
         new = self.rule.columns(self.score_samples(proba, y))
         group = np.arange(len(calibration)) if self.groups_ is None else factorise(self.groups_)[1]
         counts = np.bincount(group)
