@@ -117,6 +117,15 @@ def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, firs
     assert f"a: dates, of which {days[0]!r} is read as {first}" in notes
 
 
+@pytest.mark.parametrize("separator", [",", ";"])
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"])
+def test_a_year_in_front_is_followed_by_the_month(tmp_path, form, separator):
+    days = pd.Series(pd.date_range("2024-01-01 10:30", "2024-12-31 10:30"))
+    lines = [f"a{separator}b", f"15.3.2024{separator}1", *(f"{day:{form}}{separator}1" for day in days)]
+    found = read_table(written(tmp_path, "\n".join(lines)))[0]["a"]
+    assert found.dt.date.tolist() == [pd.Timestamp("2024-03-15").date(), *days.dt.date]
+
+
 def test_dates_that_mix_their_orders_stay_text(tmp_path):
     assert read_table(written(tmp_path, "a,b\n15/2/2024,1\n2/15/2024,1\n"))[0]["a"].tolist()[0] == "15/2/2024"
 

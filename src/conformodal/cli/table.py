@@ -241,12 +241,16 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
     dates = known.str.extract(_DATE)
     if dates[0].notna().mean() >= _LEAST_SHARE:
         first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 1))
-        day_first = bool((first[first < 32] > 12).any())
-        if not (day_first and (second > 12).any()):  # else nobody knows which is the month
-            day_first |= separator == ";" and not (second > 12).any()
+        year_first = first > 31
+        day_first = bool((first[~year_first] > 12).any())
+        month_first = bool((second[~year_first] > 12).any())
+        if not (day_first and month_first):  # else nobody knows which is the month
+            day_first |= separator == ";" and not month_first
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of days and months in another order
-                found = pd.to_datetime(known, errors="coerce", format="mixed", dayfirst=day_first, utc=True)
+                how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
+                found = pd.to_datetime(known.mask(year_first), dayfirst=day_first, **how)
+                found = found.fillna(pd.to_datetime(known.where(year_first), **how))
             if found.notna().mean() >= _LEAST_SHARE:
                 return found.dt.tz_localize(None).reindex(column.index)
     if not points:
