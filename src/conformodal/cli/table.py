@@ -153,7 +153,7 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
 def _cells(file: Path) -> tuple[pd.DataFrame, list[str], str, list[str]]:
     """The text of all cells, without blanks around it; the columns' names, the separator, and what was found."""
     text = _text(file)
-    above, separator, width = _arrangement(text)
+    above, separator, width = _arrangement(text, file)
     shape: dict[str, Any] = {"sep": separator, "skiprows": above, "header": None, "names": range(width)}
     try:
         with warnings.catch_warnings():
@@ -194,23 +194,30 @@ def _text(file: Path) -> str:
     raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
 
 
-def _arrangement(text: str) -> tuple[int, str, int]:
+def _arrangement(text: str, file: Path) -> tuple[int, str, int]:
     """Lines above the names, the separator, and the most values of a row.
 
     Most rows have equally many values, more than one; names have as many. Of several separators, the one with the least
     above the names is right.
     """
-    found = []
+    found, endless = [], 0
     for k, separator in enumerate(_SEPARATORS):
         reader = csv.reader(io.StringIO(text[:_LOOKED_AT], newline=""), delimiter=separator, skipinitialspace=True)
         rows, at = [], 0
-        for row in reader:
-            filled = [i for i, field in enumerate(row, start=1) if field.strip()]
-            rows += [(at, filled[-1], len(row))] if filled else []
-            at = reader.line_num
+        try:
+            for row in reader:
+                filled = [i for i, field in enumerate(row, start=1) if field.strip()]
+                rows += [(at, filled[-1], len(row))] if filled else []
+                at = reader.line_num
+        except csv.Error:  # a value longer than Python's limit
+            endless = at + 1
+            continue
         usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
         above = next((at for at, n, _ in rows if n >= usual), 0)
         found.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
+    if endless and all(single for single, *_ in found):
+        limit = csv.field_size_limit()
+        raise TableError(f"{file}: line {endless}: a value has more than {limit} characters; is its quote not closed?")
     _, above, _, separator, width = min(found)
     return above, separator, width
 
