@@ -1,5 +1,6 @@
 """A CSV file as spreadsheets write it, at the command line."""
 
+import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -239,10 +240,35 @@ def test_other_files_are_not_overwritten(tmp_path, option, name, says):
     assert not (tmp_path / "new.gif").exists()
 
 
-def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
-    for module in (quick, location):  # short fits
+@pytest.mark.parametrize(("option", "package"), [("--plot", "matplotlib"), ("--model", "skops")])
+def test_a_missing_extra_is_told_before_the_file_is_read(tmp_path, monkeypatch, option, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    result = invoke("table", tmp_path / "missing.csv", "--target", "y", option, tmp_path / "new.png")
+    assert result.exit_code == 2
+    assert f"{option} needs {package}, which is not installed" in result.stderr
+
+
+def test_the_regressor_is_saved_before_the_picture_is_drawn(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("skops")
+    shorten_fits(monkeypatch)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", None)
+    frame(150).to_csv(tmp_path / "own.csv", index=False)
+    outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
+    result = invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs)
+    assert result.exit_code == 70
+    assert f"regressor: {tmp_path / 'reg.cm'}" in result.output
+    assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
+
+
+def shorten_fits(monkeypatch):
+    for module in (quick, location):
         monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
     monkeypatch.setattr(process, "_STAGES", ((30, 3),))
+
+
+def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
+    shorten_fits(monkeypatch)
     X = frame(150)
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")

@@ -7,6 +7,7 @@ import io
 import warnings
 from collections import Counter
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ import typer
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, Diagnosis
 from conformodal.conformal.learning.saving import check_replaceable
+from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
 
@@ -80,21 +82,28 @@ def table(
     found = reg.diagnose(X.iloc[test], y.iloc[test])
     for line in str(found).splitlines():
         report_line(line)
-    if plot is not None:
-        _draw(reg, X.iloc[test], y.iloc[test], found, plot)
     if model is not None:
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
+    if plot is not None:
+        _draw(reg, X.iloc[test], y.iloc[test], found, plot)
 
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
-    """Refuse to write over what this command has not written, before any work begins."""
+    """Refuse to write over what this command has not written, and without the extras, before any work begins."""
     if plot is not None and plot.suffix not in _PICTURES:
         raise TableError(f"{plot}: the name of a picture ends with {', '.join(_PICTURES)}")
     if plot is not None and plot.exists() and not (plot.is_file() and b"conformodal" in plot.read_bytes()):
         raise TableError(f"{plot}: exists and is not a picture of this command, not replaced; name another file")
     if model is not None:
         check_replaceable(model)
+    for option, value, extra, package in (
+        ("--plot", plot, "figures", "matplotlib"),
+        ("--model", model, "save", "skops"),
+    ):
+        if value is not None:
+            with require_extra(extra, option):
+                import_module(package)
 
 
 def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, found: Diagnosis, plot: Path) -> None:
