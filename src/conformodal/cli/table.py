@@ -29,9 +29,9 @@ _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for 
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _PICTURES = (".svg", ".png", ".pdf")
 _DATE = r"^(\d{1,4})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}\d{1,4}"
-_PARTS = (
-    r"^(?P<sign>\(?[-+]?)(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
-    r"(?P<unit>[^-\d.,()]{0,6})(?P<end>[-)]?)$"
+_PARTS = (  # brackets in pairs, and one sign
+    r"^(?P<open>\()?(?P<sign>[-+])?(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
+    r"(?P<unit>[^-\d.,()]{0,6})(?P<end>(?(sign)|-?))(?(open)\))$"
 )
 _CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # of values that are missing
 _SEPARATORS, _LOOKED_AT = ";\t,|", 1_000_000  # characters
@@ -240,7 +240,7 @@ def _parts(known: pd.Series) -> tuple[pd.Series, str]:
     units = (split["currency"] + split["unit"]).dropna().unique()
     if len(units) != 1 or split["number"].notna().mean() < _LEAST_SHARE:
         return digits, ""
-    minus = split["sign"].str.contains(r"[-(]", regex=True) | split["end"].isin(["-", ")"])
+    minus = split["open"].notna() | (split["sign"] == "-") | (split["end"] == "-")
     return split["number"].where(~minus, "-" + split["number"]).fillna(digits), str(units[0])
 
 
