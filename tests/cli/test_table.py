@@ -44,6 +44,13 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ('a,b\n"1,5",x\n"2,25",y\n', [1.5, 2.25]),
         ("a\tb\n1,234\tx\n2\ty\n", [1234, 2]),  # with three decimals, 2 were 2,000
         ("a\tb\n1,234\tx\n2,500\ty\n", [1.234, 2.5]),
+        ("a,b\n1.125,x\n2,y\n", [1.125, 2]),
+        ("a\tb\n$1.125\tx\n$2\ty\n", [1.125, 2]),
+        ("a;b\n1,125;x\n2;y\n", [1.125, 2]),
+        ("a;b\n1.125;x\n2;y\n", [1125, 2]),
+        ('a,b\n1.125,"0,5"\n2,"0,25"\n', [1125, 2]),
+        ("a,b\n1.125,x\n1.234.567,y\n", [1125, 1234567]),
+        ('a,b\n1.125,x\n"5,678",y\n', [1.125, 5678]),
         ("a;b\n1.234;0,5\n2.345;0,25\n", [1234, 2345]),  # as the decimal commas beside them
         ("a;b\n1.234;0.5\n2.345;0.25\n", [1.234, 2.345]),
         ("a;b\n1.234;x\n2345;y\n", [1.234, 2345]),
@@ -71,6 +78,10 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
 )
 def test_decimal_and_thousands_marks(tmp_path, text, expected):
     assert read_table(written(tmp_path, text))[0]["a"].tolist() == expected
+
+
+def test_a_mark_that_could_be_decimal_is_told(tmp_path):
+    assert "a: '5,678' is read as 5678" in read_table(written(tmp_path, 'a,b\n1.125,x\n"5,678",y\n'))[1]
 
 
 def test_a_few_values_that_are_no_numbers_are_missing_and_told(tmp_path):

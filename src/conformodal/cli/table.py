@@ -130,8 +130,10 @@ def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, found: Diag
 def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
     """A CSV file with its numbers and dates read, and what was found.
 
-    Commas, semicolons, tabs or bars separate; numbers may have decimal commas; UTF-8, UTF-16 and the encoding of
-    Western Windows are read. A column holds numbers or dates if 95 % of its values are; the others are then missing.
+    Commas, semicolons, tabs or bars separate; UTF-8, UTF-16 and the encoding of Western Windows are read. A column
+    holds numbers or dates if 95 % of its values are; the others are then missing. Where 1.125 or 1,125 could mean two
+    things, the column's other numbers decide, then other columns, then the separator: beside semicolons a comma is
+    decimal, beside others a point; the other mark groups thousands if commas separate or the column holds whole numbers.
     """
     raw, names, separator, notes = _cells(file)
     parts = [_parts(raw[name].dropna()) for name in names]
@@ -148,8 +150,8 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
         elif found.dtype.kind == "f":
             told += [f"numbers without their {unit!r}"] if unit else []
             doubtful = digits[_grouped(digits)] if len(point) > 1 else digits[:0]
-            if len(doubtful) and found[at := doubtful.index[0]] != pd.to_numeric(doubtful[at], errors="coerce"):
-                told.append(f"{column[at]!r} is read as {found[at]:.12g}")
+            other = found[doubtful.index] != pd.to_numeric(doubtful, errors="coerce")
+            told += [f"{column[at]!r} is read as {found[at]:.12g}" for at in doubtful.index[other][:1]]
             codes = found[found.isin(_CODES)]
             if len(codes) > 1 and codes.iloc[0] in (found.min(), found.max()):
                 told.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; leave cells empty if it means missing")
@@ -272,10 +274,11 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
     if not points:
         return column
     point = points[0]
-    if len(points) > 1:  # 1.234: as in other columns; integers beside it make it more than a thousand
-        comma = bool(digits.str.contains(",", regex=False).any())
-        thousands = bool(digits.str.fullmatch(r"[-+]?\d+").any()) or (comma and separator == ",")
-        point = next(iter(certain)) if len(certain) == 1 else "." if comma == thousands else ","
+    if len(points) > 1:  # as in other columns, or as is usual with the separator
+        point, other = ",." if separator == ";" else ".,"
+        usual = separator == "," or digits.str.contains(point, regex=False).any()
+        usual |= digits.str.fullmatch(r"[-+]?\d+").any()  # with three decimals, 2 were 2,000
+        point = next(iter(certain)) if len(certain) == 1 else point if usual else other
     mark = "." if point == "," else ","
     plain = digits.str.replace(mark, "", regex=False).str.replace(point, ".", regex=False)
     numbers = pd.to_numeric(plain.where(digits.str.fullmatch(_number(point))), errors="coerce")
