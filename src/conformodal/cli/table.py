@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections import Counter
 from contextlib import suppress
@@ -32,6 +33,9 @@ _DATE = r"^(\d{1,4})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}\d{1,4}"
 _PARTS = (  # brackets in pairs, and one sign
     r"^(?P<open>\()?(?P<sign>[-+])?(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
     r"(?P<unit>[^-\d.,()]{0,6})(?P<end>(?(sign)|-?))(?(open)\))$"
+)
+_BLANKS = re.compile(  # between thousands, and anywhere but between digits
+    r"(?<=\d)(?<!\d{4})[\s'\u2019](?=\d{3}(?!\d))|(?<![\d\s])[\s'\u2019]+|\s+(?![\d\s])"
 )
 _CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # of values that are missing
 _SEPARATORS, _LOOKED_AT = ";\t,|", 1_000_000  # characters
@@ -133,7 +137,7 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
     Commas, semicolons, tabs or bars separate; UTF-8, UTF-16 and the encoding of Western Windows are read. A column
     holds numbers or dates if 95 % of its values are; the others are then missing. Where 1.125 or 1,125 could mean two
     things, the column's other numbers decide, then other columns, then the separator: beside semicolons a comma is
-    decimal, beside others a point; the other mark groups thousands if commas separate or the column holds whole numbers.
+    decimal, beside others a point; the other mark groups thousands if commas separate or the column has whole numbers.
     """
     raw, names, separator, notes = _cells(file)
     parts = [_parts(raw[name].dropna()) for name in names]
@@ -237,7 +241,7 @@ def _parts(known: pd.Series) -> tuple[pd.Series, str]:
     """Numbers without blanks, and without the unit or currency that all have; minus signs stand first."""
     if _is_plain(known):
         return known, ""
-    digits = known.str.replace(r"[\s'\u2019]", "", regex=True).str.replace("\u2212", "-", regex=False)
+    digits = known.str.replace(_BLANKS, "", regex=True).str.replace("\u2212", "-", regex=False)
     split = digits.str.extract(_PARTS)
     units = (split["currency"] + split["unit"]).dropna().unique()
     if len(units) != 1 or split["number"].notna().mean() < _LEAST_SHARE:
