@@ -286,7 +286,7 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
     mark = "." if point == "," else ","
     plain = digits.str.replace(mark, "", regex=False).str.replace(point, ".", regex=False)
     numbers = pd.to_numeric(plain.where(digits.str.fullmatch(_number(point))), errors="coerce")
-    return _finite(numbers, column)
+    return _finite(numbers, column) if numbers.notna().any() else column
 
 
 def _is_plain(digits: pd.Series) -> bool:
@@ -300,7 +300,8 @@ def _finite(numbers: pd.Series, column: pd.Series) -> pd.Series:
 def _number(point: str) -> str:
     """A pattern of numbers with a decimal point or comma, and perhaps the other one between thousands."""
     mark = "." if point == "," else ","
-    return rf"[-+]?([1-9]\d{{0,2}}(\{mark}\d{{2,3}})*\{mark}\d{{3}}|\d*)(\{point}\d*)?([eE][-+]?\d+)?|[-+]?inf"
+    grouped = rf"[1-9]\d{{0,2}}(\{mark}\d{{2,3}})*\{mark}\d{{3}}(\{point}\d*)?"
+    return rf"[-+]?({grouped}|\d*(\{point}\d*)?([eE][-+]?\d+)?|inf)"
 
 
 def _grouped(digits: pd.Series) -> pd.Series:
