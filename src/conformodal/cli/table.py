@@ -29,7 +29,9 @@ _SHOWN, _NAMED, _FEW = 3, 20, 1000  # rows, columns, rows
 _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _PICTURES = (".svg", ".png", ".pdf")
-_DATE = r"^(\d{1,4})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}\d{1,4}"
+_DATE = (  # with a year of four digits, or two at the end
+    r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
+)
 _PARTS = (  # brackets in pairs, and one sign
     r"^(?P<open>\()?(?P<sign>[-+])?(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
     r"(?P<unit>[^-\d.,()]{0,6})(?P<end>(?(sign)|-?))(?(open)\))$"
@@ -262,12 +264,12 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
         return _finite(pd.to_numeric(digits), column)
     dates = known.str.extract(_DATE)
     if dates[0].notna().mean() >= _LEAST_SHARE:
-        first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 1))
+        first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 2))
         year_first = first > 31
         day_first = bool((first[~year_first] > 12).any())
         month_first = bool((second[~year_first] > 12).any())
         if not (day_first and month_first):  # else nobody knows which is the month
-            day_first |= separator == ";" and not month_first
+            day_first |= not month_first and (separator == ";" or known[~year_first].str.match(r"\d+\.").all())
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of days and months in another order
                 how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
