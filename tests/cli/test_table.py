@@ -89,8 +89,19 @@ def test_decimal_and_thousands_marks(tmp_path, text, expected):
     assert read_table(written(tmp_path, text))[0]["a"].tolist() == expected
 
 
-def test_a_mark_that_could_be_decimal_is_told(tmp_path):
-    assert "a: '5,678' is read as 5678" in read_table(written(tmp_path, 'a,b\n1.125,x\n"5,678",y\n'))[1]
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        ('a,b\n1.125,x\n"5,678",y\n', "a: '5,678' is read as 5678"),
+        ("a,b\n1,x\n(2),y\n", "a: '(2)' is read as -2"),
+        (
+            'a,b\n1,x\n"5 inch,2\n3,4\n"6 inch,5\n7,8\n',
+            "1 row has values of several lines, such as row 2; a quote that is not closed joins rows",
+        ),
+    ],
+)
+def test_what_could_mean_two_things_is_told(tmp_path, text, note):
+    assert note in read_table(written(tmp_path, text))[1]
 
 
 def test_a_few_values_that_are_no_numbers_are_missing_and_told(tmp_path):

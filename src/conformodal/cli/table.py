@@ -155,9 +155,10 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
             told.append(f"dates, of which {column[at]!r} is read as {found[at]:%Y-%m-%d}")
         elif found.dtype.kind == "f":
             told += [f"numbers without their {unit!r}"] if unit else []
-            doubtful = digits[_grouped(digits)] if len(point) > 1 else digits[:0]
-            other = found[doubtful.index] != pd.to_numeric(doubtful, errors="coerce")
-            told += [f"{column[at]!r} is read as {found[at]:.12g}" for at in doubtful.index[other][:1]]
+            grouped = found[digits.index[_grouped(digits)] if len(point) > 1 else []].dropna()
+            unlike = grouped.index[grouped != pd.to_numeric(digits[grouped.index], errors="coerce")]
+            bracketed = column.index[column.str.startswith("(", na=False) & found.notna()]
+            told += [f"{column[at]!r} is read as {found[at]:.12g}" for at in (*unlike[:1], *bracketed[:1])]
             codes = found[found.isin(_CODES)]
             if len(codes) > 1 and codes.iloc[0] in (found.min(), found.max()):
                 told.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; leave cells empty if it means missing")
@@ -194,6 +195,10 @@ def _cells(file: Path) -> tuple[pd.DataFrame, list[str], str, list[str]]:
         raise TableError(f"{file}: several columns are called {listed(twice)}; give each a name of its own")
     notes = [f"{file}: {counted(len(raw), 'row')}, {counted(n_named, 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
+    joined = np.flatnonzero(raw.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    if joined.size:
+        number = counted(joined.size, "row has values", "rows have values")
+        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
     return raw.iloc[:, :n_named].set_axis(names, axis=1), names, separator, notes
 
 
