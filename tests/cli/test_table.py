@@ -1,5 +1,6 @@
 """A CSV file as spreadsheets write it, at the command line."""
 
+import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -43,6 +44,13 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ('a,b\n"1,5",x\n"2,25",y\n', [1.5, 2.25]),
         ("a\tb\n1,234\tx\n2\ty\n", [1234, 2]),  # with three decimals, 2 were 2,000
         ("a\tb\n1,234\tx\n2,500\ty\n", [1.234, 2.5]),
+        ("a,b\n1.125,x\n2,y\n", [1.125, 2]),
+        ("a\tb\n$1.125\tx\n$2\ty\n", [1.125, 2]),
+        ("a;b\n1,125;x\n2;y\n", [1.125, 2]),
+        ("a;b\n1.125;x\n2;y\n", [1125, 2]),
+        ('a,b\n1.125,"0,5"\n2,"0,25"\n', [1125, 2]),
+        ("a,b\n1.125,x\n1.234.567,y\n", [1125, 1234567]),
+        ('a,b\n1.125,x\n"5,678",y\n', [1.125, 5678]),
         ("a;b\n1.234;0,5\n2.345;0,25\n", [1234, 2345]),  # as the decimal commas beside them
         ("a;b\n1.234;0.5\n2.345;0.25\n", [1.234, 2.345]),
         ("a;b\n1.234;x\n2345;y\n", [1.234, 2345]),
@@ -53,6 +61,9 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ("a,b\n\u22121.5,x\n+2,y\n", [-1.5, 2]),
         ("a,b\n(1.5),x\n2,y\n", [-1.5, 2]),
         ("a,b\n1.5-,x\n2,y\n", [-1.5, 2]),
+        ("a,b\n1),x\n2),y\n", ["1)", "2)"]),
+        ("a,b\n(1,x\n2,y\n", ["(1", "2"]),
+        ("a,b\n+1-,x\n2,y\n", ["+1-", "2"]),
         ("a,b\n1.5%,x\n20 %,y\n", [1.5, 20]),
         ('a,b\n"$1,234.50",x\n-$2,y\n', [1234.5, -2]),
         ("a;b\n1.234,50 \u20ac;x\n2,5 \u20ac;y\n", [1234.5, 2.5]),
@@ -62,11 +73,35 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ("a,b\n12:30,x\n6:15,y\n", ["12:30", "6:15"]),
         ("a|b\n-1e3|x\n2|y\n", [-1000, 2]),
         ("a;b\n1 000,5;x\n2;y\n", [1000.5, 2]),
+        ("a;b\n- 5 \u20ac;x\n12\u202f345 \u20ac;y\n", [-5, 12345]),
+        ("a,b\n'5,x\n6,y\n", [5, 6]),
+        ("a,b\n5'11,x\n5'9,y\n", ["5'11", "5'9"]),
+        ("a,b\n48 30,x\n9 15,y\n", ["48 30", "9 15"]),
+        ("a,b\n2020 123,x\n2021 456,y\n", ["2020 123", "2021 456"]),
+        ('a,b\n"1,125e3",x\n2,y\n', [1125, 2]),
+        ("a,b\n+,x\n-,y\n", ["+", "-"]),
+        ("a,b\n1.2.3,x\n1.4.0,y\n", ["1.2.3", "1.4.0"]),
+        ("a,b\n1 1/2,x\n2 1/4,y\n", ["1 1/2", "2 1/4"]),
         ("a;b\n1.2.3;x\n1,2;y\n", ["1.2.3", "1,2"]),
     ],
 )
 def test_decimal_and_thousands_marks(tmp_path, text, expected):
     assert read_table(written(tmp_path, text))[0]["a"].tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        ('a,b\n1.125,x\n"5,678",y\n', "a: '5,678' is read as 5678"),
+        ("a,b\n1,x\n(2),y\n", "a: '(2)' is read as -2"),
+        (
+            'a,b\n1,x\n"5 inch,2\n3,4\n"6 inch,5\n7,8\n',
+            "1 row has values of several lines, such as row 2; a quote that is not closed joins rows",
+        ),
+    ],
+)
+def test_what_could_mean_two_things_is_told(tmp_path, text, note):
+    assert note in read_table(written(tmp_path, text))[1]
 
 
 def test_a_few_values_that_are_no_numbers_are_missing_and_told(tmp_path):
@@ -108,6 +143,8 @@ def test_a_name_of_two_lines_is_a_name(tmp_path):
         (["3/2/2024", "15/2/2024"], "2024-02-03"),
         (["3/2/2024", "2/15/2024"], "2024-03-02"),
         (["2024-03-02", "2024-02-15"], "2024-03-02"),
+        (["3.2.24", "4.5.24"], "2024-02-03"),
+        (["3/2/24", "4/5/24"], "2024-03-02"),
         (["2-Mar-2024", "15-Feb-2024"], "2024-03-02"),
     ],
 )
@@ -115,6 +152,15 @@ def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, firs
     frame, notes = read_table(written(tmp_path, "\n".join(["a,b", *(f"{day},1" for day in days)])))
     assert frame["a"][0] == pd.Timestamp(first)
     assert f"a: dates, of which {days[0]!r} is read as {first}" in notes
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"])
+def test_a_year_in_front_is_followed_by_the_month(tmp_path, form, separator):
+    days = pd.Series(pd.date_range("2024-01-01 10:30", "2024-12-31 10:30"))
+    lines = [f"a{separator}b", f"15.3.2024{separator}1", *(f"{day:{form}}{separator}1" for day in days)]
+    found = read_table(written(tmp_path, "\n".join(lines)))[0]["a"]
+    assert found.dt.date.tolist() == [pd.Timestamp("2024-03-15").date(), *days.dt.date]
 
 
 def test_dates_that_mix_their_orders_stay_text(tmp_path):
@@ -152,6 +198,13 @@ def test_what_is_no_table_is_refused(tmp_path, content, says):
     (tmp_path / "own.csv").write_bytes(content)
     with pytest.raises(TableError, match=says):
         read_table(tmp_path / "own.csv")
+
+
+@pytest.mark.parametrize("line", ['"5 inch;1', '1;"5 inch'])  # in the second, commas alone find no quote
+def test_a_quote_that_is_not_closed_is_refused_with_its_line(tmp_path, line):
+    path = written(tmp_path, "\n".join(["a;b", "6;1", line, *["7;2"] * 40_000]))
+    with pytest.raises(TableError, match=r"own\.csv: line 3: .* is its quote not closed"):
+        read_table(path)
 
 
 def frame(n=100):
@@ -223,10 +276,35 @@ def test_other_files_are_not_overwritten(tmp_path, option, name, says):
     assert not (tmp_path / "new.gif").exists()
 
 
-def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
-    for module in (quick, location):  # short fits
+@pytest.mark.parametrize(("option", "package"), [("--plot", "matplotlib"), ("--model", "skops")])
+def test_a_missing_extra_is_told_before_the_file_is_read(tmp_path, monkeypatch, option, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    result = invoke("table", tmp_path / "missing.csv", "--target", "y", option, tmp_path / "new.png")
+    assert result.exit_code == 2
+    assert f"{option} needs {package}, which is not installed" in result.stderr
+
+
+def test_the_regressor_is_saved_before_the_picture_is_drawn(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("skops")
+    shorten_fits(monkeypatch)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", None)
+    frame(150).to_csv(tmp_path / "own.csv", index=False)
+    outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
+    result = invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs)
+    assert result.exit_code == 70
+    assert f"regressor: {tmp_path / 'reg.cm'}" in result.output
+    assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
+
+
+def shorten_fits(monkeypatch):
+    for module in (quick, location):
         monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
     monkeypatch.setattr(process, "_STAGES", ((30, 3),))
+
+
+def test_the_command_says_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
+    shorten_fits(monkeypatch)
     X = frame(150)
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")

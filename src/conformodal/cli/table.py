@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections import Counter
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +18,7 @@ import typer
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, Diagnosis
 from conformodal.conformal.learning.saving import check_replaceable
+from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
 
@@ -26,10 +29,15 @@ _SHOWN, _NAMED, _FEW = 3, 20, 1000  # rows, columns, rows
 _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _PICTURES = (".svg", ".png", ".pdf")
-_DATE = r"^(\d{1,4})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}\d{1,4}"
-_PARTS = (
-    r"^(?P<sign>\(?[-+]?)(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
-    r"(?P<unit>[^-\d.,()]{0,6})(?P<end>[-)]?)$"
+_DATE = (  # with a year of four digits, or two at the end
+    r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
+)
+_PARTS = (  # brackets in pairs, and one sign
+    r"^(?P<open>\()?(?P<sign>[-+])?(?P<currency>[$\u20ac\u00a3\u00a5]?)(?P<number>[\d.,]*\d[.,]?(?:[eE][-+]?\d+)?)"
+    r"(?P<unit>[^-\d.,()]{0,6})(?P<end>(?(sign)|-?))(?(open)\))$"
+)
+_BLANKS = re.compile(  # between thousands, and anywhere but between digits
+    r"(?<=\d)(?<!\d{4})[\s'\u2019](?=\d{3}(?!\d))|(?<![\d\s])[\s'\u2019]+|\s+(?![\d\s])"
 )
 _CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # of values that are missing
 _SEPARATORS, _LOOKED_AT = ";\t,|", 1_000_000  # characters
@@ -80,21 +88,28 @@ def table(
     found = reg.diagnose(X.iloc[test], y.iloc[test])
     for line in str(found).splitlines():
         report_line(line)
-    if plot is not None:
-        _draw(reg, X.iloc[test], y.iloc[test], found, plot)
     if model is not None:
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
+    if plot is not None:
+        _draw(reg, X.iloc[test], y.iloc[test], found, plot)
 
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
-    """Refuse to write over what this command has not written, before any work begins."""
+    """Refuse to write over what this command has not written, and without the extras, before any work begins."""
     if plot is not None and plot.suffix not in _PICTURES:
         raise TableError(f"{plot}: the name of a picture ends with {', '.join(_PICTURES)}")
     if plot is not None and plot.exists() and not (plot.is_file() and b"conformodal" in plot.read_bytes()):
         raise TableError(f"{plot}: exists and is not a picture of this command, not replaced; name another file")
     if model is not None:
         check_replaceable(model)
+    for option, value, extra, package in (
+        ("--plot", plot, "figures", "matplotlib"),
+        ("--model", model, "save", "skops"),
+    ):
+        if value is not None:
+            with require_extra(extra, option):
+                import_module(package)
 
 
 def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, found: Diagnosis, plot: Path) -> None:
@@ -121,8 +136,10 @@ def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, found: Diag
 def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
     """A CSV file with its numbers and dates read, and what was found.
 
-    Commas, semicolons, tabs or bars separate; numbers may have decimal commas; UTF-8, UTF-16 and the encoding of
-    Western Windows are read. A column holds numbers or dates if 95 % of its values are; the others are then missing.
+    Commas, semicolons, tabs or bars separate; UTF-8, UTF-16 and the encoding of Western Windows are read. A column
+    holds numbers or dates if 95 % of its values are; the others are then missing. Where 1.125 or 1,125 could mean two
+    things, the column's other numbers decide, then other columns, then the separator: beside semicolons a comma is
+    decimal, beside others a point; the other mark groups thousands if commas separate or the column has whole numbers.
     """
     raw, names, separator, notes = _cells(file)
     parts = [_parts(raw[name].dropna()) for name in names]
@@ -138,9 +155,10 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
             told.append(f"dates, of which {column[at]!r} is read as {found[at]:%Y-%m-%d}")
         elif found.dtype.kind == "f":
             told += [f"numbers without their {unit!r}"] if unit else []
-            doubtful = digits[_grouped(digits)] if len(point) > 1 else digits[:0]
-            if len(doubtful) and found[at := doubtful.index[0]] != pd.to_numeric(doubtful[at], errors="coerce"):
-                told.append(f"{column[at]!r} is read as {found[at]:.12g}")
+            grouped = found[digits.index[_grouped(digits)] if len(point) > 1 else []].dropna()
+            unlike = grouped.index[grouped != pd.to_numeric(digits[grouped.index], errors="coerce")]
+            bracketed = column.index[column.str.startswith("(", na=False) & found.notna()]
+            told += [f"{column[at]!r} is read as {found[at]:.12g}" for at in (*unlike[:1], *bracketed[:1])]
             codes = found[found.isin(_CODES)]
             if len(codes) > 1 and codes.iloc[0] in (found.min(), found.max()):
                 told.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; leave cells empty if it means missing")
@@ -153,7 +171,7 @@ def read_table(file: Path) -> tuple[pd.DataFrame, list[str]]:
 def _cells(file: Path) -> tuple[pd.DataFrame, list[str], str, list[str]]:
     """The text of all cells, without blanks around it; the columns' names, the separator, and what was found."""
     text = _text(file)
-    above, separator, width = _arrangement(text)
+    above, separator, width = _arrangement(text, file)
     shape: dict[str, Any] = {"sep": separator, "skiprows": above, "header": None, "names": range(width)}
     try:
         with warnings.catch_warnings():
@@ -177,6 +195,10 @@ def _cells(file: Path) -> tuple[pd.DataFrame, list[str], str, list[str]]:
         raise TableError(f"{file}: several columns are called {listed(twice)}; give each a name of its own")
     notes = [f"{file}: {counted(len(raw), 'row')}, {counted(n_named, 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
+    joined = np.flatnonzero(raw.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    if joined.size:
+        number = counted(joined.size, "row has values", "rows have values")
+        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
     return raw.iloc[:, :n_named].set_axis(names, axis=1), names, separator, notes
 
 
@@ -194,23 +216,30 @@ def _text(file: Path) -> str:
     raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
 
 
-def _arrangement(text: str) -> tuple[int, str, int]:
+def _arrangement(text: str, file: Path) -> tuple[int, str, int]:
     """Lines above the names, the separator, and the most values of a row.
 
     Most rows have equally many values, more than one; names have as many. Of several separators, the one with the least
     above the names is right.
     """
-    found = []
+    found, endless = [], 0
     for k, separator in enumerate(_SEPARATORS):
         reader = csv.reader(io.StringIO(text[:_LOOKED_AT], newline=""), delimiter=separator, skipinitialspace=True)
         rows, at = [], 0
-        for row in reader:
-            filled = [i for i, field in enumerate(row, start=1) if field.strip()]
-            rows += [(at, filled[-1], len(row))] if filled else []
-            at = reader.line_num
+        try:
+            for row in reader:
+                filled = [i for i, field in enumerate(row, start=1) if field.strip()]
+                rows += [(at, filled[-1], len(row))] if filled else []
+                at = reader.line_num
+        except csv.Error:  # a value longer than Python's limit
+            endless = at + 1
+            continue
         usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
         above = next((at for at, n, _ in rows if n >= usual), 0)
         found.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
+    if endless and all(single for single, *_ in found):
+        limit = csv.field_size_limit()
+        raise TableError(f"{file}: line {endless}: a value has more than {limit} characters; is its quote not closed?")
     _, above, _, separator, width = min(found)
     return above, separator, width
 
@@ -219,12 +248,12 @@ def _parts(known: pd.Series) -> tuple[pd.Series, str]:
     """Numbers without blanks, and without the unit or currency that all have; minus signs stand first."""
     if _is_plain(known):
         return known, ""
-    digits = known.str.replace(r"[\s'\u2019]", "", regex=True).str.replace("\u2212", "-", regex=False)
+    digits = known.str.replace(_BLANKS, "", regex=True).str.replace("\u2212", "-", regex=False)
     split = digits.str.extract(_PARTS)
     units = (split["currency"] + split["unit"]).dropna().unique()
     if len(units) != 1 or split["number"].notna().mean() < _LEAST_SHARE:
         return digits, ""
-    minus = split["sign"].str.contains(r"[-(]", regex=True) | split["end"].isin(["-", ")"])
+    minus = split["open"].notna() | (split["sign"] == "-") | (split["end"] == "-")
     return split["number"].where(~minus, "-" + split["number"]).fillna(digits), str(units[0])
 
 
@@ -240,26 +269,31 @@ def _converted(column: pd.Series, digits: pd.Series, points: str, certain: set[s
         return _finite(pd.to_numeric(digits), column)
     dates = known.str.extract(_DATE)
     if dates[0].notna().mean() >= _LEAST_SHARE:
-        first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 1))
-        day_first = bool((first[first < 32] > 12).any())
-        if not (day_first and (second > 12).any()):  # else nobody knows which is the month
-            day_first |= separator == ";" and not (second > 12).any()
+        first, second = (pd.to_numeric(dates[k], errors="coerce") for k in (0, 2))
+        year_first = first > 31
+        day_first = bool((first[~year_first] > 12).any())
+        month_first = bool((second[~year_first] > 12).any())
+        if not (day_first and month_first):  # else nobody knows which is the month
+            day_first |= not month_first and (separator == ";" or known[~year_first].str.match(r"\d+\.").all())
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of days and months in another order
-                found = pd.to_datetime(known, errors="coerce", format="mixed", dayfirst=day_first, utc=True)
+                how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
+                found = pd.to_datetime(known.mask(year_first), dayfirst=day_first, **how)
+                found = found.fillna(pd.to_datetime(known.where(year_first), **how))
             if found.notna().mean() >= _LEAST_SHARE:
                 return found.dt.tz_localize(None).reindex(column.index)
     if not points:
         return column
     point = points[0]
-    if len(points) > 1:  # 1.234: as in other columns; integers beside it make it more than a thousand
-        comma = bool(digits.str.contains(",", regex=False).any())
-        thousands = bool(digits.str.fullmatch(r"[-+]?\d+").any()) or (comma and separator == ",")
-        point = next(iter(certain)) if len(certain) == 1 else "." if comma == thousands else ","
+    if len(points) > 1:  # as in other columns, or as is usual with the separator
+        point, other = ",." if separator == ";" else ".,"
+        usual = separator == "," or digits.str.contains(point, regex=False).any()
+        usual |= digits.str.fullmatch(r"[-+]?\d+").any()  # with three decimals, 2 were 2,000
+        point = next(iter(certain)) if len(certain) == 1 else point if usual else other
     mark = "." if point == "," else ","
     plain = digits.str.replace(mark, "", regex=False).str.replace(point, ".", regex=False)
     numbers = pd.to_numeric(plain.where(digits.str.fullmatch(_number(point))), errors="coerce")
-    return _finite(numbers, column)
+    return _finite(numbers, column) if numbers.notna().any() else column
 
 
 def _is_plain(digits: pd.Series) -> bool:
@@ -273,7 +307,8 @@ def _finite(numbers: pd.Series, column: pd.Series) -> pd.Series:
 def _number(point: str) -> str:
     """A pattern of numbers with a decimal point or comma, and perhaps the other one between thousands."""
     mark = "." if point == "," else ","
-    return rf"[-+]?([1-9]\d{{0,2}}(\{mark}\d{{2,3}})*\{mark}\d{{3}}|\d*)(\{point}\d*)?([eE][-+]?\d+)?|[-+]?inf"
+    grouped = rf"[1-9]\d{{0,2}}(\{mark}\d{{2,3}})*\{mark}\d{{3}}(\{point}\d*)?"
+    return rf"[-+]?({grouped}|\d*(\{point}\d*)?([eE][-+]?\d+)?|inf)"
 
 
 def _grouped(digits: pd.Series) -> pd.Series:
