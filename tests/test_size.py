@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2980,
+    "cli": 2990,
     "conformal": 5670,
     "core": 410,
     "datasets": 5650,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20280
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20420
