@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5670,
     "core": 410,
     "datasets": 5650,
-    "localization": 3250,
+    "localization": 3270,
     "model": 1450,
     "motion": 1070,
     "networks": 730,
