@@ -106,3 +106,20 @@ def test_progress_is_written_beside_the_folder_of_results(tmp_path, monkeypatch)
         while not log.exists() or "training 1/3\n" not in log.read_text():
             time.sleep(0.01)
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d training 1/3", log.read_text().splitlines()[-1])
+    first = log.read_text()
+    with progress_bars(tmp_path / "model") as report:
+        while log.read_text() == first or "evaluation 0/3\n" not in log.read_text():
+            report("evaluation", 0, 3)
+            time.sleep(0.01)
+    assert "training" not in log.read_text()  # the log of the run before is replaced
+
+
+@pytest.mark.parametrize("content", [b"", b"2026-01-01 08:00:00 my notes\n"])
+def test_a_log_of_another_program_is_left_alone(content, tmp_path, monkeypatch):
+    monkeypatch.setattr("conformodal.cli.console._LOG_EVERY_S", 0.01)
+    log = tmp_path / "runs.log"
+    log.write_bytes(content)
+    with progress_bars(tmp_path / "runs") as report:
+        report("training", 1, 3)
+        time.sleep(0.1)
+    assert log.read_bytes() == content

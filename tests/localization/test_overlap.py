@@ -29,6 +29,19 @@ def test_a_rigid_offset_that_most_images_agree_on_is_found(outliers):
     assert "likely 0." in found.describe("a", "b")
 
 
+@pytest.mark.parametrize("depth_m", [0.3, 2.0, 15.0])
+@pytest.mark.parametrize(("depths", "scatter", "differs"), [(0.04, 0, False), (0.06, 0.04, True), (0.06, 0.08, False)])
+def test_an_offset_counts_beside_the_depth_of_the_scene_and_the_scatter(depth_m, depths, scatter, differs):
+    motions = np.tile(np.eye(4), (33, 1, 1))
+    angles = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    motions[1:, :3, 3] = scatter * np.column_stack((np.cos(angles), np.sin(angles), 0 * angles))
+    motions[:, 0, 3] += depths
+    motions[:, :3, 3] *= depth_m
+    found = _common_motion(motions, np.zeros(3), 0.9, 40, depth_m=depth_m)
+    assert (found.n_agree, found.offset_m) == (33, pytest.approx(depths * depth_m))
+    assert found.moved == differs
+
+
 def test_images_that_disagree_show_no_offset():
     motions = np.tile(np.eye(4), (20, 1, 1))
     motions[:, :3, 3] = np.random.default_rng(0).normal(0, 5, (20, 3))

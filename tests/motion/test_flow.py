@@ -26,7 +26,6 @@ def test_the_flow_of_corners_is_found_though_some_are_wrong():
 @pytest.mark.parametrize(("seconds", "n"), [(0.0, 200), (5.0, 200), (0.05, 5)])
 def test_few_corners_or_a_long_time_give_no_flow(seconds, n):
     assert affine_flow(tracks_of(seconds, n), seconds, CAMERA) is NO_FLOW
-    assert affine_flow(None, seconds, CAMERA) is NO_FLOW
 
 
 def test_rows_are_moved_to_the_time_of_the_pose():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.datasets import read_sequence
+from conformodal.datasets import ImageError, read_sequence
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.localization.targets import pose_targets
@@ -102,8 +102,8 @@ def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, b
     for frame in SequenceStream(sequence, frames[:n]):
         if frame.answer:
             said.append(odometry.step(frame.image, frame.timestamp_s).pose.positions_xyz[0])
-        elif frame.image is not None:
-            odometry.track_only(frame.image)
+        else:
+            odometry.track_only(frame.image, frame.timestamp_s)
     online = run.trajectories["online"].positions_xyz
     # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
     assert np.mean(np.linalg.norm(online[:n] - said, axis=1) < 1e-3) > 0.9
@@ -111,6 +111,31 @@ def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, b
         seen = run.observations(np.arange(cut))
         path, _ = choose_places(filter_posteriors(seen, model.prior), seen.timestamps_s, model.prior)
         np.testing.assert_array_equal(path.positions_xyz, online[:cut], err_msg=f"{cut}")
+
+
+def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
+    sequence, model = world
+    frames, seen = np.arange(60, 90, 4), []
+    localize = type(model).localize
+    monkeypatch.setattr(type(model), "localize", lambda own, e: seen.extend(e.local_features) or localize(own, e))
+    odometry = VisualOdometry(model)
+    for frame in SequenceStream(sequence, frames):
+        image = None if frame.index in (71, 79) else frame.image
+        odometry.step(image, frame.timestamp_s) if frame.answer else odometry.track_only(image, frame.timestamp_s)
+    read = type(sequence).image
+    paths = [sequence.image_paths[i] for i in (71, 79)]
+
+    def image(own, i):
+        if own.image_paths[i] in paths:
+            raise ImageError(f"{own.image_paths[i]}: unreadable")
+        return read(own, i)
+
+    monkeypatch.setattr(type(sequence), "image", image)
+    found = odometry.measure_motions(sequence, frames)
+    for i, its in zip(frames, seen, strict=True):
+        np.testing.assert_array_equal(its.flow, found.local_features[i].flow)
+    moving = [i for i, its in zip(frames, seen, strict=True) if its.flow.any()]
+    assert moving == [64, 68, 76, 84, 88]  # at 10 Hz, what was before a frame that cannot be read is too long ago
 
 
 def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):

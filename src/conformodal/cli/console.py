@@ -31,6 +31,7 @@ from .options import check_options
 
 P = ParamSpec("P")
 _LOG_EVERY_S = 10.0
+_LOG_HEADER = b"# progress of conformodal\n"  # a log without it is another program's
 
 
 def plain(text: str) -> str:
@@ -107,7 +108,7 @@ def progress_bars(out: Path | None = None) -> Iterator[StageProgress]:
     """Bars for stages: call the yielded function with stage, steps done and steps in all.
 
     Every ten seconds, a line with the stages under way is written into the file ``OUT.log`` beside the folder of the
-    results, if there is one.
+    results, if there is one. Another program's file of that name, or that of a pipe into it, stays as it is.
     """
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
@@ -128,14 +129,20 @@ def progress_bars(out: Path | None = None) -> Iterator[StageProgress]:
 
 
 def _log_progress(out: Path, progress: Progress, ended: Event) -> None:
-    log, mode = out.resolve(), "w"
+    log, mode = out.resolve(), "wb"
     log = log.with_name(f"{log.name}.log")
     while not ended.wait(_LOG_EVERY_S):
         tasks = [task for task in progress.tasks if not task.finished] or progress.tasks[-1:]
         stages = ", ".join(f"{task.description} {task.completed:g}/{task.total:g}" for task in tasks)
-        with suppress(OSError), log.open(mode, encoding="utf-8") as file:  # what cannot be written stops no work
-            print(time.strftime("%Y-%m-%d %H:%M:%S"), stages, file=file)
-        mode = "a"
+        line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stages}\n".encode()
+        with suppress(OSError):  # what cannot be written stops no work
+            if log.exists():
+                with log.open("rb") as file:
+                    if file.read(len(_LOG_HEADER)) != _LOG_HEADER:
+                        return
+            with log.open(mode) as file:
+                file.write(line if mode == "ab" else _LOG_HEADER + line)
+            mode = "ab"
 
 
 _NAMES = {

@@ -60,7 +60,7 @@ def measure_motions(
     answer, times = set(frames.tolist()), sequence.timestamps_s
     front_end = front_end or MotionFrontEnd(sequence.camera)
     found = MotionRecord({}, {})
-    recording, before = None, 0
+    recording, before = None, 0  # the last frame that could be read
     corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
@@ -80,11 +80,11 @@ def measure_motions(
             found.motions[i] = front_end.measure(image)
             if local:
                 corners[i] = front_end.corners
-                flow = affine_flow(front_end.tracks, float(times[i] - times[before]), sequence.camera)
+                flow = affine_flow(front_end.tracker.step, float(times[i] - times[before]), sequence.camera)
                 found.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
-            before = i
         else:
             front_end.track_only(image)
+        before = i
         if progress is not None:
             progress("motion", done, len(span))
     _add_submaps(found, corners, sequence)

@@ -36,6 +36,9 @@ class Overlap:
         Localised images that agree on one rigid motion from its world frame to the known one.
     offset_m, offset_deg
         Of that motion, at the middle of its path; NaN where too few agree.
+    moved
+        Whether a rigid offset between the two world frames is likely: it is large beside the depth of the scene, and
+        beside the scatter of the motions that agree.
     """
 
     share_near: float
@@ -44,11 +47,7 @@ class Overlap:
     n_agree: int = 0
     offset_m: float = float("nan")
     offset_deg: float = float("nan")
-
-    @property
-    def moved(self) -> bool:
-        """Whether a rigid offset between the two world frames is likely."""
-        return self.offset_m > OVERLAP.offset_m or self.offset_deg > OVERLAP.offset_deg
+    moved: bool = False
 
     def describe(self, known: str, new: str) -> str:
         """One line for people."""
@@ -111,8 +110,13 @@ def _common_motion(motions: FloatArray, middle: FloatArray, near: float, n_asked
     n = int(its.sum())
     if n < max(OVERLAP.least, len(motions) / 2):
         return Overlap(near, n_asked, len(motions), n)
-    apart = float(np.linalg.norm(np.median(places[its], axis=0) - middle))
-    return Overlap(near, n_asked, len(motions), n, apart, float(np.degrees(turns[its].mean().magnitude())))
+    place, turn = np.median(places[its], axis=0), turns[its].mean()
+    offset_m, offset_deg = float(np.linalg.norm(place - middle)), float(np.degrees(turn.magnitude()))
+    scatter_m = np.median(np.linalg.norm(places[its] - place, axis=1))
+    scatter_deg = np.degrees(np.median((turns[its] * turn.inv()).magnitude()))
+    moved = offset_m > max(OVERLAP.offset_depths * depth_m, scatter_m)
+    moved |= offset_deg > max(OVERLAP.offset_deg, scatter_deg)
+    return Overlap(near, n_asked, len(motions), n, offset_m, offset_deg, bool(moved))
 
 
 def _share_near(poses: Trajectory, views: Trajectory) -> float:

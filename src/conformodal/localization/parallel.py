@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from functools import cache
-from threading import Event, current_thread, main_thread
 from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -16,32 +16,41 @@ from conformodal.core.progress import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_interrupted = Event()
+# the errors of each call of in_threads that the thread works for, of those around the innermost one too
+_errors: ContextVar[tuple[list[BaseException], ...]] = ContextVar("errors", default=())
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """Results of `work` in the order of the items, which do not depend on the number of threads.
 
-    Matrix products take one thread each: idle BLAS threads spin, which slows whatever runs at the same time. An
-    interrupt of the main thread ends the others at their next item.
+    Matrix products take one thread each: idle BLAS threads spin, which slows whatever runs at the same time. The first
+    error, or an interrupt of the main thread, ends what the other threads do, see :func:`go_on`.
     """
+    errors: list[BaseException] = []
+    around = (*_errors.get(), errors)
 
     def checked(item: Item) -> Result:
-        go_on()
-        return work(item)
+        before = _errors.set(around)
+        try:
+            go_on()
+            return work(item)
+        except BaseException as exc:
+            errors.append(exc)
+            raise
+        finally:
+            _errors.reset(before)
 
     found = []
-    if current_thread() is main_thread():
-        _interrupted.clear()
     with _threads().limit(limits=1, user_api="blas"), ThreadPoolExecutor(thread_limit()) as pool:
         try:
             for result in (pool.map if min(len(items), thread_limit()) > 1 else map)(checked, items):
                 found.append(result)
                 if progress is not None:
                     progress(len(found), len(items))
-        except KeyboardInterrupt:
-            _interrupted.set()
-            raise
+        except BaseException as exc:
+            errors.append(exc)
+    if errors:
+        raise errors[0]  # the others ended because of it
     return found
 
 
@@ -53,8 +62,8 @@ def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[
 
 
 def go_on() -> None:
-    """Raise KeyboardInterrupt in other threads if the main thread was interrupted."""
-    if _interrupted.is_set() and current_thread() is not main_thread():
+    """Raise KeyboardInterrupt if other work of a call of :func:`in_threads` around this one has failed."""
+    if any(_errors.get()):
         raise KeyboardInterrupt
 
 

@@ -192,7 +192,8 @@ class _OverlapSettings:
     least: int = 8  # images that must agree
     agree_depths: float = 0.1  # scene depths within which motions agree
     agree_deg: float = 5.0
-    offset_m: float = 0.1  # above, world frames differ
+    # world frames differ by more than this, and by more than half of the motions that agree differ from their median
+    offset_depths: float = 0.05
     offset_deg: float = 3.0
 
 

@@ -13,17 +13,20 @@ from .settings import FLOW
 from .tracker import CornerTracker, grey_image
 from .two_view import undistort
 
+_Step = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]
+
 NO_FLOW = np.zeros((2, 3))
 
 
-def affine_flow(tracks: tuple[FloatArray, FloatArray] | None, seconds: float, camera: PinholeCamera) -> FloatArray:
+def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArray:
     """Flow (2, 3) in pixels per second, as ``flow @ (x, y, 1)`` at an undistorted pixel, by robust least squares.
 
-    `tracks` are pixels (n, 2) of the same corners `seconds` ago and now. Zero, if they are few or that is long ago.
+    `step` are pixels (n, 2) of the same corners `seconds` ago and now, see :attr:`CornerTracker.step`: those of the
+    usable frame directly before, in training as in a run. Zero, if they are few or that is long ago.
     """
-    if tracks is None or not 0 < seconds < FLOW.longest_s or len(tracks[0]) < FLOW.least_corners:
+    if not 0 < seconds < FLOW.longest_s or len(step[0]) < FLOW.least_corners:
         return NO_FLOW
-    before, now = (undistort(pixels, camera) for pixels in tracks)
+    before, now = (undistort(pixels.astype(np.float64), camera) for pixels in step)
     moved, rows = now - before, np.column_stack((now, np.ones(len(now))))
     weights = np.ones((len(now), 1))
     for _ in range(FLOW.iterations):
@@ -34,18 +37,20 @@ def affine_flow(tracks: tuple[FloatArray, FloatArray] | None, seconds: float, ca
 
 
 def flow_of(sequence: Sequence, i: int, image: npt.NDArray[np.uint8]) -> FloatArray:
-    """The flow (2, 3) in a frame of a sequence, its `image`, from the frame before it."""
-    seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[i - 1]) if i else 0.0
-    if not 0 < seconds < FLOW.longest_s or sequence.recording[i] != sequence.recording[i - 1]:
-        return NO_FLOW
-    tracker = CornerTracker()
-    try:
-        tracker.advance(grey_image(sequence.image(i - 1)))
-    except ImageError:
-        return NO_FLOW
-    tracker.mark()
-    tracker.advance(grey_image(image))
-    return affine_flow(tracker.pairs(), seconds, sequence.camera)
+    """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
+    for before in range(i - 1, -1, -1):
+        seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])
+        if not 0 < seconds < FLOW.longest_s or sequence.recording[i] != sequence.recording[before]:
+            break
+        tracker = CornerTracker()
+        try:
+            tracker.advance(grey_image(sequence.image(before)))
+        except ImageError:
+            continue
+        tracker.mark()
+        tracker.advance(grey_image(image))
+        return affine_flow(tracker.step, seconds, sequence.camera)
+    return NO_FLOW
 
 
 def at_pose_time(pixels: FloatArray, flow: FloatArray, shutter: FloatArray, camera: PinholeCamera) -> FloatArray:

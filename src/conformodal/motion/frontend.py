@@ -26,7 +26,8 @@ class FrontEnd(ABC):
     Attributes
     ----------
     tracks
-        Pixels (m, 2) of the same corners in the last two measured frames; None for the first frame.
+        Pixels (m, 2) of the same corners in the last measured frame and in the one before, or a later one where corners
+        were renewed between; None for the first frame.
     corners
         All corners of the last measured frame, for :func:`~conformodal.motion.submaps.build_submaps`.
     """

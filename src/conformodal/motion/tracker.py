@@ -34,7 +34,16 @@ class CornerTracker:
 
     Call :meth:`mark` on a frame to start from, then :meth:`advance` with every later frame; :meth:`pairs` gives the
     marked and current positions of the corners that lived all the way.
+
+    Attributes
+    ----------
+    step
+        Pixels (n, 2) of the corners in the frame before the current one, and the same corners in this one.
+    n_at_mark
+        Corners at the marked frame.
     """
+
+    step: tuple[FloatArray, FloatArray]
 
     def __init__(self) -> None:
         self._n_ever = 0
@@ -46,6 +55,7 @@ class CornerTracker:
         self._now: FloatArray = np.empty((0, 2), np.float32)
         self._marked: FloatArray = np.empty((0, 2), np.float32)
         self._ids: npt.NDArray[np.int64] = np.empty(0, np.int64)
+        self.step = self._now, self._now
         self.n_at_mark = 0
 
     @property
@@ -57,6 +67,7 @@ class CornerTracker:
         """Follow the living corners into the next frame, and drop those that do not come back to their start."""
         previous, self._image = self._image, image
         if previous is None or len(self._now) == 0:
+            self.step = self._now, self._now
             return
         options: dict[str, Any] = {"winSize": (TRACKER.window_px, TRACKER.window_px), "criteria": _UNTIL}
         start = self._now[:, None]
@@ -71,6 +82,7 @@ class CornerTracker:
         alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
         alive &= np.linalg.norm(back - self._now, axis=1) <= TRACKER.max_back_error_px
         alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
+        self.step = self._now[alive], there[alive]
         self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
 
     def mark(self) -> None:

@@ -47,7 +47,8 @@ class Estimate:
     relative_motion
         Motion since the last usable frame, or None.
     tracks
-        Corners of the last usable frame and the same ones here, (m, 2) pixels each, or None.
+        Corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)
+        pixels each, or None.
     corners
         All corners here, or None without an image.
     estimates

@@ -84,18 +84,16 @@ class VisualOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
         self._filter.reset()
-        self._seen_s = None
-        self._answered_s: float | None = None  # of the frame that the front end measured last
+        self._seen_s = self._shown_s = None
         self._n_steps = 0
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
         motion = self._front_end.measure(image)
         local = self._local_features(image)
-        if local is not None and self._answered_s is not None:
-            seconds = timestamp_s - self._answered_s
-            local = local._replace(flow=affine_flow(self._front_end.tracks, seconds, self.model.camera))
-        self._answered_s = timestamp_s
+        if local is not None and self._shown_s is not None:
+            seconds = timestamp_s - self._shown_s
+            local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
         return replace(
             self._push(self._filter, found, motion, timestamp_s),

@@ -44,7 +44,8 @@ class Odometry(ABC):
     lag: int
     match_every: int
     _front_end: FrontEnd
-    _seen_s: float | None  # of the last frame, answered or not
+    _seen_s: float | None  # of the last frame, usable or not
+    _shown_s: float | None  # of the last usable one
 
     @abstractmethod
     def reset(self) -> None:
@@ -69,6 +70,7 @@ class Odometry(ABC):
             estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
         else:
             estimate = self._answer(usable, timestamp_s)
+            self._shown_s = timestamp_s
         self._seen_s = timestamp_s
         return estimate
 
@@ -76,11 +78,20 @@ class Odometry(ABC):
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         """The estimate of a frame that can be used; its time becomes the last one."""
 
-    def track_only(self, image: npt.ArrayLike) -> None:
-        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
+    def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
+        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image.
+
+        Raises
+        ------
+        OdometryError
+            As in :meth:`step`.
+        """
+        timestamp_s = as_time(timestamp_s, self._seen_s)
         found = as_image(image, self.model.camera)
         if not isinstance(found, str):
             self._front_end.track_only(found)
+            self._shown_s = timestamp_s
+        self._seen_s = timestamp_s
 
     def run(self, sequence: Sequence) -> Trajectory:
         """The trajectory of a whole sequence; :meth:`process` gives all the rest."""

@@ -54,7 +54,7 @@ class PaperOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = EssentialFrontEnd(self.model.camera)
         self._path = Greedy()
-        self._seen_s = None
+        self._seen_s = self._shown_s = None
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         found = _localize(self.model, self.model.backbone.features_of(image))

@@ -177,8 +177,7 @@ class StreamRunner:
             self._recording = frame.recording
         self._last = frame
         if not frame.answer:
-            if frame.image is not None:
-                self.odometry.track_only(frame.image)
+            self.odometry.track_only(frame.image, frame.timestamp_s)
             return None
         estimate = self.odometry.step(frame.image, frame.timestamp_s)
         if estimate.region is None:

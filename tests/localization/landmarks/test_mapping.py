@@ -122,6 +122,18 @@ def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
     assert len(choose_tracks([(twice, *triangulate(rays, 0.005))], 4, 0.005).points) == 2
 
 
+def test_a_clock_that_is_far_off_leaves_the_rest_of_the_fit(world_of, stated_camera, depth_m):
+    world, rng = world_of(factor=1.1), np.random.default_rng(2)
+
+    def late(image):
+        still = image._replace(flow=np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 40, 2))))
+        return still._replace(pixels=still.at_pose_time(np.array([-0.1, 0.0]), stated_camera).pixels)
+
+    landmarks = build_map([late(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
+    assert landmarks.shutter.tolist() == [0, 0]
+    assert landmarks.camera.fx == pytest.approx(550, rel=0.015)
+
+
 def test_few_matches_leave_the_camera_as_it_was(stated_camera):
     nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 2)))
     bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))

@@ -1,4 +1,5 @@
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ from threadpoolctl import threadpool_info
 
 from conformodal.core import process
 from conformodal.localization.landmarks.mapping import build_map
-from conformodal.localization.parallel import in_threads
+from conformodal.localization.parallel import in_threads, side_by_side
 
 
 @pytest.fixture
@@ -46,6 +47,39 @@ def test_an_interrupt_ends_what_other_threads_do(threads):
         in_threads(lambda n: in_threads(work, range(n)), [0, 2000], interrupt)
     assert len(done) < 1000
     assert in_threads(str, range(3)) == ["0", "1", "2"]
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_an_error_ends_what_other_threads_do(threads, failing):
+    threads(2)
+    done = []
+
+    def work(item):
+        time.sleep(0.002)
+        done.append(item)
+
+    def fail():
+        time.sleep(0.02)
+        in_threads(lambda item: 1 / item, [1, 0])
+
+    jobs = [lambda: in_threads(work, range(2000))] * 2
+    jobs[failing] = fail
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(*jobs)
+    assert len(done) < 1000
+    assert in_threads(str, range(3)) == ["0", "1", "2"]
+
+
+def test_an_error_that_is_caught_ends_nothing_around_it(threads):
+    threads(2)
+
+    def caught(item):
+        with suppress(ZeroDivisionError):
+            in_threads(lambda n: 1 / n, [item, 0])
+        time.sleep(0.01)
+        return in_threads(str, [item])
+
+    assert in_threads(caught, [1, 2, 3]) == [["1"], ["2"], ["3"]]
 
 
 def test_a_map_does_not_depend_on_the_number_of_threads(threads, world_of, stated_camera, depth_m):

@@ -42,7 +42,7 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     """The camera with the smallest epipolar errors of matches, by robust least squares.
 
     It is fitted to half of the matches. Where it does not reduce the errors of the other half, or is far from the given
-    one, the given one is returned.
+    one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
     """
     given = Mounted(replace(camera, distortion=()), np.eye(4))
     if len(matches.frames) < CAMERA_FIT.least:
@@ -60,6 +60,8 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
         return np.concatenate((errors / CAMERA_FIT.scale_px, unknowns))
 
     found = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30)
+    if np.abs(found.x[7:]).max() >= CAMERA_FIT.most_sigmas:
+        found.x[7:] = 0
     better = _mounted(given, found.x * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
     return better if after < before and np.abs(found.x).max() < CAMERA_FIT.most_sigmas else given
