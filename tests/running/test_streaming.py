@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from conformodal.datasets import ImageError, read_sequence
 from conformodal.datasets.streams.frames import Frame, SourceError
@@ -210,3 +211,20 @@ def test_recordings_are_answered_apart(world, tmp_path):
     assert [i for i, r in enumerate(records) if r["motion"] == "first"] == [0, 10]
     times = read_trajectories(tmp_path)["smoothed"].timestamps_s
     np.testing.assert_allclose(times, [f.timestamp_s for f in frames], atol=1e-6)
+
+
+def test_a_step_multiplies_matrices_in_one_thread(world, monkeypatch):
+    sequence, model = world
+    vo, seen = VisualOdometry(model), []
+    answer = VisualOdometry._answer
+
+    def recorded(self, *args):
+        seen.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+        return answer(self, *args)
+
+    monkeypatch.setattr(VisualOdometry, "_answer", recorded)
+    with threadpool_limits(2, user_api="blas"):
+        vo.step(sequence.image(0), 0.0)
+        assert {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"} == {2}
+    assert seen
+    assert set(seen) == {1}

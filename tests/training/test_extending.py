@@ -135,7 +135,7 @@ def test_the_command_refuses_the_recording_that_it_knows(small_world, tmp_path):
 
 
 def test_one_recording_joins_whole_recordings(by_stretches, cache):
-    model, first, second = by_stretches
+    model, _, second = by_stretches
     whole = replace(model, configuration=model.configuration | {"whole_recordings": True, "split": "recordings"})
     more = extend_model(whole, second, cache, check_world=False)
     n = model.n_calibration

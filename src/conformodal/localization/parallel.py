@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from functools import cache
 from typing import Any, TypeVar
@@ -23,8 +24,8 @@ _errors: ContextVar[tuple[list[BaseException], ...]] = ContextVar("errors", defa
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """Results of `work` in the order of the items, which do not depend on the number of threads.
 
-    Matrix products take one thread each: idle BLAS threads spin, which slows whatever runs at the same time. The first
-    error, or an interrupt of the main thread, ends what the other threads do, see :func:`go_on`.
+    Matrix products take one thread each, see :func:`one_blas_thread`. The first error, or an interrupt of the main
+    thread, ends what the other threads do, see :func:`go_on`.
     """
     errors: list[BaseException] = []
     around = (*_errors.get(), errors)
@@ -41,7 +42,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
             _errors.reset(before)
 
     found = []
-    with _threads().limit(limits=1, user_api="blas"), ThreadPoolExecutor(thread_limit()) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(thread_limit()) as pool:
         try:
             for result in (pool.map if min(len(items), thread_limit()) > 1 else map)(checked, items):
                 found.append(result)
@@ -65,6 +66,12 @@ def go_on() -> None:
     """Raise KeyboardInterrupt if other work of a call of :func:`in_threads` around this one has failed."""
     if any(_errors.get()):
         raise KeyboardInterrupt
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Matrix products take one thread: idle BLAS threads spin, which costs a core and slows whatever else runs."""
+    limited: AbstractContextManager[object] = _threads().limit(limits=1, user_api="blas")
+    return limited
 
 
 @cache

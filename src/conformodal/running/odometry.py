@@ -11,6 +11,7 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence
 from conformodal.localization.motions import MotionRecord
+from conformodal.localization.parallel import one_blas_thread
 from conformodal.model.errors import OdometryError
 from conformodal.model.model import PoseModel
 from conformodal.motion.frontend import FrontEnd
@@ -69,7 +70,8 @@ class Odometry(ABC):
         if isinstance(usable, str):
             estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
         else:
-            estimate = self._answer(usable, timestamp_s)
+            with one_blas_thread():
+                estimate = self._answer(usable, timestamp_s)
             self._shown_s = timestamp_s
         self._seen_s = timestamp_s
         return estimate
