@@ -53,12 +53,12 @@ def test_names():
 
 def test_a_slow_fit_is_announced_and_told_of(capsys):
     with pytest.warns(SlowFitWarning, match=r"48 rows and 1 target will take about 60 seconds") as seen:
-        ConformalRegressor(Slow(), n_bins=5, verbose=True).fit(*table())
+        ConformalRegressor(Slow(), n_bins=5, verbose=True, random_state=0).fit(*table())
     assert seen[0].filename == __file__
     assert "target 1 of 1: 2 of 2 parts" in capsys.readouterr().err
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ConformalRegressor(Slow(9.0), n_bins=5, verbose=True).fit(*table())
+        ConformalRegressor(Slow(9.0), n_bins=5, verbose=True, random_state=0).fit(*table())
     assert capsys.readouterr().err == ""
 
 
