@@ -7,12 +7,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3030,
+    "cli": 3020,
     "conformal": 5690,
     "core": 410,
     "datasets": 5650,
     "localization": 3290,
-    "model": 1450,
+    "model": 1460,
     "motion": 1070,
     "networks": 730,
     "poses": 1020,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20590
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20600

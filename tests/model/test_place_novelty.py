@@ -160,3 +160,10 @@ def test_a_stored_test_has_the_grid_of_its_network(model, tmp_path):
 def test_features_that_no_map_of_the_grid_has_are_refused():
     with pytest.raises(VisionError, match="7 by 9"):
         coarse_features(made_features(np.random.default_rng(3), 2), (7, 9))
+
+
+@pytest.mark.parametrize(("level", "recognised"), [(0.9, 0.45), (1e-6, 0.0)])
+def test_a_recognised_place_is_tested_at_half_the_level_if_a_p_value_can_be_as_small(small_world, level, recognised):
+    model = load_model(small_world.model)
+    model.rules = replace(model.rules, level=level)
+    assert model.recognised_level == recognised

@@ -54,6 +54,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "calibrated_on": model.configuration.get("calibrate_on"),
         "n_calibration": model.n_calibration,
         "novelty_level": rules.level,
+        "recognised_level": model.recognised_level,
         "bounded_regions": {kind.name.lower(): one for kind, one in zip(EvidenceType, reached, strict=True)},
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
@@ -78,8 +79,8 @@ def describe_facts(found: dict[str, Any]) -> list[str]:
         f"guarantee: regions hold {what} with probability at least {1 - found['alpha']:g}, for frames exchangeable "
         f"with the {found['n_calibration']} {units} that calibrated them",
         *(f"evidence {kind}: too few calibration frames, the region is unbounded" for kind in unbounded),
-        f"images whose p-value of showing a known place is at most {found['novelty_level']:g} (half of it where a "
-        "place is recognised) get an unbounded region",
+        f"images whose p-value of showing a known place is at most {found['novelty_level']:g} "
+        f"({found['recognised_level']:g} where a place is recognised) get an unbounded region",
         f"radius around the chosen pose: {radius}",
         f"size: {sum(found['bytes'].values()) / 1e6:.1f} MB",
         f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms per image here",

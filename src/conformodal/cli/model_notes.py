@@ -11,7 +11,6 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted
 from conformodal.datasets import Split, frames_to_known
 from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.localization.settings import NOVELTY
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.config import Method, ModelConfig
 from conformodal.model.model import PoseModel
@@ -108,15 +107,9 @@ def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: in
             f"{model.novelty.test.least_p:.3g}"
         )
     else:
-        recognised = NOVELTY.share_recognised * model.rules.level
-        matched = model.novelty.matched
         lines.append(
-            f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}"
-            + (
-                ", and never if a place is recognised: with so few pieces no p-value is below half of it"
-                if matched is not None and recognised < matched.least_p
-                else ", or half of it if a place is recognised"
-            )
+            f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
+            f"{model.recognised_level:.3g} if a place is recognised"
         )
     return lines
 

@@ -19,6 +19,7 @@ from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.localizer import Localizer
 from conformodal.localization.regions import PoseRegions, Support, pose_regions
+from conformodal.localization.settings import NOVELTY
 from conformodal.poses import PinholeCamera
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.filter import Posterior
@@ -136,6 +137,13 @@ class PoseModel:
     def alpha(self) -> float:
         """Miscoverage rate of the regions."""
         return float(self.rules.overall.alpha)
+
+    @property
+    def recognised_level(self) -> float:
+        """Significance level of the novelty test where a place was recognised; 0 if no p-value is as small."""
+        level = NOVELTY.share_recognised * float(self.rules.level)
+        matched = None if self.novelty is None else self.novelty.matched
+        return level if matched is None or matched.least_p <= level else 0.0
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -79,13 +79,9 @@ def extend_model(
     if check_world and model.landmarks is not None:
         _check_world(model, model.landmarks, sequence)
     n_blocks = _n_blocks(model, sequence)
-    cache, split = (
-        cache or FeatureCache(None),
-        _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None),
-    )
-    features = extract_features(
-        sequence.image_paths, model.backbone, cache, stage_of(progress, "features"), sequence.noise
-    )
+    split = _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None)
+    cache, stage = cache or FeatureCache(None), stage_of(progress, "features")
+    features = extract_features(sequence.image_paths, model.backbone, cache, stage, sequence.noise)
     data = SourceData(
         sequence,
         features,
@@ -104,8 +100,8 @@ def extend_model(
     )
     localizers = localizers or [localizer]
     novelty = model.novelty.extended(features[folds.region_frames], folds.pieces[folds.region_frames])
-    known_before = model.rules, localizer.cells
-    own, together = _pooled(model, calibrate_regions(data, folds, localizers, novelty, config, known_before))
+    new_rules = calibrate_regions(data, folds, localizers, novelty, config, (model.rules, localizer.cells))
+    own, together = _pooled(model, new_rules)
     known = model.known_frames.joined(new)
     whole = model.split.joined(split, first)
     learnt = fit_motion_prior(truth[folds.region_frames], sequence.recording[folds.region_frames])

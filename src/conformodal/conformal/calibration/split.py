@@ -133,6 +133,7 @@ class SplitConformal(Calibrator):
         for batch in () if batches is None else np.unique(batches):
             its = batches == batch
             units = [None if of is None else of[its] for of in (groups, group_sizes)]
+            # that of zeros is infinite only if the batch is too small
             own, enough = (self._quantiles(of, *units) for of in (columns[its], np.zeros_like(columns[its])))
             finite = np.where(np.isfinite(columns[its]), columns[its], -np.inf).max(axis=0)
             found = np.maximum(found, np.where(np.isfinite(enough), own, finite))

@@ -205,24 +205,18 @@ class _System(NamedTuple):
         by_frame = np.concatenate((by_place @ cross, -by_point), axis=2)
         by_focal, weighted = np.stack((scale * x, scale * y), axis=1), pixels * root[:, None]
         starts = np.searchsorted(frame, np.arange(n + 1))
-
-        def summed(blocks: FloatArray, onto: IntArray, count: int) -> FloatArray:
-            flat = blocks.reshape(len(blocks), -1)
-            rows = sparse.csr_array((np.ones(len(onto)), (onto, np.arange(len(onto)))), shape=(count, len(onto)))
-            return np.asarray(rows @ flat).reshape(count, *blocks.shape[1:])
-
         p, turned = len(bundle.points), np.swapaxes(by_point, 1, 2)
-        frames = summed(np.swapaxes(by_frame, 1, 2) @ by_frame, frame, n) + np.diag(1 / sigmas**2)
-        pull_frames = summed(np.einsum("mka,mk->ma", by_frame, weighted), frame, n) + found.priors / sigmas
+        frames = _summed(np.swapaxes(by_frame, 1, 2) @ by_frame, frame, n) + np.diag(1 / sigmas**2)
+        pull_frames = _summed(np.einsum("mka,mk->ma", by_frame, weighted), frame, n) + found.priors / sigmas
         return cls(
             frames=frames,
-            points=summed(turned @ by_point, point, p),
+            points=_summed(turned @ by_point, point, p),
             between=np.swapaxes(by_frame, 1, 2) @ by_point,
             focal=float((by_focal**2).sum()) + 1 / sigma_focal**2,
-            focal_frames=summed(np.einsum("mka,mk->ma", by_frame, by_focal), frame, n),
-            focal_points=summed(np.einsum("mka,mk->ma", by_point, by_focal), point, p),
+            focal_frames=_summed(np.einsum("mka,mk->ma", by_frame, by_focal), frame, n),
+            focal_points=_summed(np.einsum("mka,mk->ma", by_point, by_focal), point, p),
             pull_frames=pull_frames,
-            pull_points=summed(np.einsum("mka,mk->ma", by_point, weighted), point, p),
+            pull_points=_summed(np.einsum("mka,mk->ma", by_point, weighted), point, p),
             pull_focal=float((by_focal * weighted).sum()) + bundle.log_focal / sigma_focal**2,
             point=point,
             starts=starts,
@@ -232,7 +226,7 @@ class _System(NamedTuple):
         """The bundle after a damped step.
 
         The Schur complement removes the points; conjugate gradients solve for the rest, with the frames' own blocks as
-        the preconditioner (Agarwal et al. 2010). Its matrix is never formed, which took most of the time.
+        the preconditioner (Agarwal et al. 2010). Its matrix is never formed, which would take most of the time.
         """
         n, p = len(self.frames), len(self.points)
         diagonal = np.einsum("mii->mi", self.points)[:, None] * np.eye(3)
@@ -248,10 +242,8 @@ class _System(NamedTuple):
             self.pull_frames.ravel() - through @ self.pull_points.ravel(),
             self.pull_focal - (led * self.pull_points).sum(),
         )
-        taken = np.concatenate(
-            (np.zeros((1, 6, 6)), np.cumsum(through_points @ np.swapaxes(self.between, 1, 2), axis=0))
-        )
-        own = np.linalg.inv(damped - np.diff(taken[self.starts], axis=0))
+        frame = np.repeat(np.arange(n), np.diff(self.starts))
+        own = np.linalg.inv(damped - _summed(through_points @ np.swapaxes(self.between, 1, 2), frame, n))
 
         def product(move: FloatArray) -> FloatArray:
             frames = np.einsum("nab,nb->na", damped, move[:-1].reshape(n, 6)).ravel() - through @ (back @ move[:-1])
@@ -276,3 +268,9 @@ class _System(NamedTuple):
             bundle.points - np.einsum("pab,pb->pa", inverse, left),
             bundle.log_focal + float(move[-1]),
         )
+
+
+def _summed(blocks: FloatArray, onto: IntArray, count: int) -> FloatArray:
+    """Sums (count, ...) of the blocks (m, ...) with each number in `onto` (m,)."""
+    rows = sparse.csr_array((np.ones(len(onto)), (onto, np.arange(len(onto)))), shape=(count, len(onto)))
+    return np.asarray(rows @ blocks.reshape(len(blocks), -1)).reshape(count, *blocks.shape[1:])
