@@ -103,6 +103,18 @@ def test_poses_in_other_spellings_and_orders(tmp_path, head, separator, rows):
     assert ("wxyz" in dict(sequence.notes).get("quaternions are doubtful", "")) == (rows is ORDERED)
 
 
+@pytest.mark.parametrize("gone", [(), (4,)])
+def test_a_header_above_poses_by_line_moves_none(tmp_path, gone):
+    folder = WRITERS[Layout.KITTI](tmp_path)
+    edit(path := tmp_path / "poses" / "07.txt", (text := path.read_text(), "r11 r12 r13 tx\n" + text))
+    for i in gone:
+        (folder / "image_0" / f"{i:06d}.png").unlink()
+    with pytest.raises(DatasetError, match=r"07\.txt, line 1: begins with a word; .* put # before a header"):
+        read_sequence(folder)
+    edit(path, ("r11", "# r11"))
+    np.testing.assert_allclose(read_sequence(folder).truth.positions_xyz, np.delete(PLACES, gone, 0), atol=1e-9)
+
+
 def test_a_quaternion_of_zeros_costs_its_row_and_is_not_normalised(tmp_path):
     folder = WRITERS[Layout.TUM](tmp_path)
     rows = np.column_stack((STAMPS, path_at(STAMPS)))

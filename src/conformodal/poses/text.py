@@ -120,7 +120,10 @@ def read_rows(
         except (ValueError, IndexError):
             row = []
         if len(row) != width or not all(map(isfinite, row)):
-            if not rows and not bad and not by_line and len(row) != width and is_header(line):
+            if not rows and len(row) != width and is_header(line):
+                if by_line:
+                    what = "begins with a word; poses belong to frames by their lines; put # before a header"
+                    raise TrajectoryFileError(f"{path}, line {at}: {what}")
                 continue
             bad[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
             n_unread += len(row) != width
