@@ -207,6 +207,9 @@ WIDE = 2 * np.arctan(32 / 40)
         ({"camera_angle_x": None, "fl_y": 44}, {}, (44, 44)),
         ({"camera_angle_x": None, "fl_x": "40.0", "w": "64", "h": 48.0}, {}, (40, 40)),
         (OWN, {"fl_x": 40, "fl_y": 41}, (40, 41)),
+        ({"fl_x": 80, "fl_y": 80}, {"camera_angle_x": WIDE}, (40, 40)),
+        ({"fl_x": 80, "fl_y": 80}, {"fl_x": 40}, (40, 40)),
+        ({"fl_x": 40, "fl_y": 41}, {"camera_angle_x": None}, (40, 41)),
     ],
 )
 def test_cameras_of_nerf_in_other_spellings(tmp_path, top, frame, focal):
