@@ -284,6 +284,11 @@ def test_folders_of_images_are_recordings(tmp_path):
     edit(folder / "sparse" / "0" / "images.txt", *((f" 3 000{i}.png", f" 3 {name}") for i, name in enumerate(names)))
     sequence = read_sequence(folder)
     right(sequence)
+    picture(folder / "images" / "left" / "0001b.png", 7)  # which COLMAP found no pose for
+    whole = read_sequence(folder, require_poses=False)
+    assert [path.name for path in whole.image_paths][:3] == ["0000.png", "0001.png", "0001b.png"]
+    assert whole.recording.tolist() == [0, 0, 0, 0, 1, 1]
+    assert whole.posed.tolist() == [0, 1, 3, 4, 5]
     assert sequence.recording.tolist() == [0, 0, 0, 1, 1]
     assert sequence.timestamps_s[3] - sequence.timestamps_s[2] > 5
 

@@ -164,9 +164,12 @@ def _wide(camera: tuple[str, list[str]]) -> bool:
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:
-    """Names of the images beside the registered ones, in their own folder: COLMAP found no pose for them."""
+    """Names of the images beside the registered ones, in the same folders: COLMAP found no pose for them."""
     known = {os.path.splitext(os.path.realpath(path))[0] for path in registered}
-    return [path.name for path in image_files(base) if os.path.splitext(os.path.realpath(path))[0] not in known]
+    places = {base, *(path.parent for path in registered if path.parent.is_relative_to(base) and path.parent.is_dir())}
+    beside = {os.path.realpath(place): place for place in sorted(places)}.values()
+    found = [path for place in beside for path in image_files(place)]
+    return [str(path.relative_to(base)) for path in found if os.path.splitext(os.path.realpath(path))[0] not in known]
 
 
 def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tuple[FloatArray, Damaged]:
