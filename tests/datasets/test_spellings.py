@@ -354,8 +354,9 @@ def test_a_mounting_as_four_rows_and_lenses_that_are_null(tmp_path):
     sensor = tmp_path / "euroc" / "mav0" / "cam0" / "sensor.yaml"
     numbers = re.search(r"data: \[(.*)\]", sensor.read_text())[1].split(", ")
     rows = ", ".join(f"[{', '.join(numbers[k : k + 4])}]" for k in (0, 4, 8, 12))
-    edit(sensor, (", ".join(numbers), rows))
-    right(read_sequence(folder))
+    edit(sensor, (", ".join(numbers), rows), ("0.00002]", "2e-05]"))
+    right(sequence := read_sequence(folder))
+    assert sequence.camera.distortion[3] == 2e-5
     right(read_sequence(nerf(tmp_path / "nerf", top={"camera_model": "OPENCV"}, frames=[{"k1": None}] * N)))
 
 

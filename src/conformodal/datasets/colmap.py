@@ -167,7 +167,7 @@ def _unregistered(base: Path, registered: list[Path]) -> list[str]:
     """Names of the images beside the registered ones, in the same folders: COLMAP found no pose for them."""
     known = {os.path.splitext(os.path.realpath(path))[0] for path in registered}
     places = {base, *(path.parent for path in registered if path.parent.is_relative_to(base) and path.parent.is_dir())}
-    beside = {os.path.realpath(place): place for place in sorted(places)}.values()
+    beside = {os.path.realpath(place): place for place in sorted(places, reverse=True)}.values()
     found = [path for place in beside for path in image_files(place)]
     return [str(path.relative_to(base)) for path in found if os.path.splitext(os.path.realpath(path))[0] not in known]
 

@@ -15,7 +15,7 @@ import yaml
 from conformodal.core.arrays import FloatArray
 from conformodal.poses import Trajectory
 from conformodal.poses.formats import euroc_table
-from conformodal.poses.text import matrix_faults, nanoseconds, table_of
+from conformodal.poses.text import matrix_faults, nanoseconds, number, table_of
 
 from .cameras import UNDISTORT, Size, camera_beside, camera_of
 from .decoding import common_size
@@ -131,7 +131,8 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
 
 def _numbers(values: Any, count: int | None) -> tuple[float, ...]:
     """A list of so many finite numbers; nothing else that YAML may hold."""
-    numbers = tuple(float(v) for v in values if isinstance(v, (int, float)) and not isinstance(v, bool))
+    read = [number(v) if isinstance(v, str) else v for v in values]  # YAML 1.1 takes 1e-05, without a point, for text
+    numbers = tuple(float(v) for v in read if isinstance(v, (int, float)) and not isinstance(v, bool))
     if len(numbers) != len(values) or count not in (None, len(numbers)) or not np.isfinite(numbers).all():
         raise ValueError(f"expected {count or 'a list of'} numbers")
     return numbers
