@@ -253,6 +253,12 @@ def break_file(name, content):
     return spoil
 
 
+def test_the_folder_of_euroc_s_cameras_may_have_any_name(tmp_path):
+    write_euroc(tmp_path)
+    (tmp_path / "mav0").rename(tmp_path / "flight")
+    assert len(read_sequence(tmp_path / "flight")) == N
+
+
 def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
     with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
         recognise(tmp_path)

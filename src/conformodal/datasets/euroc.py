@@ -39,9 +39,9 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     Parameters
     ----------
     folder
-        ``mav0``, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's ``camchain.yaml`` (in
-        the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves the body's poses as
-        the camera's.
+        ``mav0``, whatever its name, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's
+        ``camchain.yaml`` (in the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves
+        the body's poses as the camera's.
     require_poses
         True leaves out images without a pose by time: ground truth starts later than the camera. False keeps all
         of them; the sequence has a truth only if every one has a pose.
@@ -49,7 +49,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         Whether ``data.csv`` may name files outside the folder.
     """
     folder = Path(folder).resolve()
-    root = folder if folder.name == "mav0" else folder / "mav0"
+    root = folder if folder.name == "mav0" or (folder / "cam0").is_dir() else folder / "mav0"
     path, truths = root / "cam0" / "data.csv", [root / name / "data.csv" for name in _TRUTHS]
     truth = next((place for place in truths if place.is_file()), truths[0])
     data, notes = root / "cam0" / "data", list[Note]()
