@@ -133,6 +133,7 @@ def _numbers(values: Any, count: int | None) -> tuple[float, ...]:
     """A list of so many finite numbers; nothing else that YAML may hold."""
     read = [number(v) if isinstance(v, str) else v for v in values]  # YAML 1.1 takes 1e-05, without a point, for text
     numbers = tuple(float(v) for v in read if isinstance(v, (int, float)) and not isinstance(v, bool))
-    if len(numbers) != len(values) or count not in (None, len(numbers)) or not np.isfinite(numbers).all():
+    fits = count in (None, len(numbers)) and len(numbers) == len(values) and not isinstance(values, str)
+    if not fits or not np.isfinite(numbers).all():
         raise ValueError(f"expected {count or 'a list of'} numbers")
     return numbers
