@@ -345,8 +345,23 @@ def test_intrinsics_as_four_numbers_and_as_a_whole_matrix(tmp_path, text):
 @pytest.mark.parametrize("line", ["{t} rgb/{i}.png {t} depth/{i}.png", "{t} depth/{i}.png {t} rgb/{i}.png"])
 def test_lists_of_associated_images_and_depths(tmp_path, line):
     folder = WRITERS[Layout.TUM](tmp_path)
-    (folder / "rgb.txt").write_text("\n".join(line.format(t=t, i=i) for i, t in enumerate(STAMPS)))
-    right(read_sequence(folder))
+    for form in ("{}", "{:.6e}"):
+        lines = [line.format(t=form.format(t), i=i) for i, t in enumerate(STAMPS)]
+        (folder / "rgb.txt").write_text("\n".join(lines))
+        right(read_sequence(folder))
+
+
+@pytest.mark.parametrize(("name", "focal"), [("fr1_desk", 517.3), ("my-fr3", 535.4), ("fr10_desk", 0), ("frafr2", 0)])
+def test_the_camera_by_a_folder_s_name_is_that_of_the_whole_name(tmp_path, name, focal):
+    folder = WRITERS[Layout.TUM](tmp_path).rename(tmp_path / name)
+    (folder / "camera-intrinsics.txt").unlink()
+    for path in (folder / "rgb").iterdir():
+        Image.new("RGB", (640, 480)).save(path)
+    if focal:
+        assert read_sequence(folder).camera.fx == focal
+    else:
+        with pytest.raises(DatasetError, match="no camera is known"):
+            read_sequence(folder)
 
 
 def test_a_mounting_as_four_rows_and_lenses_that_are_null(tmp_path):
