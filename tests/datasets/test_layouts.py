@@ -285,6 +285,16 @@ def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
     assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
 
 
+def test_dates_as_names_are_no_times(tmp_path):
+    """As numbers they would jump where a minute ends."""
+    write_images(tmp_path)
+    (tmp_path / "poses.tum").unlink()
+    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
+        path.rename(tmp_path / f"202401311259{58 + i}.png" if i < 2 else tmp_path / f"2024013113000{i - 2}.png")
+    times = read_sequence(tmp_path, require_poses=False).timestamps_s
+    np.testing.assert_allclose(np.diff(times), 1 / 30)
+
+
 @pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
 def test_times_come_from_a_file_and_frame_10_after_frame_9(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
