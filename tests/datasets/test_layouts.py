@@ -198,6 +198,16 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
         sequence.require_truth()
 
 
+def test_gaps_of_kitti_s_numbers_are_gaps_in_time_without_poses_too(tmp_path):
+    folder = write_kitti(tmp_path)
+    (folder / "image_0" / "000002.png").unlink()
+    (folder / "times.txt").unlink()
+    posed = read_sequence(folder)
+    (tmp_path / "poses" / "07.txt").unlink()
+    for sequence in (posed, read_sequence(folder, require_poses=False)):
+        np.testing.assert_allclose(sequence.timestamps_s, [0, 0.1, 0.3, 0.4])
+
+
 def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
     folder = write_tum(tmp_path)
     path = folder / "groundtruth.txt"
