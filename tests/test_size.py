@@ -15,7 +15,7 @@ BUDGET = {
     "model": 1450,
     "motion": 1070,
     "networks": 730,
-    "poses": 1020,
+    "poses": 1030,
     "quality": 810,
     "reasoning": 1500,
     "report": 870,

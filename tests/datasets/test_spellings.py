@@ -93,8 +93,9 @@ ORDERED = np.column_stack((STAMPS, PLACES, QUATS))  # w first
 def test_poses_in_other_spellings_and_orders(tmp_path, head, separator, rows):
     folder = WRITERS[Layout.TUM](tmp_path)
     lines = [separator.join(f"{v:.9f}" for v in row) for row in rows.tolist()]
-    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *lines]))
+    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *(line + separator for line in lines)]))
     edit(folder / "rgb.txt", ("0 rgb/", "0,rgb\\"))
+    (folder / "rgb.txt").write_bytes((folder / "rgb.txt").read_text().encode("utf-16"))
     (folder / "camera-intrinsics.txt").write_text("# mine\n[[40, 0, 32],\n [0, 40, 24], [0, 0, 1]]\n")
     (folder / "camera-distortion.txt").write_text("-0.1, 0.02, 0, 0, 0.001, 0, 0, 0")
     sequence = read_sequence(folder)
