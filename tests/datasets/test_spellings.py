@@ -307,10 +307,17 @@ def test_of_a_model_in_both_formats_the_binary_is_read_as_by_colmap(tmp_path):
     assert "the model is there twice" in dict(sequence.notes)
 
 
-@pytest.mark.parametrize(("turn", "camera"), [(3, PINHOLE), (6, PINHOLE), (6, "PINHOLE 48 64 40 40 24 32")])
-def test_images_of_colmap_are_those_of_its_cameras_whatever_exif_says(tmp_path, turn, camera):
-    """COLMAP reads images as they are stored; whoever turned them first has a camera of the other shape."""
-    folder = colmap(tmp_path, [f"3 {camera}"], [3] * N)
+TURNED = {"w": 48, "h": 64, "fl_x": 40, "cx": 24, "cy": 32}
+
+
+@pytest.mark.parametrize(
+    ("turn", "camera"),
+    [(turn, camera) for turn in (3, 6) for camera in (PINHOLE, {}, {"w": 64, "h": 48})]
+    + [(6, "PINHOLE 48 64 40 40 24 32"), (6, TURNED)],
+)
+def test_images_are_those_of_their_cameras_whatever_exif_says(tmp_path, turn, camera):
+    """Programs read images as they are stored; whoever turned them first has a camera of the other shape."""
+    folder = nerf(tmp_path, top=camera) if isinstance(camera, dict) else colmap(tmp_path, [f"3 {camera}"], [3] * N)
     exif = Image.Exif()
     exif[0x0112] = turn
     corner = np.zeros((48, 64, 3), np.uint8)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import FrameTable
-from .lenses import AnyCamera, fisheye_of
+from .lenses import AnyCamera, as_stored, fisheye_of
 from .reading import MALFORMED, SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
@@ -88,8 +89,9 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         poses[:, :3, :3] = turn.T @ poses[:, :3, :3]
         notes.append(Note(ORIGINAL_WORLD, f"{path}: applied_transform and applied_scale are undone"))
     poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    lenses = _cameras(path, cameras, images, notes)
     times, recording = times_by_folder(folder, images)
+    images = as_stored(images, [_wide(camera) for camera in cameras], "NeRF", notes)
+    lenses = _cameras(path, cameras, images, notes)
     table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence(lenses, require_poses=require_poses)
 
@@ -105,6 +107,13 @@ def _stated(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
     replaced = _FOCAL if any(own.get(k) is not None for k in _FOCAL) else ()
     stated = {k: v for k, v in content.items() if k not in replaced} | own
     return {k: v for k, v in stated.items() if v is not None}
+
+
+def _wide(camera: dict[str, Any]) -> bool | None:
+    """Whether a camera's images are wider than high; None if it does not say."""
+    with suppress(KeyError, ValueError):
+        return _number(camera["w"]) > _number(camera["h"])
+    return None
 
 
 def _cameras(path: Path, stated: list[dict[str, Any]], images: list[Path], notes: list[Note]) -> list[AnyCamera]:
