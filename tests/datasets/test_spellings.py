@@ -372,12 +372,14 @@ def test_the_camera_by_a_folder_s_name_is_that_of_the_whole_name(tmp_path, name,
             read_sequence(folder)
 
 
-def test_a_mounting_as_four_rows_and_lenses_that_are_null(tmp_path):
+def test_a_mounting_as_four_rows_quoted_names_and_lenses_that_are_null(tmp_path):
     folder = WRITERS[Layout.EUROC](tmp_path / "euroc")
     sensor = tmp_path / "euroc" / "mav0" / "cam0" / "sensor.yaml"
     numbers = re.search(r"data: \[(.*)\]", sensor.read_text())[1].split(", ")
     rows = ", ".join(f"[{', '.join(numbers[k : k + 4])}]" for k in (0, 4, 8, 12))
     edit(sensor, (", ".join(numbers), rows), ("0.00002]", "2e-05]"))
+    path = sensor.with_name("data.csv")
+    path.write_text("\n".join(f'"{line}"'.replace(",", '","') for line in path.read_text().splitlines()))
     right(sequence := read_sequence(folder))
     assert sequence.camera.distortion[3] == 2e-5
     right(read_sequence(nerf(tmp_path / "nerf", top={"camera_model": "OPENCV"}, frames=[{"k1": None}] * N)))

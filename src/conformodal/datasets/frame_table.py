@@ -225,7 +225,7 @@ def listed(
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            stamp, image = parse(line)
+            stamp, image = parse(line.replace('"', ""))
         except DatasetError:
             raise
         except (ValueError, IndexError):
