@@ -198,6 +198,16 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
         sequence.require_truth()
 
 
+def test_gaps_of_kitti_s_numbers_are_gaps_in_time_without_poses_too(tmp_path):
+    folder = write_kitti(tmp_path)
+    (folder / "image_0" / "000002.png").unlink()
+    (folder / "times.txt").unlink()
+    posed = read_sequence(folder)
+    (tmp_path / "poses" / "07.txt").unlink()
+    for sequence in (posed, read_sequence(folder, require_poses=False)):
+        np.testing.assert_allclose(sequence.timestamps_s, [0, 0.1, 0.3, 0.4])
+
+
 def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
     folder = write_tum(tmp_path)
     path = folder / "groundtruth.txt"
@@ -253,6 +263,12 @@ def break_file(name, content):
     return spoil
 
 
+def test_the_folder_of_euroc_s_cameras_may_have_any_name(tmp_path):
+    write_euroc(tmp_path)
+    (tmp_path / "mav0").rename(tmp_path / "flight")
+    assert len(read_sequence(tmp_path / "flight")) == N
+
+
 def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
     with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
         recognise(tmp_path)
@@ -277,6 +293,16 @@ def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
     assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
     np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)
     assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
+
+
+def test_dates_as_names_are_no_times(tmp_path):
+    """As numbers they would jump where a minute ends."""
+    write_images(tmp_path)
+    (tmp_path / "poses.tum").unlink()
+    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
+        path.rename(tmp_path / f"202401311259{58 + i}.png" if i < 2 else tmp_path / f"2024013113000{i - 2}.png")
+    times = read_sequence(tmp_path, require_poses=False).timestamps_s
+    np.testing.assert_allclose(np.diff(times), 1 / 30)
 
 
 @pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])

@@ -88,6 +88,7 @@ ROWS = [
     (TUM, put("rgb.txt", "# nothing\n"), r"rgb\.txt: lists no image"),
     (TUM, drop("camera-intrinsics.txt"), "no camera is known for 64x48"),
     (EUROC, put("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml: is no EuRoC"),
+    (EUROC, sub("sensor.yaml", "[40, 40, 32, 24]", "'4432'"), r"sensor\.yaml: is no EuRoC .*expected 4 numbers"),
     *[
         (EUROC, sub("sensor.yaml", "radial-tangential", model), rf"sensor\.yaml: .*{model}.*undistort")
         for model in ("none", "kannala-brandt")

@@ -93,14 +93,27 @@ ORDERED = np.column_stack((STAMPS, PLACES, QUATS))  # w first
 def test_poses_in_other_spellings_and_orders(tmp_path, head, separator, rows):
     folder = WRITERS[Layout.TUM](tmp_path)
     lines = [separator.join(f"{v:.9f}" for v in row) for row in rows.tolist()]
-    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *lines]))
+    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *(line + separator for line in lines)]))
     edit(folder / "rgb.txt", ("0 rgb/", "0,rgb\\"))
+    (folder / "rgb.txt").write_bytes((folder / "rgb.txt").read_text().encode("utf-16"))
     (folder / "camera-intrinsics.txt").write_text("# mine\n[[40, 0, 32],\n [0, 40, 24], [0, 0, 1]]\n")
     (folder / "camera-distortion.txt").write_text("-0.1, 0.02, 0, 0, 0.001, 0, 0, 0")
     sequence = read_sequence(folder)
     right(sequence)
     assert sequence.camera == PinholeCamera(40, 40, 32, 24, 64, 48, (-0.1, 0.02, 0, 0, 0.001))
     assert ("wxyz" in dict(sequence.notes).get("quaternions are doubtful", "")) == (rows is ORDERED)
+
+
+@pytest.mark.parametrize("gone", [(), (4,)])
+def test_a_header_above_poses_by_line_moves_none(tmp_path, gone):
+    folder = WRITERS[Layout.KITTI](tmp_path)
+    edit(path := tmp_path / "poses" / "07.txt", (text := path.read_text(), "r11 r12 r13 tx\n" + text))
+    for i in gone:
+        (folder / "image_0" / f"{i:06d}.png").unlink()
+    with pytest.raises(DatasetError, match=r"07\.txt, line 1: begins with a word; .* put # before a header"):
+        read_sequence(folder)
+    edit(path, ("r11", "# r11"))
+    np.testing.assert_allclose(read_sequence(folder).truth.positions_xyz, np.delete(PLACES, gone, 0), atol=1e-9)
 
 
 def test_a_quaternion_of_zeros_costs_its_row_and_is_not_normalised(tmp_path):
@@ -195,6 +208,9 @@ WIDE = 2 * np.arctan(32 / 40)
         ({"camera_angle_x": None, "fl_y": 44}, {}, (44, 44)),
         ({"camera_angle_x": None, "fl_x": "40.0", "w": "64", "h": 48.0}, {}, (40, 40)),
         (OWN, {"fl_x": 40, "fl_y": 41}, (40, 41)),
+        ({"fl_x": 80, "fl_y": 80}, {"camera_angle_x": WIDE}, (40, 40)),
+        ({"fl_x": 80, "fl_y": 80}, {"fl_x": 40}, (40, 40)),
+        ({"fl_x": 40, "fl_y": 41}, {"camera_angle_x": None}, (40, 41)),
     ],
 )
 def test_cameras_of_nerf_in_other_spellings(tmp_path, top, frame, focal):
@@ -269,6 +285,11 @@ def test_folders_of_images_are_recordings(tmp_path):
     edit(folder / "sparse" / "0" / "images.txt", *((f" 3 000{i}.png", f" 3 {name}") for i, name in enumerate(names)))
     sequence = read_sequence(folder)
     right(sequence)
+    picture(folder / "images" / "left" / "0001b.png", 7)  # which COLMAP found no pose for
+    whole = read_sequence(folder, require_poses=False)
+    assert [path.name for path in whole.image_paths][:3] == ["0000.png", "0001.png", "0001b.png"]
+    assert whole.recording.tolist() == [0, 0, 0, 0, 1, 1]
+    assert whole.posed.tolist() == [0, 1, 3, 4, 5]
     assert sequence.recording.tolist() == [0, 0, 0, 1, 1]
     assert sequence.timestamps_s[3] - sequence.timestamps_s[2] > 5
 
@@ -286,10 +307,17 @@ def test_of_a_model_in_both_formats_the_binary_is_read_as_by_colmap(tmp_path):
     assert "the model is there twice" in dict(sequence.notes)
 
 
-@pytest.mark.parametrize(("turn", "camera"), [(3, PINHOLE), (6, PINHOLE), (6, "PINHOLE 48 64 40 40 24 32")])
-def test_images_of_colmap_are_those_of_its_cameras_whatever_exif_says(tmp_path, turn, camera):
-    """COLMAP reads images as they are stored; whoever turned them first has a camera of the other shape."""
-    folder = colmap(tmp_path, [f"3 {camera}"], [3] * N)
+TURNED = {"w": 48, "h": 64, "fl_x": 40, "cx": 24, "cy": 32}
+
+
+@pytest.mark.parametrize(
+    ("turn", "camera"),
+    [(turn, camera) for turn in (3, 6) for camera in (PINHOLE, {}, {"w": 64, "h": 48})]
+    + [(6, "PINHOLE 48 64 40 40 24 32"), (6, TURNED)],
+)
+def test_images_are_those_of_their_cameras_whatever_exif_says(tmp_path, turn, camera):
+    """Programs read images as they are stored; whoever turned them first has a camera of the other shape."""
+    folder = nerf(tmp_path, top=camera) if isinstance(camera, dict) else colmap(tmp_path, [f"3 {camera}"], [3] * N)
     exif = Image.Exif()
     exif[0x0112] = turn
     corner = np.zeros((48, 64, 3), np.uint8)
@@ -325,17 +353,35 @@ def test_intrinsics_as_four_numbers_and_as_a_whole_matrix(tmp_path, text):
 @pytest.mark.parametrize("line", ["{t} rgb/{i}.png {t} depth/{i}.png", "{t} depth/{i}.png {t} rgb/{i}.png"])
 def test_lists_of_associated_images_and_depths(tmp_path, line):
     folder = WRITERS[Layout.TUM](tmp_path)
-    (folder / "rgb.txt").write_text("\n".join(line.format(t=t, i=i) for i, t in enumerate(STAMPS)))
-    right(read_sequence(folder))
+    for form in ("{}", "{:.6e}"):
+        lines = [line.format(t=form.format(t), i=i) for i, t in enumerate(STAMPS)]
+        (folder / "rgb.txt").write_text("\n".join(lines))
+        right(read_sequence(folder))
 
 
-def test_a_mounting_as_four_rows_and_lenses_that_are_null(tmp_path):
+@pytest.mark.parametrize(("name", "focal"), [("fr1_desk", 517.3), ("my-fr3", 535.4), ("fr10_desk", 0), ("frafr2", 0)])
+def test_the_camera_by_a_folder_s_name_is_that_of_the_whole_name(tmp_path, name, focal):
+    folder = WRITERS[Layout.TUM](tmp_path).rename(tmp_path / name)
+    (folder / "camera-intrinsics.txt").unlink()
+    for path in (folder / "rgb").iterdir():
+        Image.new("RGB", (640, 480)).save(path)
+    if focal:
+        assert read_sequence(folder).camera.fx == focal
+    else:
+        with pytest.raises(DatasetError, match="no camera is known"):
+            read_sequence(folder)
+
+
+def test_a_mounting_as_four_rows_quoted_names_and_lenses_that_are_null(tmp_path):
     folder = WRITERS[Layout.EUROC](tmp_path / "euroc")
     sensor = tmp_path / "euroc" / "mav0" / "cam0" / "sensor.yaml"
     numbers = re.search(r"data: \[(.*)\]", sensor.read_text())[1].split(", ")
     rows = ", ".join(f"[{', '.join(numbers[k : k + 4])}]" for k in (0, 4, 8, 12))
-    edit(sensor, (", ".join(numbers), rows))
-    right(read_sequence(folder))
+    edit(sensor, (", ".join(numbers), rows), ("0.00002]", "2e-05]"))
+    path = sensor.with_name("data.csv")
+    path.write_text("\n".join(f'"{line}"'.replace(",", '","') for line in path.read_text().splitlines()))
+    right(sequence := read_sequence(folder))
+    assert sequence.camera.distortion[3] == 2e-5
     right(read_sequence(nerf(tmp_path / "nerf", top={"camera_model": "OPENCV"}, frames=[{"k1": None}] * N)))
 
 

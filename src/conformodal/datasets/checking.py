@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .cameras import SCALED
-from .colmap import AS_STORED, TWICE
+from .colmap import TWICE
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
 from .errors import ImageError
 from .euroc import SHIFTED
 from .frame_table import CONVERTED, INTERPOLATED
-from .lenses import OTHER_CAMERA, UNDISTORTED
+from .lenses import AS_STORED, OTHER_CAMERA, UNDISTORTED
 from .nerf import ORIGINAL_WORLD
 from .sequence import Sequence
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.words import counted
 from conformodal.poses import matrix_from_quat_wxyz
 from conformodal.poses.text import length_doubt, number, pose_faults, table_of, whole_number
 
@@ -29,7 +28,7 @@ from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
 
-TWICE, AS_STORED = "the model is there twice", "images are read as they are stored"
+TWICE = "the model is there twice"
 _LEVELS = 3
 _MANY = 10  # cameras, whose notes are told once
 # model: (numbers of fx, fy, cx, cy among the parameters; numbers of k1, k2, p1, p2 and perhaps k3, or of a fisheye
@@ -103,13 +102,9 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     found = registered | {name: image(base, name) for name in unregistered}
     names = sorted(found, key=natural_key)
     usual = Counter(camera for *_, camera in rows.values()).most_common(1)[0][0]
-    stored = {
-        name: as_stored(found[name], wide=_wide(cameras[rows[name][2] if name in rows else usual])) for name in names
-    }
-    if turned := [name for name in names if stored[name] != found[name]]:
-        where = f"{found[turned[0]]}: EXIF turns it, and COLMAP's poses and cameras are of images as they are stored"
-        notes.append(Note(AS_STORED, f"{where}; {counted(len(turned), 'image')} read so"))
-    images = [stored[name] for name in names]
+    wide = [_wide(cameras[rows[name][2] if name in rows else usual]) for name in names]
+    images = as_stored([found[name] for name in names], wide, "COLMAP", notes)
+    stored = dict(zip(names, images, strict=True))
     poses, why = _poses(of_images, names, rows, notes)
     lenses = _lenses(
         of_cameras, cameras, {name: (stored[name], rows[name][2]) for name in names if name in rows}, notes
@@ -164,9 +159,12 @@ def _wide(camera: tuple[str, list[str]]) -> bool:
 
 
 def _unregistered(base: Path, registered: list[Path]) -> list[str]:
-    """Names of the images beside the registered ones, in their own folder: COLMAP found no pose for them."""
+    """Names of the images beside the registered ones, in the same folders: COLMAP found no pose for them."""
     known = {os.path.splitext(os.path.realpath(path))[0] for path in registered}
-    return [path.name for path in image_files(base) if os.path.splitext(os.path.realpath(path))[0] not in known]
+    places = {base, *(path.parent for path in registered if path.parent.is_relative_to(base) and path.parent.is_dir())}
+    beside = {os.path.realpath(place): place for place in sorted(places, reverse=True)}.values()
+    found = [path for place in beside for path in image_files(place)]
+    return [str(path.relative_to(base)) for path in found if os.path.splitext(os.path.realpath(path))[0] not in known]
 
 
 def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tuple[FloatArray, Damaged]:

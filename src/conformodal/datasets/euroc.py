@@ -15,7 +15,7 @@ import yaml
 from conformodal.core.arrays import FloatArray
 from conformodal.poses import Trajectory
 from conformodal.poses.formats import euroc_table
-from conformodal.poses.text import matrix_faults, nanoseconds, table_of
+from conformodal.poses.text import matrix_faults, nanoseconds, number, table_of
 
 from .cameras import UNDISTORT, Size, camera_beside, camera_of
 from .decoding import common_size
@@ -39,9 +39,9 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     Parameters
     ----------
     folder
-        ``mav0``, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's ``camchain.yaml`` (in
-        the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves the body's poses as
-        the camera's.
+        ``mav0``, whatever its name, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's
+        ``camchain.yaml`` (in the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves
+        the body's poses as the camera's.
     require_poses
         True leaves out images without a pose by time: ground truth starts later than the camera. False keeps all
         of them; the sequence has a truth only if every one has a pose.
@@ -49,7 +49,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
         Whether ``data.csv`` may name files outside the folder.
     """
     folder = Path(folder).resolve()
-    root = folder if folder.name == "mav0" else folder / "mav0"
+    root = folder if folder.name == "mav0" or (folder / "cam0").is_dir() else folder / "mav0"
     path, truths = root / "cam0" / "data.csv", [root / name / "data.csv" for name in _TRUTHS]
     truth = next((place for place in truths if place.is_file()), truths[0])
     data, notes = root / "cam0" / "data", list[Note]()
@@ -131,7 +131,9 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
 
 def _numbers(values: Any, count: int | None) -> tuple[float, ...]:
     """A list of so many finite numbers; nothing else that YAML may hold."""
-    numbers = tuple(float(v) for v in values if isinstance(v, (int, float)) and not isinstance(v, bool))
-    if len(numbers) != len(values) or count not in (None, len(numbers)) or not np.isfinite(numbers).all():
+    read = [number(v) if isinstance(v, str) else v for v in values]  # YAML 1.1 takes 1e-05, without a point, for text
+    numbers = tuple(float(v) for v in read if isinstance(v, (int, float)) and not isinstance(v, bool))
+    fits = count in (None, len(numbers)) and len(numbers) == len(values) and not isinstance(values, str)
+    if not fits or not np.isfinite(numbers).all():
         raise ValueError(f"expected {count or 'a list of'} numbers")
     return numbers

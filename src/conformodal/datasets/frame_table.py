@@ -225,7 +225,7 @@ def listed(
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            stamp, image = parse(line)
+            stamp, image = parse(line.replace('"', ""))
         except DatasetError:
             raise
         except (ValueError, IndexError):
@@ -294,9 +294,8 @@ def paired_by_time(
 
 def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
     """Which line of a file is about which image: all in order, or the one whose number is the image's name."""
-    stems = [image.stem for image in images]
-    if all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems):
-        numbers = np.array([int(stem) for stem in stems], dtype=np.int64)
+    numbers = numbers_of(images)
+    if numbers is not None:
         if (np.diff(numbers) == 1).all() and n_rows == len(images):
             return np.arange(n_rows)
         if numbers.max() < n_rows:
@@ -304,6 +303,13 @@ def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
     elif n_rows == len(images):
         return np.arange(n_rows)
     raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
+
+
+def numbers_of(images: list[Path]) -> IntArray | None:
+    """The images' names, if each is a number."""
+    stems = [image.stem for image in images]
+    numbered = all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems)
+    return np.array([int(stem) for stem in stems], dtype=np.int64) if numbered else None
 
 
 def numbered_frames(

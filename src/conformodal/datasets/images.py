@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from .sequence import Sequence
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
 POSE_FILES = (*_TUM, *_KITTI)
 _SINCE_1970_S = 1e9  # more than the number of any image
+_DATE = re.compile(r"20[0-9]{2}(0[1-9]|1[0-2])([0-2][0-9]|3[01])([01][0-9]|2[0-3])[0-5][0-9][0-5][0-9]")  # no number
 
 
 @reader
@@ -31,7 +33,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
     ----------
     folder
         With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
-        or the names of the files where all of these are numbers with a fraction or since 1970, or else even
+        or the names of the files where all of these are numbers with a fraction or since 1970, no dates, or else even
         (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or
         ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
@@ -85,7 +87,7 @@ def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np
         named = np.array([number(image.stem) for image in images])
     except ValueError:
         named = np.array([np.nan])
-    if not np.isfinite(named).all():
+    if not np.isfinite(named).all() or all(_DATE.match(image.stem) for image in images):
         return images, even_times(folder, len(images))
     if not (named > _SINCE_1970_S).all() and not all("." in image.stem for image in images):
         return images, even_times(folder, len(images))

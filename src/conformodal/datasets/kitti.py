@@ -18,7 +18,7 @@ from conformodal.poses.text import number, table_of
 from .cameras import camera_of, check_matrix
 from .decoding import common_size
 from .errors import DatasetError
-from .frame_table import Damaged, FrameTable, rows_of
+from .frame_table import Damaged, FrameTable, numbers_of, rows_of
 from .reading import Note, image_files, read_lines, read_numbers, reader
 from .sequence import Sequence
 
@@ -96,7 +96,8 @@ def _poses(
     if path is None:
         if required:
             raise DatasetError(f"{places[0]}: poses are missing")
-        return np.arange(len(images)), None
+        numbers = numbers_of(images)
+        return np.arange(len(images)) if numbers is None else numbers, None
     faults: Damaged = {}
     rows = kitti_table(path, faults)
     numbers = rows_of(images, len(rows), path, "poses, but there are")

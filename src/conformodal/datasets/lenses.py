@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -35,6 +35,7 @@ from .reading import Note
 from .sequence import Sequence
 
 UNDISTORTED = "fisheye images are undistorted"
+AS_STORED = "images are read as they are stored"
 OTHER_CAMERA = "images of another camera are brought to one"
 _WIDEST_RAD = np.pi  # no lens sees more than all around
 _STEPS = 4096
@@ -197,14 +198,22 @@ def _brought(image: Path, camera: AnyCamera, *, place: Path, target: PinholeCame
     return _cached(image, place, f"{camera} {target} {white} ", (target.width, target.height), make)
 
 
-def as_stored(image: Path, *, wide: bool) -> Path:
-    """An image that EXIF turns, as it is stored: a file in the cache; any other image itself.
+def as_stored(images: list[Path], wide: Iterable[bool | None], whose: str, notes: list[Note]) -> list[Path]:
+    """Images that EXIF turns, as they are stored: files in the cache; any other image itself.
 
-    `wide` is whether the camera's images are wider than high; of an image that EXIF turns by a quarter, it tells
-    whether the camera is that of the image as it is stored, or after.
+    `wide` is whether a camera's images are wider than high, None if that is not known; of an image that EXIF turns by a
+    quarter, it tells whether the camera is that of the image as it is stored, or after.
     """
+    found = [_as_stored(image, its) for image, its in zip(images, wide, strict=True)]
+    if turned := [image for image, stored in zip(images, found, strict=True) if image != stored]:
+        where = f"{turned[0]}: EXIF turns it, and {whose}'s poses and cameras are of images as they are stored"
+        notes.append(Note(AS_STORED, f"{where}; {counted(len(turned), 'image')} read so"))
+    return found
+
+
+def _as_stored(image: Path, wide: bool | None) -> Path:
     turned, (width, height) = orientation(image)
-    if turned == 1 or (turned >= SIDEWAYS and width != height and wide != (width > height)):
+    if turned == 1 or (turned >= SIDEWAYS and width != height and wide not in (None, width > height)):
         return image
     make = partial(decode, name=str(image), turn=False)
     return _cached(image, default_cache_dir() / "undistorted", "as stored ", (width, height), make)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from .cameras import UNDISTORT, Size, camera_of
 from .decoding import common_size, natural_key
 from .errors import DatasetError
 from .frame_table import FrameTable
-from .lenses import AnyCamera, fisheye_of
+from .lenses import AnyCamera, as_stored, fisheye_of
 from .reading import MALFORMED, SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
@@ -29,8 +30,8 @@ OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = ("", *SUFFIXES, *map(str.upper, SUFFIXES))
 _LENS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE, _FISHEYE_LENS = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")
-_SIZE_AND_ANGLES = ("w", "h", "camera_angle_x", "camera_angle_y")
-_OWN_CAMERA = ("fl_x", "fl_y", "cx", "cy", *_SIZE_AND_ANGLES, "camera_model", "is_fisheye", "k4", *_LENS)
+_FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
+_OWN_CAMERA = (*_FOCAL, "cx", "cy", "w", "h", "camera_model", "is_fisheye", "k4", *_LENS)
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
@@ -59,8 +60,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         frames = sorted(content["frames"], key=lambda frame: natural_key(str(frame["file_path"])))
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
         world = _original_world(path, content)
-        cameras = [{**content, **{k: frame[k] for k in _OWN_CAMERA if k in frame}} for frame in frames]
-        cameras = [{k: v for k, v in camera.items() if v is not None} for camera in cameras]
+        cameras = [_stated(content, frame) for frame in frames]
     except DatasetError:
         raise
     except MALFORMED as exc:
@@ -89,8 +89,9 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         poses[:, :3, :3] = turn.T @ poses[:, :3, :3]
         notes.append(Note(ORIGINAL_WORLD, f"{path}: applied_transform and applied_scale are undone"))
     poses = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
-    lenses = _cameras(path, cameras, images, notes)
     times, recording = times_by_folder(folder, images)
+    images = as_stored(images, [_wide(camera) for camera in cameras], "NeRF", notes)
+    lenses = _cameras(path, cameras, images, notes)
     table = FrameTable(folder.name, images, times, recording, poses, why, notes)
     return table.sequence(lenses, require_poses=require_poses)
 
@@ -98,6 +99,21 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
 def transforms_file(folder: Path) -> Path | None:
     """The file of frames in a folder: ``transforms.json``, or else that of the training frames."""
     return next((folder / name for name in (FILE, "transforms_train.json") if (folder / name).is_file()), None)
+
+
+def _stated(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
+    """What is said of a frame's camera; its own focal length or angle is none that completes those on top."""
+    own = {k: frame[k] for k in _OWN_CAMERA if k in frame}
+    replaced = _FOCAL if any(own.get(k) is not None for k in _FOCAL) else ()
+    stated = {k: v for k, v in content.items() if k not in replaced} | own
+    return {k: v for k, v in stated.items() if v is not None}
+
+
+def _wide(camera: dict[str, Any]) -> bool | None:
+    """Whether a camera's images are wider than high; None if it does not say."""
+    with suppress(KeyError, ValueError):
+        return _number(camera["w"]) > _number(camera["h"])
+    return None
 
 
 def _cameras(path: Path, stated: list[dict[str, Any]], images: list[Path], notes: list[Note]) -> list[AnyCamera]:

@@ -22,7 +22,7 @@ CAMERAS = {
     "3": PinholeCamera(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
 
-_ASSOCIATED = re.compile(r"([\d.]+)\s+(\S+)\s+([\d.]+)\s+(\S+)")
+_ASSOCIATED = re.compile(r"([\d.eE+-]+)\s+(\S+)\s+([\d.eE+-]+)\s+(\S+)")
 
 
 @reader
@@ -59,7 +59,7 @@ def read_tum_rgbd(
         return number(time), place(folder, name.strip())
 
     images, times = listed(path, parse, "'timestamp filename'", notes)
-    match = re.search(r"(?:freiburg|fr)([123])", folder.name)
+    match = re.search(r"(?<![A-Za-z])(?:freiburg|fr)([123])(?![0-9])", folder.name)
     default = CAMERAS[match[1]] if match else None
     camera = camera_beside(folder, common_size(images), default, notes, focal_px=focal_px, images=images)
     poses, why = None, Damaged()

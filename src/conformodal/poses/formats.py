@@ -129,7 +129,7 @@ def euroc_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[
 def _fields(line: str) -> list[str]:
     """What stands between commas, or semicolons, or blanks: one of them separates a line."""
     separator = next((mark for mark in ",;" if mark in line), None)
-    return [field.strip() for field in line.strip().split(separator)]
+    return [field.strip() for field in line.strip().removesuffix(separator or "").split(separator)]
 
 
 def _parse_euroc(line: str) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 from collections.abc import Callable
@@ -55,10 +56,12 @@ def nanoseconds(text: str) -> int:
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a UTF-8 text file, with or without a byte order mark, with the line ends of any system."""
+    """Lines of a text file in UTF-8, or UTF-16 where a byte order mark says so, with the line ends of any system."""
     if path.exists() and not os.path.isfile(path):
         raise OSError("is not a regular file")
-    lines = _END_OF_LINE.split(path.read_bytes().decode("utf-8-sig"))
+    content = path.read_bytes()
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as PowerShell writes it
+    lines = _END_OF_LINE.split(content.decode("utf-16" if wide else "utf-8-sig"))
     return lines if lines[-1] else lines[:-1]
 
 
@@ -120,7 +123,10 @@ def read_rows(
         except (ValueError, IndexError):
             row = []
         if len(row) != width or not all(map(isfinite, row)):
-            if not rows and not bad and not by_line and len(row) != width and is_header(line):
+            if not rows and len(row) != width and is_header(line):
+                if by_line:
+                    what = "begins with a word; poses belong to frames by their lines; put # before a header"
+                    raise TrajectoryFileError(f"{path}, line {at}: {what}")
                 continue
             bad[len(rows)] = f"{path}, line {at}: expected {expected}, got {line[:80]!r}"
             n_unread += len(row) != width
