@@ -1,12 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.neighbours import tuning
 from conformodal.localization.neighbours.regression import LocalAnswers, LocalRegression, LocalSettings
 from conformodal.localization.neighbours.source import NeighbourSource
 from conformodal.localization.neighbours.tuning import LOCAL_CHOICES, fit_local
+from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import Projection
 from tests.localization.conftest import poses_of
 
@@ -131,6 +135,23 @@ def test_the_view_that_knows_is_chosen():
     x[:, 6:] = 1.0  # a view that says nothing is passed over
     again, _ = fit_local(x, y, np.ones(2), np.arange(200), choices=settings, views=views)
     np.testing.assert_array_equal(again.predict(x).best, found.predict(x).best)
+
+
+def test_settings_that_some_samples_speak_for_are_compared_on_all(monkeypatch):
+    rng = np.random.default_rng(6)
+    x = rng.normal(size=(600, 4)).astype(np.float32)
+    y = np.sin(2 * x[:, :1]) + 0.1 * rng.normal(size=(600, 1))
+    choices = [LocalSettings(k, n, 0.03, None) for k in (1, 4) for n in (5, 10, 40)]
+
+    def fitted(screened, finalists):
+        monkeypatch.setattr(tuning, "NEIGHBOURS", replace(NEIGHBOURS, screened=screened, finalists=finalists))
+        return fit_local(x, y, np.ones(1), np.arange(600), choices=choices)
+
+    (every, left_out), (few, same), (one, _) = fitted(600, 6), fitted(100, 2), fitted(20, 1)
+    assert few.settings == every.settings
+    assert len(same.rows) == 600
+    np.testing.assert_array_equal(same.answers.values, left_out.answers.values)
+    assert one.settings in choices
 
 
 @pytest.mark.parametrize(

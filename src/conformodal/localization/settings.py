@@ -63,6 +63,8 @@ class _NeighbourSettings:
     usual: float = 0.9  # quantile of the novelty of left-out frames above which standard deviations grow with novelty
     distrust: float = 4.0  # exponent with which the odds of an inlier fall above that
     left_out: int = 800  # frames that settings are chosen on, at most
+    screened: int = 200  # of these, that all settings are tried on
+    finalists: int = 8  # settings that are tried on all of them
 
 
 @dataclass(frozen=True)
@@ -168,9 +170,10 @@ class _AdjustmentSettings:
     enough: float = 3e-3  # share of the cost below which an iteration ends it
     # residual, as a share of the gradient, at which a step is solved, and steps of the solver. With 1e-2 to 1e-4 maps
     # localise alike
-    solved: float = 1e-3
+    solved: float = 1e-2
     solving: int = 300
     tracks: int = 80  # of each frame, the longest first
+    corners: int = 200  # of each frame, that are triangulated to find them: those that most others see
     least_views: int = 3
     least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
     # standard deviations of the given poses at first, and how far they may fall

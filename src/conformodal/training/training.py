@@ -119,9 +119,11 @@ def train_model(
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
         its = calibrate_regions(sources, folds, localizers, novelty, config)
-        paths, reliable_p = calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, motions)
-        its, quality = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress)
-        rules, novelty = its.rules, its.novelty
+        (paths, reliable_p), (disturbed, quality) = side_by_side(
+            lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, motions),
+            lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress),
+        )
+        rules, novelty = disturbed.rules, disturbed.novelty
     stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,

@@ -44,7 +44,8 @@ def fit_local(
     """The regression under which samples are most probable when their group (n,) is left out.
 
     The likelihood is that of a multivariate t distribution with one degree of freedom around each place, its scale
-    fitted to the settings, so that outliers do not decide. Each choice is tried with each view of the features.
+    fitted to the settings, so that outliers do not decide. Each choice is tried with each view of the features on some
+    samples, and the best of them on more.
     """
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2 or not choices:
@@ -52,23 +53,27 @@ def fit_local(
     rows = np.unique(
         np.linspace(0, len(features) - 1, min(len(features), NEIGHBOURS.left_out)).round().astype(np.int64)
     )
-    found: list[tuple[float, LocalRegression, LeftOut]] = []
+    regressions = []
     for view in views:
         projection = fit_projection(features, max(how.components for how in choices), view)
-        if projection.components.ndim != 2:  # all the same in this view
-            continue
-        projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
-        for how in choices:
-            if progress is not None:
-                progress(len(found), len(choices) * len(views))
-            regression = LocalRegression(projection, projected, targets, target_scale, how)
-            answers = regression.predict_projected(projected[rows], (group[rows], group))
-            found.append((_log_likelihood(answers, targets[rows], target_scale), regression, LeftOut(rows, answers)))
-    if not found:
+        if projection.components.ndim == 2:  # otherwise all the same in this view
+            projected = np.asarray((features - projection.offset) @ projection.components, dtype=np.float32)
+            regressions += [LocalRegression(projection, projected, targets, target_scale, how) for how in choices]
+    if not regressions:
         raise LocalizationError("features are all the same")
-    if progress is not None:
-        progress(len(found), len(found))
-    _, regression, left_out = max(found, key=lambda each: each[0])
+
+    def tried(regression: LocalRegression, rows: IntArray) -> tuple[float, LeftOut]:
+        answers = regression.predict_projected(regression.references[rows], (group[rows], group))
+        return _log_likelihood(answers, targets[rows], target_scale), LeftOut(rows, answers)
+
+    some, likelihoods = rows[:: -(-len(rows) // NEIGHBOURS.screened)], []
+    for k, regression in enumerate(regressions):
+        likelihoods.append(tried(regression, some)[0])
+        if progress is not None:
+            progress(k + 1, len(regressions))
+    best = np.argsort(-np.array(likelihoods), kind="stable")[: NEIGHBOURS.finalists]
+    found = [(*tried(regressions[k], rows), regressions[k]) for k in best.tolist()]
+    _, left_out, regression = max(found, key=lambda each: each[0])
     return _slim(regression), left_out
 
 
