@@ -11,17 +11,17 @@ BUDGET = {
     "conformal": 5690,
     "core": 410,
     "datasets": 5680,
-    "localization": 3310,
+    "localization": 3320,
     "model": 1460,
     "motion": 1070,
     "networks": 730,
     "poses": 1030,
     "quality": 810,
-    "reasoning": 1500,
+    "reasoning": 1530,
     "report": 870,
     "ros": 710,
-    "running": 2320,
-    "training": 1090,
+    "running": 2350,
+    "training": 1100,
     "vision": 480,
 }
 
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7240
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7260
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20700
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20740

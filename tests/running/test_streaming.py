@@ -80,8 +80,8 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
     frames = model.split.calibration
     run = VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
     targets = pose_targets(sequence.truth[frames], model.sign_reference)
-    for path, rule in model.path_rules.items():
-        regions = run.path_regions[path]
+    for path, regions in run.path_regions.items():
+        rule = model.path_rules[path]
         held, lost = regions.contains(targets, joint=True), regions.unbounded.all(axis=1)
         expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
         assert np.mean(held[~lost] == expected) > 0.97, path
@@ -93,6 +93,41 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
     assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
     other = model.path_rules["online"].at(0.5)
     assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
+
+
+def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_them(world):
+    sequence, model = world
+    frames, odometry = model.split.calibration, VisualOdometry(model)
+    said, back = [], []
+    for frame in SequenceStream(sequence, frames):
+        if frame.answer:
+            said.append(odometry.step(frame.image, frame.timestamp_s))
+            back.append(said[-1].lagged)
+        else:
+            odometry.track_only(frame.image, frame.timestamp_s)
+    lag, rule = odometry.lag, model.path_rules["lagged"]
+    assert back[:lag] == [None] * lag
+    its = back[lag:]
+    assert [one.timestamp_s for one in its] == [one.timestamp_s for one in said[:-lag]]
+    for k in (0, 7):  # the pose in hindsight, and no more than that is another
+        np.testing.assert_array_equal(its[k].pose.positions_xyz[0], said[lag + k].revised.positions_xyz[0])
+        assert its[k].region is said[k].region
+        assert its[k].matched == said[k].matched
+        assert its[k].lagged is None  # nor does it keep the frames before it
+    targets = pose_targets(sequence.truth[frames[:-lag]], model.sign_reference)
+    held = np.array([one.path_region.contains(t[None], joint=True)[0] for one, t in zip(its, targets, strict=True)])
+    lost = np.array([one.path_region.unbounded.all() for one in its])
+    n_some = len(rule.scores_) + lost.sum()
+    assert n_some <= min(len(its), FILTER.lagged)
+    expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
+    assert expected.sum() >= min(rule.rank, len(expected))
+    assert abs(held[~lost].mean() - expected.mean()) < (0.03 if n_some == len(its) else 0.1)
+    odometry.reset()
+    assert odometry.step(sequence.image(int(frames[0])), 0.0).lagged is None
+    other = VisualOdometry(model, lag=2)
+    its = [other.step(sequence.image(int(i)), float(k)).lagged for k, i in enumerate(frames[:4])]
+    assert [one is None for one in its] == [True, True, False, False]
+    assert its[2].path_region is None  # calibrated for another lag
 
 
 def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):

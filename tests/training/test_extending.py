@@ -11,6 +11,7 @@ from conformodal.localization.local_features import frame_features
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
+from conformodal.model.model import PATHS
 from conformodal.model.region_rules import part_of
 from conformodal.model.store import load_model, save_model
 from conformodal.training.extending import _split, extend_model
@@ -97,6 +98,11 @@ def test_earlier_scores_stay_and_new_units_join_them(extended):
     assert len(more.known_frames) == len(first) + len(second)
     for name in ("train", "calibration", "test"):
         assert (more.split.part(name)[len(model.split.part(name)) :] >= len(first)).all()
+    assert model.path_rules.keys() == more.path_rules.keys() == {*PATHS}
+    for path, rule in more.path_rules.items():
+        old = model.path_rules[path].scores_
+        np.testing.assert_array_equal(rule.scores_[: len(old)], old)
+        assert len(rule.scores_) > len(old)
     assert more.rules.level == model.rules.level
     assert more.alpha == model.alpha
 
@@ -105,6 +111,8 @@ def test_an_extended_model_is_stored_and_extended_again(extended, cache, tmp_pat
     _, more, first, second = extended
     save_model(more, tmp_path)
     back = load_model(tmp_path)
+    for path, rule in more.path_rules.items():
+        np.testing.assert_array_equal(back.path_rules[path].thresholds_, rule.thresholds_)
     one, covered = localized(more, first, more.split.test[:5], cache)
     other, again = localized(back, first, more.split.test[:5], cache)
     np.testing.assert_array_equal(one, other)

@@ -15,7 +15,7 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.datasets.corridor.world import CorridorWorld
 from conformodal.model.config import Method, ModelConfig
-from conformodal.model.model import PoseModel
+from conformodal.model.model import ONLINE, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 from conformodal.quality.corridor_ambiguity import AmbiguityCheck
@@ -24,7 +24,6 @@ from conformodal.report.page import PageFigure, ReportContent
 from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.paths import ONLINE
 from conformodal.running.results.evaluation import path_coverage_table
 from conformodal.running.results.runs import write_run
 from conformodal.running.results.statistics import RegionStatistics

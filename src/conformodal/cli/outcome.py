@@ -13,10 +13,9 @@ from conformodal.core.words import counted, noun_for
 from conformodal.datasets import Sequence
 from conformodal.model.errors import OdometryError
 from conformodal.model.identity import identify
-from conformodal.model.model import PoseModel
+from conformodal.model.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
-from conformodal.running.paths import HINDSIGHT, ONLINE
 from conformodal.running.results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.statistics import RegionStatistics

@@ -48,9 +48,11 @@ class Beliefs:
         strengths = ([one.n_inliers * one.image_share for one in recognised_only(its)] for its in self.estimates)
         return np.array([max(its, default=0.0) for its in strengths])
 
-    def part(self, rows: slice) -> Beliefs:
+    def part(self, rows: slice | IntArray) -> Beliefs:
         """The beliefs about some of the images."""
-        return Beliefs([p[rows] for p in self.proba], self.mixtures[rows], self.estimates[rows])
+        its = np.arange(len(self))[rows].tolist()
+        mixtures, estimates = [self.mixtures[i] for i in its], [self.estimates[i] for i in its]
+        return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
 
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
         """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.

@@ -35,8 +35,8 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import EvidenceType, RegionRules
 
-# What posteriors rest on: the frames up to each, or all frames of its recording.
-PATHS = ("online", "hindsight")
+# What posteriors rest on: the frames up to each, and as many after it as the lag, or all frames of its recording.
+PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
 
 
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:

@@ -15,7 +15,7 @@ Source: Alspach and Sorenson (1972) for the filter, Kitagawa (1994) for the two-
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -299,6 +299,14 @@ class Window:
         """The posterior of each from all frames up to the last one."""
         return hindsight_posteriors(self.seen, prior, self.forward)
 
+    def first(self, prior: MotionPrior) -> Posterior:
+        """The posterior of the first frame from all up to the last one, as :meth:`hindsight` gives it, but sooner."""
+        found = self.forward[0]
+        for t, ahead in _predicted_by_later(self.seen, prior):
+            if t == 0:
+                found = _joined(found, ahead, prior)
+        return found
+
 
 class PoseFilter:
     """Posteriors of a stream: each from the frames so far, and in hindsight those of the last frames.
@@ -388,10 +396,21 @@ def hindsight_posteriors(
         What that gave, if it is known already.
     """
     found = list(filter_posteriors(seen, prior) if forward is None else forward)
+    for t, ahead in _predicted_by_later(seen, prior):
+        found[t] = _joined(found[t], ahead, prior)
+    return found
+
+
+def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:
+    """What all later frames predict of each frame, from the last but one to the first."""
     later = start(seen.candidates[-1], known=bool(seen.is_known[-1]))  # from this frame on
-    for t in range(len(found) - 2, -1, -1):
+    for t in range(len(seen.candidates) - 2, -1, -1):
         step_s = float(seen.timestamps_s[t + 1] - seen.timestamps_s[t])
         ahead = predict(later, seen.motions[t + 1], step_s, prior, back=True)
-        found[t] = update(ahead, found[t].hypotheses, prior, wrong=found[t].elsewhere, tempering=1.0)
+        yield t, ahead
         later = weigh(ahead, seen.candidates[t], prior, known=bool(seen.is_known[t]))
-    return found
+
+
+def _joined(forward: Posterior, ahead: Prediction, prior: MotionPrior) -> Posterior:
+    """A posterior from the frames up to this one, times what later frames predict."""
+    return update(ahead, forward.hypotheses, prior, wrong=forward.elsewhere, tempering=1.0)

@@ -62,6 +62,11 @@ class Observations:
             if submap.frames[0] < 0 or submap.frames[-1] >= n:
                 raise ReasoningError(f"a submap of frames {submap.frames.tolist()} is not one of {n} frames")
 
+    def part(self, rows: slice) -> Observations:
+        """What is known of consecutive frames, without submaps."""
+        known = None if self.known is None else self.known[rows]
+        return Observations(self.candidates[rows], self.motions[rows], self.timestamps_s[rows], known=known)
+
     @property
     def is_known(self) -> BoolArray:
         """(n,) whether each image shows a known place."""

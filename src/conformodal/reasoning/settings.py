@@ -62,6 +62,7 @@ class _FilterSettings:
     common: float = 1.0
     least_own: float = 0.02  # least share of the image's own belief in a region from a posterior
     lag: int = 10  # frames of a stream whose answer is revised in hindsight
+    lagged: int = 200  # held-out frames that calibrate regions at this lag, about: each takes `lag` steps
 
 
 @dataclass(frozen=True)

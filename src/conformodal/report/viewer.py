@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
+from conformodal.model.model import ONLINE
 from conformodal.poses import Trajectory, read_tum, trajectory_errors
-from conformodal.running.paths import ONLINE
 from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
 from .page_frames import Paths, describe_run, kind_of, page_frame, with_image

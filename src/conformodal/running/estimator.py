@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,20 +20,20 @@ from conformodal.localization.motions import MotionRecord, measure_motions
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import PATHS, Localization, PoseModel
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.motion.flow import affine_flow
 from conformodal.motion.frontend import MotionFrontEnd
 from conformodal.poses import RelativeMotion, Trajectory, concatenate
-from conformodal.reasoning.filter import PoseFilter, Window, hindsight_posteriors
+from conformodal.reasoning.filter import PoseFilter, Posterior, Window, hindsight_posteriors
 from conformodal.reasoning.places import choose_places, find_places
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.settings import FILTER
 
 from .estimates import Estimate, OdometryRun
 from .odometry import Odometry
-from .paths import HINDSIGHT, METHODS, ONLINE, as_trajectory, rows_by_recording, whole_paths
+from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
 
 
 class VisualOdometry(Odometry):
@@ -45,7 +46,7 @@ class VisualOdometry(Odometry):
     model
         Trained and calibrated.
     lag
-        Frames of a stream that :attr:`Estimate.revised` goes back. :meth:`run` uses all.
+        Frames of a stream that :attr:`Estimate.revised` and :attr:`Estimate.lagged` go back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
         Regions of the others are wider. :meth:`run` matches them in all.
@@ -67,6 +68,7 @@ class VisualOdometry(Odometry):
         self.lag = lag
         self.match_every = match_every
         self._filter = PoseFilter(model.prior, lag)
+        self._last: deque[Estimate] = deque(maxlen=lag + 1)
         self.reset()
 
     @classmethod
@@ -84,6 +86,7 @@ class VisualOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
         self._filter.reset()
+        self._last.clear()
         self._seen_s = self._shown_s = None
         self._n_steps = 0
 
@@ -95,20 +98,35 @@ class VisualOdometry(Odometry):
             seconds = timestamp_s - self._shown_s
             local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
+        its = self._front_end.tracks, self._front_end.corners, local is not None
+        now = self._push(self._filter, found, motion, timestamp_s)
+        now, window = replace(now, tracks=its[0], corners=its[1], matched=its[2]), self._filter.window()
+        self._last.append(now)
+        full = len(self._last) > self.lag
         return replace(
-            self._push(self._filter, found, motion, timestamp_s),
-            tracks=self._front_end.tracks,
-            corners=self._front_end.corners,
-            matched=local is not None,
-            revise=partial(_revised, self._filter.window(), self.model.prior),
+            now,
+            revise=partial(_revised, window, self.model.prior),
+            look_back=partial(self._lagged, self._last[0], window) if full else None,
         )
+
+    def _lagged(self, then: Estimate, window: Window) -> Estimate:
+        """The estimate of the first frame of a window, from all of them."""
+        assert then.localization is not None
+        motion, path = then.relative_motion, LAGGED if self.lag == FILTER.lag else ""
+        now = self._estimate(then.localization, motion, then.timestamp_s, window.first(self.model.prior), path)
+        return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(
         self, pose_filter: PoseFilter, found: Localization, motion: RelativeMotion | None, timestamp_s: float
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
-        here = found.candidates[0]
-        posterior = pose_filter.push(here, motion, timestamp_s, known=bool(found.known[0]))
+        posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
+        return self._estimate(found, motion, timestamp_s, posterior, ONLINE)
+
+    def _estimate(
+        self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
+    ) -> Estimate:
+        """The estimate of a frame from its posterior; `path` says which frames this rests on."""
         places = find_places(posterior, self.model.prior)
         best = places[0]
         kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
@@ -121,8 +139,8 @@ class VisualOdometry(Odometry):
             timestamp_s=timestamp_s,
             pose=Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None]),
             region=found.regions,
-            path_region=self.model.path_regions(found.beliefs, [posterior], ONLINE),
-            candidates=here,
+            path_region=self.model.path_regions(found.beliefs, [posterior], path),
+            candidates=found.candidates[0],
             relative_motion=motion,
             reliable=not problems,
             problem="; ".join(problems),
@@ -170,7 +188,7 @@ class VisualOdometry(Odometry):
         prior, n = self.model.prior, len(frames)
         poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}
         run.certainty = np.empty(n)
-        regions: dict[str, list[PoseRegions | None]] = {path: [None] * n for path in PATHS}
+        regions: dict[str, list[PoseRegions | None]] = {path: [None] * n for path in (ONLINE, HINDSIGHT)}
         for at in rows_by_recording(recording):
             stream, seen = PoseFilter(prior, lag=0), run.observations(at)
             its = [self._push(stream, found.row(i), moved[i], float(times[i])) for i in at.tolist()]
@@ -183,8 +201,8 @@ class VisualOdometry(Odometry):
                 regions[ONLINE][i] = one.path_region
                 regions[HINDSIGHT][i] = self.model.path_regions(found.row(i).beliefs, [posterior], HINDSIGHT)
         run.trajectories = {name: Trajectory(times, p, q) for name, (p, q) in poses.items()}
-        for name in self.model.path_rules:
-            run.path_regions[name] = PoseRegions.concatenate([one for one in regions[name] if one is not None])
+        parts = {path: [one for one in its if one is not None] for path, its in regions.items()}
+        run.path_regions = {path: PoseRegions.concatenate(its) for path, its in parts.items() if its}
         return run
 
 

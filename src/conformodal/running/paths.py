@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from conformodal.core.arrays import IntArray
-from conformodal.model.model import PATHS
+from conformodal.model.model import HINDSIGHT, ONLINE
 from conformodal.poses import Trajectory
 from conformodal.reasoning.filter import Posterior
 from conformodal.reasoning.observations import Observations, PosePath
@@ -15,8 +15,6 @@ from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
 
-# The poses that a robot gets, each when its frame comes and from the frames so far; all others see later frames too.
-ONLINE, HINDSIGHT = PATHS
 # The first is the answer of a run.
 METHODS = ("smoothed", HINDSIGHT, ONLINE)
 PAPERS_METHOD = "greedy"

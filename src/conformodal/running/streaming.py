@@ -14,7 +14,7 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.process import release_freed_memory
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.localization.regions import PoseRegions
-from conformodal.model.model import Localization
+from conformodal.model.model import HINDSIGHT, ONLINE, Localization
 from conformodal.model.region_rules import EvidenceType
 from conformodal.motion.submaps import build_submaps
 from conformodal.motion.tracker import Corners
@@ -28,7 +28,7 @@ from conformodal.running.results.writer import ResultsWriter
 
 from .estimates import Estimate
 from .odometry import Odometry
-from .paths import HINDSIGHT, ONLINE, whole_paths
+from .paths import whole_paths
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.

@@ -29,11 +29,11 @@ from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import PATHS, path_rule
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, PATHS, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.model.region_rules import EvidenceType, RegionRules, part_of
 from conformodal.poses import RelativeMotion
-from conformodal.reasoning.filter import Posterior, filter_posteriors, hindsight_posteriors
+from conformodal.reasoning.filter import Posterior, Window, filter_posteriors, hindsight_posteriors
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, same_place
 from conformodal.reasoning.prior import MotionPrior
@@ -216,6 +216,8 @@ def calibrate_paths(
     as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
     show.
 
+    Regions at the lag of a stream are calibrated on some frames of each stream alone, drawn at random.
+
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
     """
@@ -224,9 +226,11 @@ def calibrate_paths(
     known = rules.known_with_local | rules.recognised
     scores: dict[str, list[RealArray]] = {path: [] for path in PATHS}
     lost: dict[str, list[bool]] = {path: [] for path in PATHS}
+    rows: dict[str, list[IntArray]] = {path: [] for path in PATHS}  # of the held-out frames
     truth, n = sequence.require_truth(), len(folds.held_out)
     probability, right = np.empty(n), np.empty(n, dtype=bool)
-    start = 0
+    start, rng = 0, np.random.default_rng(0)
+    n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
     for fold, localizer, own in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
         rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
         found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
@@ -239,26 +243,32 @@ def calibrate_paths(
                 known=known[start + at],
             )
             forward = filter_posteriors(seen, prior)
-            for path, its in zip(PATHS, (forward, hindsight_posteriors(seen, prior, forward)), strict=True):
-                found[path].update(zip(at.tolist(), its, strict=True))
+            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: -(-FILTER.lagged // n_streams)]
+            windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
+            found[ONLINE].update(zip(at.tolist(), forward, strict=True))
+            found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
+            found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
             best, probability[start + at] = choose_places(forward, seen.timestamps_s, prior)
             true = truth[held_out[at]]
             right[start + at] = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
-        for path in PATHS:
-            its = [found[path][i] for i in range(len(held_out))]
-            after = own.after(its)
+        for path, posteriors in found.items():
+            if not posteriors:
+                continue
+            which = np.array(sorted(posteriors))
+            its = [posteriors[i] for i in which.tolist()]
+            after = own.part(which).after(its)
             supports = localizer.supports(after)
             lost[path] += [one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)]
-            scores[path].append(score_beliefs(rule, localizer, after, targets[held_out]))
+            scores[path].append(score_beliefs(rule, localizer, after, targets[held_out[which]]))
+            rows[path].append(start + which)
         start += len(held_out)
     labels, cells = rules.overall.groups_, rules.overall.bins
-    every = {path: np.concatenate(its) for path, its in scores.items()}
-    paths = {
-        path: part_of(path_rule(cells, rules.overall.alpha).calibrate_scores(its, labels), ~np.array(lost[path]))
-        for path, its in every.items()
-    }
-    online = PATHS[0]
-    held = (every[online] <= paths[online].thresholds_).all(axis=1) | np.array(lost[online])
+    every, paths = {path: np.concatenate(its) for path, its in scores.items() if its}, {}
+    for path, found_scores in every.items():
+        own_labels = None if labels is None else labels[np.concatenate(rows[path])]
+        rule = path_rule(cells, rules.overall.alpha).calibrate_scores(found_scores, own_labels)
+        paths[path] = part_of(rule, ~np.array(lost[path]))
+    held = (every[ONLINE] <= paths[ONLINE].thresholds_).all(axis=1) | np.array(lost[ONLINE])
     wrong = np.where(right | held, -np.inf, probability)
     unit = np.unique(np.arange(n) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]

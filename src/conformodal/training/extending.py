@@ -132,7 +132,7 @@ def extend_model(
         configuration={**model.configuration, **now},
         radius=None,
         comparison=compare_sources(data, localizers, localizer, novelty, rules, split.test) if compared else None,
-        path_rules={path: _both(rule, paths[path]) for path, rule in model.path_rules.items()},
+        path_rules={path: _both(rule, paths[path]) for path, rule in model.path_rules.items() if path in paths},
         reliable_p=max(model.reliable_p, reliable_p),
         quality=quality,
     )

@@ -10,12 +10,11 @@ import numpy.typing as npt
 from conformodal.conformal import SplitConformal, grouped_coverage_band
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
-from conformodal.model.model import PoseModel
+from conformodal.model.model import ONLINE, PoseModel
 from conformodal.model.radius import PoseRadius
 from conformodal.model.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
 from conformodal.poses import Trajectory, trajectory_errors
 from conformodal.reasoning.places import same_place
-from conformodal.running.paths import ONLINE
 
 from .statistics import RegionStatistics
 

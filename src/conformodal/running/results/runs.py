@@ -12,10 +12,11 @@ from typing import Any
 from conformodal.core.files import write_whole
 from conformodal.model.config import Method
 from conformodal.model.errors import ResultsError
+from conformodal.model.model import ONLINE
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory, TrajectoryFileError, read_tum
 from conformodal.running.estimates import OdometryRun
-from conformodal.running.paths import METHODS, ONLINE, PAPERS_METHOD
+from conformodal.running.paths import METHODS, PAPERS_METHOD
 
 from .folders import check_owner
 from .records import METRICS, TRAJECTORY, places_of, region_record
