@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .cameras import SCALED
+from .cameras import ASSUMED, SCALED
 from .colmap import TWICE
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
@@ -25,7 +25,7 @@ _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
 _NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE, AS_STORED}
-_NOTES |= {ORIGINAL_WORLD}
+_NOTES |= {ORIGINAL_WORLD, ASSUMED}
 
 
 @dataclass
