@@ -18,6 +18,7 @@ from .euroc import SHIFTED
 from .frame_table import CONVERTED, INTERPOLATED
 from .lenses import AS_STORED, OTHER_CAMERA, UNDISTORTED
 from .nerf import ORIGINAL_WORLD
+from .reading import NUMBERS
 from .sequence import Sequence
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
@@ -25,7 +26,7 @@ _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
 _NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE, AS_STORED}
-_NOTES |= {ORIGINAL_WORLD, ASSUMED}
+_NOTES |= {ORIGINAL_WORLD, ASSUMED, NUMBERS}
 
 
 @dataclass
