@@ -1,3 +1,4 @@
+import struct
 import threading
 import time
 from copy import copy
@@ -52,8 +53,8 @@ def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
     assert 10 < len(frames) < 45
 
 
-def mp4(path, n=30):
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, SIZE)
+def mp4(path, n=30, codec="mp4v"):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 10, SIZE)
     for i in range(n):
         writer.write(np.full((SIZE[1], SIZE[0], 3), 8 * i, np.uint8))
     writer.release()
@@ -75,6 +76,66 @@ def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
     path.write_bytes(whole[:moov] + whole[moov:-300])
     with pytest.raises(SourceError):
         list(open_stream(path))
+
+
+def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
+    path = tmp_path / "v.mkv"
+    content = mp4(path)
+    at = content.find(b"\x44\x89\x88") + 3
+    content[at : at + 8] = struct.pack(">d", 3 * struct.unpack(">d", content[at : at + 8])[0])
+    path.write_bytes(content)
+    stream = open_stream(path)
+    assert stream.n_frames == 90
+    assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
+    path.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(SourceError, match=r"v\.mkv: ends after \d+ of 90"):
+        list(open_stream(path))
+
+
+def test_a_transport_stream_with_a_gap_is_read_to_its_end(tmp_path):
+    path = tmp_path / "v.ts"
+    content = mp4(path, codec="MPEG")
+    packets = [content[k : k + 188] for k in range(0, len(content), 188)]
+    path.write_bytes(b"".join(packets[:12] + packets[-12:]))
+    frames = list(open_stream(path))
+    assert open_stream(path).n_frames > len(frames) + 5
+    assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
+
+
+@pytest.mark.parametrize("name", ["12:30:00.mp4", "fast 50% %03d.mp4"])
+def test_a_video_may_have_any_name(tmp_path, monkeypatch, name):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "v.mp4").rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert len(list(open_stream(name))) == 30
+
+
+def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
+    path = tmp_path / "v.mjpeg"
+    path.write_bytes(b"".join(cv2.imencode(".jpg", np.full((48, 64, 3), 8 * i, np.uint8))[1] for i in range(30)))
+    stream = open_stream(path)
+    assert next(where for what, where in stream.notes if what == "no times").startswith(f"{path}: 25 frames per second")
+    np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
+
+
+def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"stts") - 4
+    step = int.from_bytes(content[at + 20 : at + 24])
+    entries = [5, 10, step, 1, 20 * step, 1, 0, 1, step, 17, step]  # two seconds later, two frames at once
+    box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        k = content.find(name) - 4
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
+    content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
+    k = content.find(b"elst") + 12
+    content[k : k + 4] = (9000).to_bytes(4)
+    path.write_bytes(content)
+    times = [f.timestamp_s for f in open_stream(path)]
+    assert len(times) == 30
+    assert (np.diff(times) > 0).all()
+    assert times[11] == pytest.approx(3.0, abs=2e-3)
 
 
 def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path):
