@@ -271,7 +271,7 @@ def camera_info(store, head):
     return kind(**common, **values, binning_x=0, binning_y=0, roi=roi)
 
 
-def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=()):
+def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=(), packed=None):
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
@@ -283,6 +283,8 @@ def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_in
     else:
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         writer, serialize = Writer2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    if packed:
+        writer.set_compression(*packed)
     images = messages(store, **(image_options or {})) if topic else []
     with writer:
         for name, message_type in others:
@@ -366,6 +368,23 @@ def test_a_colour_is_the_same_in_every_encoding(encoding):
     found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
     assert found.shape == RED.shape
     np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+
+
+@pytest.mark.parametrize("step", [0, 12])
+def test_rows_without_padding_need_no_length(step):
+    sent = message(RED, "rgb8", pad=0)
+    sent.step = step
+    np.testing.assert_array_equal(image_of(sent, RAW), RED)
+
+
+@pytest.mark.parametrize(("encoding", "width", "height"), [("nv12", 12, 7), ("nv21", 11, 8), ("yuyv", 11, 8)])
+def test_odd_sides_of_encodings_that_share_colours_cost_the_frame(encoding, width, height):
+    values = 2 if encoding == "yuyv" else 1
+    rows = height if values == 2 else height * 3 // 2
+    sent = message(np.zeros((rows, width, values), np.uint8), encoding)
+    sent.height = height
+    with pytest.raises(ValueError, match=f"{width}x{height} pixels cannot be {encoding}"):
+        image_of(sent, RAW)
 
 
 @pytest.mark.parametrize("big", [0, 1])
@@ -493,6 +512,20 @@ def write_ramps(path, changes, others=()):
     return path
 
 
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_camera_info_of_zeros_is_none(tmp_path, first):
+    """As drivers without a calibration send it, always or at first."""
+    zeros = {"k": np.zeros(9), "p": np.zeros(12)}
+    path = write_ramps(tmp_path / "a", [(zeros, 1)] * first + [({}, 1)] * (3 - first))
+    camera = PinholeCamera(50, 50, 32, 24, 64, 48)
+    stream = open_stream(path, camera=camera)
+    assert stream.camera == (camera if first == 3 else PinholeCamera(40, 41, 32, 24, 64, 48))
+    told = dict(stream.notes).get("no CameraInfo", "")
+    assert ("; /cam/camera_info has zeros; in other name spaces: none" in told) is (first == 3)
+    for frame in stream:
+        np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
+
+
 def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path):
     twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
     frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({"k": twice}, 0.5), ({"k": np.zeros(9)}, 1)])))
@@ -594,6 +627,29 @@ def test_packed_recordings_are_named(tmp_path):
         open_stream(tmp_path / "a.db3.zstd")
 
 
+@pytest.mark.parametrize(
+    ("kind", "how", "refused"),
+    [
+        ("ros1", "BZ2", ""),
+        ("ros1", "LZ4", ""),
+        ("mcap", "STORAGE", ""),
+        ("mcap", "FILE", "unpack it first"),
+        ("sqlite", "MESSAGE", "messages are compressed, .* name the folder of both"),
+    ],
+)
+def test_compressed_recordings_are_read(tmp_path, kind, how, refused):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    packed = [Writer1.CompressionFormat[how]] if kind == "ros1" else (CompressionMode[how], CompressionFormat.ZSTD)
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, packed=packed)
+    assert [int(f.image[0, 0, 2]) for f in open_stream(path)] == [40 * i for i in range(6)]
+    if refused:
+        (part,) = (p for p in path.iterdir() if p.suffix != ".yaml")
+        with pytest.raises(SourceError, match=refused):
+            open_stream(part)
+
+
 @pytest.mark.parametrize("kind", ["ros1", "sqlite"])
 def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
     options = {"header_times": np.zeros(6)}
@@ -608,6 +664,8 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
     cut.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
         open_stream(cut)
+    with pytest.raises(SourceError, match="as a ROS recording"):
+        open_stream(cut.rename(tmp_path / "CUT.MCAP"))
 
 
 def test_a_recording_without_images_is_named_with_its_topics(tmp_path):
