@@ -142,7 +142,9 @@ def test_fractions_of_several_lengths_are_read_as_they_were_written(tmp_path, sp
         (["f_0.5.png", "f_0.55.png", "f_0.6.png", "f_1.05.png", "f_1.1.png"], False),
         (["f_0.25.png", "f_0.5.png", "f_0.75.png", "f_1.0.png"], False),
         (["f_1.9.png", "f_1.10.png", "f_1.11.png", "f_2.1.png", "f_10.1.png"], False),
-        (["f_2.5.png", "f_2.25.png", "f_10.5.png"], True),
+        (["f_2.25.png", "f_2.5.png", "f_10.5.png"], True),
+        (["f_1.3.png", "f_1.13.png", "f_1.23.png"], True),
+        (["12.5.png", "13.25.png", "14.75.png"], True),
         (["1311868164.3731.png", "1311868164.399557.png"], False),
     ],
 )

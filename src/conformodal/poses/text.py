@@ -56,7 +56,7 @@ def fractions_of(texts: list[str]) -> tuple[FloatArray, str] | None:
     unpadded = np.array([int(match[2]) + int(match[3]) / 10**unit for match in found])
     uneven, other = (float(np.square(np.diff(np.sort(values))).sum()) for values in (decimal, unpadded))
     ends_in_zero = any(digits[-1] == "0" < digits for digits in after)
-    whole = ends_in_zero or uneven > other
+    whole = ends_in_zero or uneven > other * (_CLEAR if unit == 3 else 1)  # milliseconds are rarer
     if (ends_in_zero and found[0][1]) or (not whole and uneven * _CLEAR < other):  # counts, as in f1.10, or decimals
         return (unpadded if whole else decimal), ""
     match = min(found, key=lambda one: len(one[3]))
