@@ -286,9 +286,10 @@ def reordered(poses, scalar_first):
     ("made", "best"),
     [
         (lambda poses: reordered(poses, True), "quaternions wxyz"),
+        (lambda poses: reordered(np.linalg.inv(poses), True), "quaternions wxyz, world-to-camera"),
         (
             lambda poses: np.linalg.inv(reordered(np.linalg.inv(poses), False)),
-            "quaternions xyzw of world-to-camera",
+            "quaternions xyzw, as COLMAP's world-to-camera",
         ),
         (lambda poses: poses, "camera-to-world, OpenCV axes"),
         (np.linalg.inv, "world-to-camera, OpenCV axes"),

@@ -52,8 +52,9 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
         "world-to-camera, OpenGL axes": back @ _OPENGL,
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
-        poses[f"quaternions {order}"] = _rolled(given, by)
-        poses[f"quaternions {order} of world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
+        poses[f"quaternions {order}"] = rolled = _rolled(given, by)
+        poses[f"quaternions {order}, world-to-camera"] = np.asarray(np.linalg.inv(rolled))
+        poses[f"quaternions {order}, as COLMAP's world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
     near: dict[str, list[FloatArray]] = {name: [] for name in poses}
     for first, second, *corners in _pairs(sequence, _FLOW_PX):
         a, b = (on_plane(sequence.camera, pixels) for pixels in corners)
