@@ -273,17 +273,32 @@ def test_a_camera_of_an_unknown_model_that_no_image_uses_is_passed_over(tmp_path
     assert read_sequence(tmp_path).camera == before.camera
 
 
+def reordered(poses, scalar_first):
+    """Poses whose quaternions were written with the scalar first, or last, and read the other way."""
+    found = poses.copy()
+    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=scalar_first)
+    found[:, :3, :3] = Rotation.from_quat(quats, scalar_first=not scalar_first).as_matrix()
+    return found
+
+
+@pytest.mark.parametrize("data", ["7scenes/redkitchen", "tum/fr1_xyz"])
 @pytest.mark.parametrize(
     ("made", "best"),
     [
+        (lambda poses: reordered(poses, True), "quaternions wxyz"),
+        (lambda poses: reordered(np.linalg.inv(poses), True), "quaternions wxyz, world-to-camera"),
+        (
+            lambda poses: np.linalg.inv(reordered(np.linalg.inv(poses), False)),
+            "quaternions xyzw, as COLMAP's world-to-camera",
+        ),
         (lambda poses: poses, "camera-to-world, OpenCV axes"),
         (np.linalg.inv, "world-to-camera, OpenCV axes"),
         (lambda poses: poses @ OPENGL_AXES, "camera-to-world, OpenGL axes"),
         (lambda poses: np.linalg.inv(poses @ OPENGL_AXES), "world-to-camera, OpenGL axes"),
     ],
 )
-def test_the_convention_of_given_poses_is_told(redkitchen, made, best):
-    sequence = read_sequence(redkitchen)
+def test_the_convention_of_given_poses_is_told(real_data, data, made, best):
+    sequence = read_sequence(real_data(*data.split("/")))
     poses = made(sequence.truth.poses_se3)
     given = replace(sequence, truth=Trajectory.from_poses_se3(sequence.timestamps_s, poses))
     # whatever they were made to be, what undoes it is named

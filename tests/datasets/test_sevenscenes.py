@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from conformodal.datasets import DatasetError, ImageError, read_sevenscenes
+from conformodal.datasets.checking import check_sequence
 
 
 def write_recording(folder, n=4, suffix="png", size=(32, 24)):
@@ -51,6 +52,23 @@ def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
     sequence.image_paths[3].unlink()
     with pytest.raises(ImageError, match="missing"):
         sequence.image(3)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_camera_that_nothing_gives_is_told(tmp_path, known):
+    folder = write_recording(tmp_path / "seq-01", size=(640, 480))
+    (folder / "camera-intrinsics.txt").write_text("600 0 320\n0 600 240\n0 0 1\n")
+    if not known:
+        (folder / "camera-intrinsics.txt").unlink()
+    sequence = read_sevenscenes(folder)
+    assert sequence.camera.fx == (600 if known else 585)
+    told = [where for what, where in sequence.notes if what == "the camera is assumed"]
+    assert told == (
+        []
+        if known
+        else [f"{folder}: the layout's, of 585 pixels focal length; write another into camera-intrinsics.txt"]
+    )
+    assert not any(finding.wrong for finding in check_sequence(sequence).findings if "assumed" in finding.what)
 
 
 def test_a_lens_with_distortion_is_read(tmp_path):

@@ -16,6 +16,7 @@ from conformodal.conformal import ConformodalError
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_image, read_sequence
 from conformodal.datasets.convention import FITTED, with_fitted_focal
 from conformodal.datasets.images import read_image_folder
+from conformodal.datasets.reading import by_name
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera, read_tum
@@ -101,7 +102,56 @@ def test_poses_in_other_spellings_and_orders(tmp_path, head, separator, rows):
     sequence = read_sequence(folder)
     right(sequence)
     assert sequence.camera == PinholeCamera(40, 40, 32, 24, 64, 48, (-0.1, 0.02, 0, 0, 0.001))
-    assert ("wxyz" in dict(sequence.notes).get("quaternions are doubtful", "")) == (rows is ORDERED)
+    assert ("wxyz" in dict(sequence.notes).get("poses are doubtful", "")) == (rows is ORDERED)
+
+
+SPELT = {
+    "nanoseconds without zeros before them": (lambda t: f"{t // 10**9}.{t % 10**9}", True),
+    "microseconds without zeros before them": (lambda t: f"{t // 10**9}.{t % 10**9 // 1000}", True),
+    "decimals without zeros after them": (lambda t: repr(t / 1e9), False),
+    "decimals": (lambda t: f"{t / 1e9:.6f}", False),
+}
+
+
+@pytest.mark.parametrize("spelling", SPELT)
+@pytest.mark.parametrize("start", [99_900_005_000, 100_000_005_000])
+@pytest.mark.parametrize("layout", [Layout.TUM, Layout.IMAGES])
+def test_fractions_of_several_lengths_are_read_as_they_were_written(tmp_path, spelling, start, layout):
+    spell, told = SPELT[spelling]
+    times = start + 33_000_000 * np.arange(60)
+    folder = tmp_path / "fr3"
+    named = folder / "rgb" if layout is Layout.TUM else folder
+    named.mkdir(parents=True)
+    for time in times.tolist():
+        Image.new("RGB", (64, 48)).save(named / f"{spell(time)}.png")
+    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
+    if layout is Layout.TUM:
+        (folder / "rgb.txt").write_text("\n".join(f"{spell(time)} rgb/{spell(time)}.png" for time in times.tolist()))
+    poses = [f"{spell(time)} {k} 0 0 0 0 0 1" for k, time in enumerate(times.tolist())]
+    (folder / "groundtruth.txt").write_text("\n".join(poses))
+    sequence = read_sequence(folder)
+    np.testing.assert_allclose(sequence.timestamps_s, times / 1e9, atol=2e-6)
+    np.testing.assert_array_equal(sequence.truth.positions_xyz[:, 0], np.arange(60))
+    assert [path.stem for path in sequence.image_paths] == [spell(time) for time in times.tolist()]
+    assert ("numbers can be read in two ways" in dict(sequence.notes)) is told
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["f_0.5.png", "f_0.55.png", "f_0.6.png", "f_1.05.png", "f_1.1.png"], False),
+        (["f_0.25.png", "f_0.5.png", "f_0.75.png", "f_1.0.png"], False),
+        (["f_1.9.png", "f_1.10.png", "f_1.11.png", "f_2.1.png", "f_10.1.png"], False),
+        (["f_2.25.png", "f_2.5.png", "f_10.5.png"], True),
+        (["f_1.3.png", "f_1.13.png", "f_1.23.png"], True),
+        (["12.5.png", "13.25.png", "14.75.png"], True),
+        (["1311868164.3731.png", "1311868164.399557.png"], False),
+    ],
+)
+def test_names_with_fractions_are_in_order(names, told):
+    notes = []
+    assert by_name(names[::-1], str, notes) == names
+    assert bool(notes) is told
 
 
 @pytest.mark.parametrize("gone", [(), (4,)])

@@ -24,6 +24,14 @@ def saved(image, suffix, **options):
     return stream.getvalue()
 
 
+def zero_is_white(array):
+    """A TIFF of numbers that are larger where it is darker."""
+    content = saved(Image.fromarray(np.iinfo(array.dtype).max - array), ".tif")
+    tag, one, zero = b"\x06\x01\x03\x00\x01\x00\x00\x00", b"\x01\x00", b"\x00\x00"
+    assert tag + one in content
+    return content.replace(tag + one, tag + zero)
+
+
 def with_alpha(alpha):
     return Image.fromarray(np.dstack((COLOURS, np.broadcast_to(np.asarray(alpha, np.uint8), (48, 64)))))
 
@@ -40,6 +48,8 @@ RIGHT = {
     "8-bit grey png": (lambda: saved(Image.fromarray(GREY), ".png"), THREE, 0),
     "16-bit grey png": (lambda: saved(Image.fromarray(RAMP), ".png"), THREE, 0),
     "16-bit grey tiff": (lambda: saved(Image.fromarray(RAMP), ".tif"), THREE, 0),
+    "8-bit tiff whose zero is white": (lambda: zero_is_white(GREY), THREE, 0),
+    "16-bit tiff whose zero is white": (lambda: zero_is_white(RAMP), THREE, 0),
     "16-bit pgm": (lambda: b"P5\n64 48\n65535\n" + RAMP.astype(">u2").tobytes(), THREE, 1),
     "rgb png": (lambda: saved(Image.fromarray(COLOURS), ".png"), COLOURS, 0),
     "rgb webp": (lambda: saved(Image.fromarray(COLOURS), ".webp", lossless=True), COLOURS, 0),

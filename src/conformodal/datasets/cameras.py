@@ -17,6 +17,7 @@ from .reading import Note, read_numbers
 Size = tuple[int, int]
 
 SCALED = "intrinsics were scaled"
+ASSUMED = "the camera is assumed"
 
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _TURNED = " (are they turned, perhaps by EXIF?)"
@@ -78,14 +79,17 @@ def camera_beside(
 ) -> PinholeCamera:
     """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    The default must be of the images' size. Without either, the focal length is `focal_px`, or what EXIF says in the
-    first of `images`, with a note.
+    The default must be of the images' size, and is told. Without either, the focal length is `focal_px`, or what EXIF
+    says in the first of `images`, with a note.
     """
     path = folder / "camera-intrinsics.txt"
     if focal_px is not None and path.is_file():
         raise DatasetError(f"{path}: gives the camera, and a focal length of {focal_px:g} pixels is given too")
     if not path.is_file():
         if default is not None and (default.width, default.height) == size and focal_px is None:
+            if notes is not None:
+                where = f"{folder}: the layout's, of {default.fx:g} pixels focal length; write another into {path.name}"
+                notes.append(Note(ASSUMED, where))
             return default
         told = "as given"
         if focal_px is None and images:

@@ -21,9 +21,9 @@ from .cameras import UNDISTORT, Size, camera_of
 from .colmap_binary import N_PARAMETERS, binary_cameras, binary_images
 from .decoding import common_size, natural_key
 from .errors import DatasetError
-from .frame_table import QUATERNIONS, Damaged, FrameTable
+from .frame_table import DOUBTFUL, Damaged, FrameTable
 from .lenses import AnyCamera, as_stored, fisheye_of
-from .reading import Note, PathGuard, image_files, read_lines, reader, times_by_folder
+from .reading import Note, PathGuard, by_name, image_files, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 _Rows = dict[str, tuple[list[float], list[float], int]]  # quaternion, translation and camera by image name
@@ -100,7 +100,7 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     registered = {name: image(base, name) for name in rows}
     unregistered = [] if base == folder else _unregistered(base, list(registered.values()))
     found = registered | {name: image(base, name) for name in unregistered}
-    names = sorted(found, key=natural_key)
+    names = by_name(found, str)
     usual = Counter(camera for *_, camera in rows.values()).most_common(1)[0][0]
     wide = [_wide(cameras[rows[name][2] if name in rows else usual]) for name in names]
     images = as_stored([found[name] for name in names], wide, "COLMAP", notes)
@@ -173,7 +173,7 @@ def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tupl
     quats = np.array([rows.get(name, unknown)[0] for name in names])
     shifts = np.array([rows.get(name, unknown)[1] for name in names])
     if doubt := length_doubt(path, np.column_stack((quats, shifts)), 0):
-        notes.append(Note(QUATERNIONS, doubt))
+        notes.append(Note(DOUBTFUL, doubt))
     faults = pose_faults(shifts, quats)
     known = np.isfinite(np.column_stack((quats, shifts))).all(axis=1)
     known[list(faults)] = False

@@ -22,7 +22,7 @@ _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
 _FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
-_BETTER, _EQUAL = 0.2, 0.02  # share of the matches
+_BETTER, _EQUAL = 0.1, 0.02  # share of the matches
 _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
 _USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
 _NOT_MODELLED, _TURN_DEG = 0.05, 0.1  # standard errors: of lens and principal point, as a share; of turns, by poses
@@ -52,8 +52,9 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
         "world-to-camera, OpenGL axes": back @ _OPENGL,
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
-        poses[f"quaternions {order}"] = _rolled(given, by)
-        poses[f"quaternions {order} of world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
+        poses[f"quaternions {order}"] = rolled = _rolled(given, by)
+        poses[f"quaternions {order}, world-to-camera"] = np.asarray(np.linalg.inv(rolled))
+        poses[f"quaternions {order}, as COLMAP's world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
     near: dict[str, list[FloatArray]] = {name: [] for name in poses}
     for first, second, *corners in _pairs(sequence, _FLOW_PX):
         a, b = (on_plane(sequence.camera, pixels) for pixels in corners)

@@ -25,7 +25,7 @@ _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
 # A small file that claims more pixels than this, and so many a byte, was made to fill the memory.
 _FREE_PIXELS, _PIXELS_A_BYTE, _MOST_PIXELS = 16_000_000, 20, 400_000_000
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
-_ORIENTATION = 0x0112
+_ORIENTATION, _PHOTOMETRIC = 0x0112, 0x0106
 _WHITES = (1023, 4095, 16383, 65535)
 WIDEST = _WHITES[-1]
 TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
@@ -89,12 +89,14 @@ def white_in(content: bytes) -> int:
 def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
     """The numbers (height, width, 1, 3 or 4) of an image of 16 bits, not turned; None for one of 8.
 
-    Pillow keeps only the upper half of the bits of colours.
+    Pillow keeps only the upper half of the bits of colours, and passes over a TIFF whose zero is white.
     """
     tile = getattr(image, "tile", None)
     raw = str(tile[0][3]) if tile else ""
     if image.mode == "I" or image.mode.startswith("I;16"):
-        return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
+        wide = np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
+        zero_is_white = image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0  # type: ignore[attr-defined]
+        return WIDEST - wide if zero_is_white else wide
     if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):
         return None
     image.load()  # which refuses truncated files

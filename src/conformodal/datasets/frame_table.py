@@ -32,7 +32,7 @@ Damaged = dict[int, str]
 
 NO_POSE = "no pose"
 INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
-QUATERNIONS = "quaternions are doubtful"
+DOUBTFUL = "poses are doubtful"
 _USUAL_STEP_S, _FASTEST_MPS = (5e-4, 5.0), 150.0
 _LEFT_OUT = "left out, "
 
@@ -256,7 +256,7 @@ def paired_by_time(
     try:
         rows = read(path, damaged, doubts)
         notes += [Note("pose cannot be used", damaged[i]) for i in sorted(damaged)]
-        notes += [Note(QUATERNIONS, doubt) for doubt in doubts]
+        notes += [Note(DOUBTFUL, doubt) for doubt in doubts]
         rows = rows[np.isfinite(rows[:, 0])]
         rows[:, 0] = _converted(rows[:, 0], str(path), notes)
         rows = rows[np.argsort(rows[:, 0], kind="stable")]

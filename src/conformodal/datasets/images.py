@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.poses import TrajectoryFileError
 from conformodal.poses.formats import kitti_table, tum_table
-from conformodal.poses.text import number
+from conformodal.poses.text import fractions_of, number
 
 from .cameras import camera_beside
 from .decoding import common_size
@@ -85,6 +85,8 @@ def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np
         return images, frame_times(folder, len(images))
     try:
         named = np.array([number(image.stem) for image in images])
+        if (fractions := fractions_of([image.stem for image in images])) is not None and (named >= 0).all():
+            named = fractions[0]
     except ValueError:
         named = np.array([np.nan])
     if not np.isfinite(named).all() or all(_DATE.match(image.stem) for image in images):

@@ -17,11 +17,11 @@ from conformodal.core.arrays import FloatArray
 from conformodal.poses.text import matrix_faults, number, table_of
 
 from .cameras import UNDISTORT, Size, camera_of
-from .decoding import common_size, natural_key
+from .decoding import common_size
 from .errors import DatasetError
 from .frame_table import FrameTable
 from .lenses import AnyCamera, as_stored, fisheye_of
-from .reading import MALFORMED, SUFFIXES, Note, PathGuard, read_lines, reader, times_by_folder
+from .reading import MALFORMED, SUFFIXES, Note, PathGuard, by_name, read_lines, reader, times_by_folder
 from .sequence import Sequence
 
 FILE = "transforms.json"
@@ -57,7 +57,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         notes.append(Note("other frames are not read", f"{path}: is read, and {', '.join(others)} beside it are not"))
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
-        frames = sorted(content["frames"], key=lambda frame: natural_key(str(frame["file_path"])))
+        frames = by_name(content["frames"], lambda frame: str(frame["file_path"]))
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
         world = _original_world(path, content)
         cameras = [_stated(content, frame) for frame in frames]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple, ParamSpec, TypeVar
 
@@ -12,15 +12,17 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import PoseError, TrajectoryFileError
-from conformodal.poses.text import number, text_lines
+from conformodal.poses.text import fractions_of, number, text_lines
 
 from .decoding import natural_key
 from .errors import DatasetError
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
+Item = TypeVar("Item")
 
 FRAME_RATE_HZ = 30.0
+NUMBERS = "numbers can be read in two ways"
 BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
 _NO_NUMBER = str.maketrans("[](),;", " " * 6)
@@ -68,6 +70,15 @@ def reader(read: Callable[P, Read]) -> Callable[P, Read]:
     return wrapped
 
 
+def by_name(items: Iterable[Item], name: Callable[[Item], str], notes: list[Note] | None = None) -> list[Item]:
+    """Items in the natural order of their names: 2 before 10, and 2.5 after 2.25 where these are decimals."""
+    listed = sorted(items, key=lambda item: natural_key(name(item)))
+    numbers = fractions_of([name(item) for item in listed])
+    if numbers is not None and numbers[1] and notes is not None:
+        notes.append(Note(NUMBERS, numbers[1]))
+    return listed if numbers is None else [listed[i] for i in np.argsort(numbers[0], kind="stable")]
+
+
 def image_files(folder: Path, notes: list[Note] | None = None) -> list[Path]:
     """Image files of a folder in the natural order of their names; hidden files are none.
 
@@ -79,7 +90,7 @@ def image_files(folder: Path, notes: list[Note] | None = None) -> list[Path]:
         first = found.setdefault(path.stem, path)
         if first is not path and notes is not None:
             notes.append(Note("left out, another file has its name", f"{path}: {first.name} has its name"))
-    return sorted(found.values(), key=lambda p: natural_key(p.name))
+    return by_name(found.values(), lambda path: path.name, notes)
 
 
 class PathGuard:

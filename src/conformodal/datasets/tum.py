@@ -7,12 +7,12 @@ from pathlib import Path
 
 from conformodal.poses import PinholeCamera
 from conformodal.poses.formats import tum_table
-from conformodal.poses.text import number
+from conformodal.poses.text import fractions_of, number
 
 from .cameras import camera_beside
 from .decoding import common_size
 from .frame_table import Damaged, FrameTable, listed, paired_by_time
-from .reading import Note, PathGuard, reader
+from .reading import NUMBERS, Note, PathGuard, reader
 from .sequence import Sequence
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
@@ -47,6 +47,7 @@ def read_tum_rgbd(
     folder = Path(folder).resolve()
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
     notes: list[Note] = []
+    stamps: list[str] = []
 
     place = PathGuard(folder, path, follow_outside=follow_outside)
 
@@ -56,9 +57,14 @@ def read_tum_rgbd(
             raise ValueError(line)
         if match := _ASSOCIATED.fullmatch(f"{time} {name.strip()}"):  # of an image and its depth, in either order
             time, name = match.groups()[2:] if "depth" in match[2] else match.groups()[:2]
-        return number(time), place(folder, name.strip())
+        image = number(time), place(folder, name.strip())
+        stamps.append(time)
+        return image
 
     images, times = listed(path, parse, "'timestamp filename'", notes)
+    if (numbers := fractions_of(stamps)) is not None and (times >= 0).all():
+        times, told = numbers
+        notes += [Note(NUMBERS, f"{path}: {told}")] if told else []
     match = re.search(r"(?<![A-Za-z])(?:freiburg|fr)([123])(?![0-9])", folder.name)
     default = CAMERAS[match[1]] if match else None
     camera = camera_beside(folder, common_size(images), default, notes, focal_px=focal_px, images=images)

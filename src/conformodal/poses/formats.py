@@ -17,6 +17,7 @@ from conformodal.core.arrays import FloatArray
 from .metrics import in_seconds
 from .text import (
     drop_faults,
+    fractions_of,
     length_doubt,
     matrix_faults,
     nanoseconds,
@@ -65,8 +66,18 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[st
     `doubts` takes up what is unlikely; None warns of it.
     """
     expected = "eight numbers 'timestamp tx ty tz qx qy qz qw'"
-    rows = read_rows(path, _numbers, 8, expected, damaged)
-    return _checked(rows, "xyzw", path, damaged, doubts)
+    stamps: list[str] = []
+
+    def parse(line: str) -> list[float]:
+        row = _numbers(line)
+        stamps.append(_fields(line)[0])
+        return row
+
+    rows = read_rows(path, parse, 8, expected, damaged)
+    told = ""
+    if len(stamps) == len(rows) and (numbers := fractions_of(stamps)) is not None and (rows[:, 0] >= 0).all():
+        rows[:, 0], told = numbers
+    return _checked(rows, "xyzw", path, damaged, doubts, told)
 
 
 def _numbers(line: str) -> list[float]:
@@ -74,10 +85,16 @@ def _numbers(line: str) -> list[float]:
 
 
 def _checked(
-    rows: FloatArray, order: str, path: Path, damaged: dict[int, str] | None, doubts: list[str] | None
+    rows: FloatArray,
+    order: str,
+    path: Path,
+    damaged: dict[int, str] | None,
+    doubts: list[str] | None,
+    told: str = "",
 ) -> FloatArray:
     """Rows (n, 8) with ``wxyz`` and without faulty poses, which keep their times; tells doubts of lengths and order."""
-    found = [doubt] if (doubt := length_doubt(path, rows[:, 1:], 3)) else []
+    found = [f"{path}: {told}"] if told else []
+    found += [doubt] if (doubt := length_doubt(path, rows[:, 1:], 3)) else []
     named = quaternion_order(path) or order
     if named != order:
         found.append(f"{path}: its quaternions are read as {named}, as its head names them; usual is {order}")

@@ -23,6 +23,8 @@ _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
+_FRACTION = re.compile(r"(.*?)([0-9]{1,20})\.([0-9]{1,20})(?:\.[a-z]+)?", re.IGNORECASE)
+_CLEAR = 1.5
 _END_OF_LINE = re.compile(r"\r\n|\r|\n")
 
 
@@ -35,6 +37,31 @@ def number(text: str) -> float:
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text[:80]!r} is not a number")
     return float(text)
+
+
+def fractions_of(texts: list[str]) -> tuple[FloatArray, str] | None:
+    """Numbers with a fraction that texts end in, where all have one beginning, and what is doubtful about them.
+
+    Fractions of several lengths are decimals without the zeros at their ends, or whole nanoseconds without those before
+    them: 12.5000 may be 12 s and 5000 ns. Where zeros do not decide, numbers are read as the more even ones.
+    """
+    found = [match for text in texts if (match := _FRACTION.fullmatch(text))]
+    if not found or len(found) < len(texts) or len({match[1] for match in found}) > 1:
+        return None
+    decimal, after = np.array([float(f"{match[2]}.{match[3]}") for match in found]), [match[3] for match in found]
+    longest = max(map(len, after))
+    if longest == min(map(len, after)) or any(digits[0] == "0" < digits for digits in after):
+        return decimal, ""
+    unit = next(power for power in (3, 6, 9, longest) if power >= longest)
+    unpadded = np.array([int(match[2]) + int(match[3]) / 10**unit for match in found])
+    uneven, other = (float(np.square(np.diff(np.sort(values))).sum()) for values in (decimal, unpadded))
+    ends_in_zero = any(digits[-1] == "0" < digits for digits in after)
+    whole = ends_in_zero or uneven > other * (_CLEAR if unit == 3 else 1)  # milliseconds are rarer
+    if (ends_in_zero and found[0][1]) or (not whole and uneven * _CLEAR < other):  # counts, as in f1.10, or decimals
+        return (unpadded if whole else decimal), ""
+    match = min(found, key=lambda one: len(one[3]))
+    reading = f"{match[3]} / {10**unit:,}" if whole else f"0.{match[3]}"
+    return (unpadded if whole else decimal), f"{match[0]}: its number is read as {match[2]} + {reading}"
 
 
 def whole_number(text: str) -> int:

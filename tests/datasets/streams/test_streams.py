@@ -1,3 +1,4 @@
+import struct
 import threading
 import time
 from copy import copy
@@ -52,8 +53,8 @@ def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
     assert 10 < len(frames) < 45
 
 
-def mp4(path, n=30):
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, SIZE)
+def mp4(path, n=30, codec="mp4v"):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 10, SIZE)
     for i in range(n):
         writer.write(np.full((SIZE[1], SIZE[0], 3), 8 * i, np.uint8))
     writer.release()
@@ -75,6 +76,66 @@ def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
     path.write_bytes(whole[:moov] + whole[moov:-300])
     with pytest.raises(SourceError):
         list(open_stream(path))
+
+
+def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
+    path = tmp_path / "v.mkv"
+    content = mp4(path)
+    at = content.find(b"\x44\x89\x88") + 3
+    content[at : at + 8] = struct.pack(">d", 3 * struct.unpack(">d", content[at : at + 8])[0])
+    path.write_bytes(content)
+    stream = open_stream(path)
+    assert stream.n_frames == 90
+    assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
+    path.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(SourceError, match=r"v\.mkv: ends after \d+ of 90"):
+        list(open_stream(path))
+
+
+def test_a_transport_stream_with_a_gap_is_read_to_its_end(tmp_path):
+    path = tmp_path / "v.ts"
+    content = mp4(path, codec="MPEG")
+    packets = [content[k : k + 188] for k in range(0, len(content), 188)]
+    path.write_bytes(b"".join(packets[:12] + packets[-12:]))
+    frames = list(open_stream(path))
+    assert open_stream(path).n_frames > len(frames) + 5
+    assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
+
+
+@pytest.mark.parametrize("name", ["12:30:00.mp4", "fast 50% %03d.mp4"])
+def test_a_video_may_have_any_name(tmp_path, monkeypatch, name):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "v.mp4").rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert len(list(open_stream(name))) == 30
+
+
+def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
+    path = tmp_path / "v.mjpeg"
+    path.write_bytes(b"".join(cv2.imencode(".jpg", np.full((48, 64, 3), 8 * i, np.uint8))[1] for i in range(30)))
+    stream = open_stream(path)
+    assert next(where for what, where in stream.notes if what == "no times").startswith(f"{path}: 25 frames per second")
+    np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
+
+
+def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"stts") - 4
+    step = int.from_bytes(content[at + 20 : at + 24])
+    entries = [5, 10, step, 1, 20 * step, 1, 0, 1, step, 17, step]  # two seconds later, two frames at once
+    box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        k = content.find(name) - 4
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
+    content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
+    k = content.find(b"elst") + 12
+    content[k : k + 4] = (9000).to_bytes(4)
+    path.write_bytes(content)
+    times = [f.timestamp_s for f in open_stream(path)]
+    assert len(times) == 30
+    assert (np.diff(times) > 0).all()
+    assert times[11] == pytest.approx(3.0, abs=2e-3)
 
 
 def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path):
@@ -210,7 +271,7 @@ def camera_info(store, head):
     return kind(**common, **values, binning_x=0, binning_y=0, roi=roi)
 
 
-def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=()):
+def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=(), packed=None):
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
@@ -222,6 +283,8 @@ def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_in
     else:
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         writer, serialize = Writer2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    if packed:
+        writer.set_compression(*packed)
     images = messages(store, **(image_options or {})) if topic else []
     with writer:
         for name, message_type in others:
@@ -305,6 +368,23 @@ def test_a_colour_is_the_same_in_every_encoding(encoding):
     found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
     assert found.shape == RED.shape
     np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+
+
+@pytest.mark.parametrize("step", [0, 12])
+def test_rows_without_padding_need_no_length(step):
+    sent = message(RED, "rgb8", pad=0)
+    sent.step = step
+    np.testing.assert_array_equal(image_of(sent, RAW), RED)
+
+
+@pytest.mark.parametrize(("encoding", "width", "height"), [("nv12", 12, 7), ("nv21", 11, 8), ("yuyv", 11, 8)])
+def test_odd_sides_of_encodings_that_share_colours_cost_the_frame(encoding, width, height):
+    values = 2 if encoding == "yuyv" else 1
+    rows = height if values == 2 else height * 3 // 2
+    sent = message(np.zeros((rows, width, values), np.uint8), encoding)
+    sent.height = height
+    with pytest.raises(ValueError, match=f"{width}x{height} pixels cannot be {encoding}"):
+        image_of(sent, RAW)
 
 
 @pytest.mark.parametrize("big", [0, 1])
@@ -432,6 +512,20 @@ def write_ramps(path, changes, others=()):
     return path
 
 
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_camera_info_of_zeros_is_none(tmp_path, first):
+    """As drivers without a calibration send it, always or at first."""
+    zeros = {"k": np.zeros(9), "p": np.zeros(12)}
+    path = write_ramps(tmp_path / "a", [(zeros, 1)] * first + [({}, 1)] * (3 - first))
+    camera = PinholeCamera(50, 50, 32, 24, 64, 48)
+    stream = open_stream(path, camera=camera)
+    assert stream.camera == (camera if first == 3 else PinholeCamera(40, 41, 32, 24, 64, 48))
+    told = dict(stream.notes).get("no CameraInfo", "")
+    assert ("; /cam/camera_info has zeros; in other name spaces: none" in told) is (first == 3)
+    for frame in stream:
+        np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
+
+
 def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path):
     twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
     frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({"k": twice}, 0.5), ({"k": np.zeros(9)}, 1)])))
@@ -533,6 +627,29 @@ def test_packed_recordings_are_named(tmp_path):
         open_stream(tmp_path / "a.db3.zstd")
 
 
+@pytest.mark.parametrize(
+    ("kind", "how", "refused"),
+    [
+        ("ros1", "BZ2", ""),
+        ("ros1", "LZ4", ""),
+        ("mcap", "STORAGE", ""),
+        ("mcap", "FILE", "unpack it first"),
+        ("sqlite", "MESSAGE", "messages are compressed, .* name the folder of both"),
+    ],
+)
+def test_compressed_recordings_are_read(tmp_path, kind, how, refused):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    packed = [Writer1.CompressionFormat[how]] if kind == "ros1" else (CompressionMode[how], CompressionFormat.ZSTD)
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, packed=packed)
+    assert [int(f.image[0, 0, 2]) for f in open_stream(path)] == [40 * i for i in range(6)]
+    if refused:
+        (part,) = (p for p in path.iterdir() if p.suffix != ".yaml")
+        with pytest.raises(SourceError, match=refused):
+            open_stream(part)
+
+
 @pytest.mark.parametrize("kind", ["ros1", "sqlite"])
 def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
     options = {"header_times": np.zeros(6)}
@@ -547,6 +664,8 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
     cut.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
         open_stream(cut)
+    with pytest.raises(SourceError, match="as a ROS recording"):
+        open_stream(cut.rename(tmp_path / "CUT.MCAP"))
 
 
 def test_a_recording_without_images_is_named_with_its_topics(tmp_path):

@@ -23,6 +23,7 @@ from .ros_messages import (
     camera_of_info,
     check_encoding,
     image_of,
+    is_calibrated,
     key_of_info,
     stamp_s,
     white_of,
@@ -35,12 +36,13 @@ _REPAIRS = {
     ".bag": "; if it was never closed, repair it with 'rosbag reindex'",
     ".active": "; it was never closed: call it .bag, and repair it with 'rosbag reindex'",
 }
+_ZSTD = b"\x28\xb5\x2f\xfd"
 _LOOKED_AT, _SET_BACK_S = 12, 1.0  # messages; a clock that goes back by more was set
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a ROS recording: a bag file, or a folder with ``metadata.yaml``."""
-    return path.name.endswith(SUFFIXES) or (path.is_dir() and (path / "metadata.yaml").is_file())
+    return path.name.lower().endswith(SUFFIXES) or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class BagStream:
             if self.camera is None and (lens := self._info(reader, size, notes)) is not None:
                 object.__setattr__(self, "camera", lens.pinhole if isinstance(lens, Fisheye) else lens)
                 object.__setattr__(self, "first_lens", lens)
-        object.__setattr__(self, "notes", tuple(notes))
+        object.__setattr__(self, "notes", tuple(dict.fromkeys((*notes, *self.notes))))  # that none is known, too
 
     @property
     def name(self) -> str:
@@ -135,7 +137,8 @@ class BagStream:
                         return
                     message, received_s = reader.deserialize(item[2], item[0].msgtype), item[1] / 1e9
                     if item[0].msgtype == INFO:
-                        known, info = (key, message) if (key := key_of_info(message)) != known else (known, info)
+                        if (known or is_calibrated(message)) and (key := key_of_info(message)) != known:
+                            known, info = key, message
                         continue
                     stamp = received_s if self.received else stamp_s(message)
                 except Exception as exc:  # damaged bytes lead a decoder to any error
@@ -169,7 +172,11 @@ class BagStream:
         for connection, _, raw in islice(reader.messages(connections=connections), _LOOKED_AT):
             try:
                 message = reader.deserialize(raw, connection.msgtype)
-            except Exception:  # it is told where the frames are read
+            except Exception as exc:  # it is told where the frames are read
+                if bytes(raw[:4]) == _ZSTD:
+                    raise SourceError(
+                        f"{place}: its messages are compressed, as only metadata.yaml says; name the folder of both"
+                    ) from exc
                 break
             if connection.msgtype == RAW:
                 check_encoding(message.encoding, place)
@@ -190,20 +197,24 @@ class BagStream:
         return size
 
     def _info(self, reader: Any, size: Size | None, notes: list[Note]) -> AnyCamera | None:
-        """The camera of the first CameraInfo in the images' name space."""
+        """The camera of the first CameraInfo in the images' name space that is none of zeros."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
         infos = [c for c in reader.connections if c.msgtype == INFO and c.topic.rpartition("/")[0] == space]
         named = sorted({c.topic for c in infos}, key=partial(_unlike, str(self.topic)))[:1]
         infos = [c for c in infos if c.topic in named]  # of several cameras in one name space, the most alike by name
         object.__setattr__(self, "infos", tuple(named))
+        zeros = ""
         for connection, _, raw in reader.messages(connections=infos) if infos else ():
             try:
                 message = reader.deserialize(raw, connection.msgtype)
             except Exception as exc:  # as above
                 raise SourceError(f"{self.path}: {connection.topic} cannot be decoded: {exc}") from exc
-            return camera_of_info(message, f"{self.path}: {connection.topic}", str(self.topic), size, notes)
-        others = ", ".join(sorted({c.topic for c in reader.connections if c.msgtype == INFO})) or "none"
-        where = f"{self.path}: {self.topic}: its camera is not known; in other name spaces: {others}"
+            if is_calibrated(message):
+                return camera_of_info(message, f"{self.path}: {connection.topic}", str(self.topic), size, notes)
+            zeros = f"; {connection.topic} has zeros"
+        object.__setattr__(self, "infos", ())
+        others = ", ".join(sorted({c.topic for c in reader.connections if c.msgtype == INFO} - {*named})) or "none"
+        where = f"{self.path}: {self.topic}: its camera is not known{zeros}; in other name spaces: {others}"
         notes.append(Note("no CameraInfo", where))
         return None
 

@@ -103,7 +103,10 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
     if image.dtype.itemsize == 2:
         image = to_eight_bits(image, white or white_level(image))
     conversion = _ENCODINGS[_known(message.encoding)][3]
-    found = image if conversion is None else cv2.cvtColor(image.squeeze(), conversion)
+    try:
+        found = image if conversion is None else cv2.cvtColor(image.squeeze(), conversion)
+    except cv2.error as exc:  # such as an odd side, where two pixels share a colour
+        raise ValueError(f"{message.width}x{message.height} pixels cannot be {message.encoding}") from exc
     return np.asarray(found, dtype=np.uint8)
 
 
@@ -113,9 +116,10 @@ def _pixels(message: Any) -> npt.NDArray[Any]:
     n_bytes, n_values, halves, _ = _ENCODINGS[_known(message.encoding)]
     width, height = message.width * n_bytes * n_values, message.height * halves // 2
     data = np.frombuffer(message.data, dtype=np.uint8)
-    if data.size != height * message.step or message.step < width or not data.size:
+    step = width if data.size == height * width else message.step  # some drivers count it in pixels, or leave it out
+    if data.size != height * step or step < width or not data.size:
         raise ValueError(f"{data.size} bytes do not make {message.width}x{message.height} pixels {message.encoding}")
-    rows = np.ascontiguousarray(data.reshape(height, message.step)[:, :width])
+    rows = np.ascontiguousarray(data.reshape(height, step)[:, :width])
     kind = f"{'>' if message.is_bigendian else '<'}u{n_bytes}"
     return rows.view(kind).reshape(height, message.width, n_values)
 
@@ -123,6 +127,11 @@ def _pixels(message: Any) -> npt.NDArray[Any]:
 def is_rectified(topic: str) -> bool:
     """Whether a topic's images are rectified by its name, as ``image_rect_color`` of ``image_proc``."""
     return re.search(r"(^|[/_])rect(ified)?($|[/_])", topic) is not None
+
+
+def is_calibrated(message: Any) -> bool:
+    """Whether a ``sensor_msgs/CameraInfo`` gives a camera: drivers without a calibration send zeros."""
+    return bool(np.any(_field(message, "K")) or np.any(_field(message, "P")))
 
 
 def camera_of_info(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from .frames import Frame, SourceError, check_size
 
 # Containers count frames roughly; fewer than this share of them is a file that was cut off.
 _WHOLE = 0.98
+_UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
 
 def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
@@ -29,9 +31,10 @@ def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether the parts of an MP4, MOV or AVI file have the sizes that they say, so that it was not cut off.
+    """Whether the parts of an MP4, MOV, AVI or Matroska file have the sizes that they say, so that it was not cut off.
 
-    Of such a file an edit list may show fewer frames than there are.
+    Of such a file an edit list may show fewer frames than there are, and others count what lasts longer, such as sound.
+    A transport stream says no sizes.
     """
     with path.open("rb") as file:
         end, at = file.seek(0, 2), 0
@@ -39,11 +42,23 @@ def _is_whole(path: Path) -> bool:
         head = file.read(12)
         if head[:4] == b"RIFF":
             return int.from_bytes(head[4:8], "little") + 8 <= end
+        if head[:4] == b"\x1aE\xdf\xa3":
+            file.seek(4)
+            file.seek(_size(file), 1)  # to the segment, which holds everything
+            return file.read(4) == b"\x18S\x80g" and _size(file) + file.tell() <= end
         while head[4:8] == b"ftyp" and at < end:
             file.seek(at)
             size, large = int.from_bytes(file.read(4)), int.from_bytes(file.read(12)[4:])
             at += max({0: end - at, 1: large}.get(size, size), 8)  # to the end of the file, or in 64 bits
-    return at == end
+    return at == end or head[:1] == b"G"
+
+
+def _size(file: BinaryIO) -> int:
+    """Size of a part of a Matroska file, in as many bytes as the first says; 0 where it is not known."""
+    first = file.read(1)[0]
+    more = 8 - first.bit_length()
+    value = int.from_bytes(bytes([first & (127 >> more)]) + file.read(more))
+    return 0 if value == (1 << 7 * (more + 1)) - 1 else value
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ class VideoStream:
     camera
         Intrinsics; None where they are known elsewhere.
     notes
-        Whether its images are turned.
+        Whether its images are turned, and whether it has no times.
     """
 
     path: Path
@@ -71,10 +86,16 @@ class VideoStream:
         with self._open() as capture:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+            rate = capture.get(cv2.CAP_PROP_FPS)
+        notes = list[Note]()
         check_size(str(self.path), (int(sides[0]), int(sides[1])) if all(sides) else None, self.camera)
         if turned:
             where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
-            object.__setattr__(self, "notes", (Note(TURNED, where),))
+            notes.append(Note(TURNED, where))
+        if self.path.suffix.lower() in _UNTIMED:
+            where = f"{self.path}: {rate:g} frames per second are assumed; a container, such as MP4, has their times"
+            notes.append(Note("no times", where))
+        object.__setattr__(self, "notes", tuple(notes))
 
     @property
     def name(self) -> str:
@@ -89,7 +110,7 @@ class VideoStream:
 
     @contextmanager
     def _open(self) -> Iterator[cv2.VideoCapture]:
-        capture = cv2.VideoCapture(str(self.path))
+        capture = cv2.VideoCapture(os.path.abspath(self.path))  # what stands before a colon is taken for a protocol
         try:
             if not capture.isOpened():
                 raise SourceError(f"{self.path}: cannot be opened as a video")
@@ -107,7 +128,7 @@ class VideoStream:
                 if not there:
                     break
                 stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000  # of the frame just read, where the file says it
-                last = stated if stated > last or not rate > 0 else done / rate
+                last = stated if stated > last or not rate > 0 else last + 1 / rate
                 yield Frame(f"{self.path.stem}-{done:06d}", last, _rgb(image))
                 done += 1
             if done == 0 or (done < _WHOLE * claimed - 1 and not _is_whole(self.path)):
