@@ -92,7 +92,7 @@ def test_association_pairs_nearest_times():
         (lambda: Trajectory(np.zeros((2, 1)), np.zeros((2, 3)), np.ones((2, 4))), "timestamps_s must be finite"),
         (lambda: associate(random_trajectory(3)[:0], random_trajectory(3)), "cannot be paired"),
         (lambda: associate(random_trajectory(3), random_trajectory(3)[:0]), "cannot be paired"),
-        (lambda: matrix_from_quat_wxyz(np.zeros((2, 4))), ""),
+        (lambda: matrix_from_quat_wxyz(np.zeros((2, 4))), "quaternions are not rotations"),
         (lambda: Trajectory.from_poses_se3(np.zeros(1), np.zeros((1, 3, 4))), r"\(n, 4, 4\)"),
         (lambda: trajectory_errors(random_trajectory(3), random_trajectory(4)), "pair them"),
         (lambda: PinholeCamera(-1, 1, 0, 0, 4, 4), "positive"),
