@@ -20,7 +20,7 @@ BUDGET = {
     "reasoning": 1530,
     "report": 870,
     "ros": 710,
-    "running": 2350,
+    "running": 2340,
     "training": 1100,
     "vision": 480,
 }
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7260
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7270
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 20950
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21030

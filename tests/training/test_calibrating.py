@@ -12,6 +12,9 @@ from conformodal.localization.source import SourceAnswer, register_source
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.errors import OdometryError
 from conformodal.model.region_rules import EvidenceType
+from conformodal.poses import Trajectory
+from conformodal.reasoning.settings import FILTER
+from conformodal.training import calibrating
 from conformodal.training.calibrating import calibrate_regions, compare_sources
 from conformodal.training.folds import Fold, Folds
 from conformodal.training.training import prepare_training_data, train_model
@@ -135,3 +138,72 @@ def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sur
     assert found.too_sure == too_sure
     assert found.larger > 0.5 or not too_sure
     assert f"hold {by_model:.3f} of the poses" in found.describe()
+
+
+class ToldBeliefs:
+    """Beliefs about frames `rows`, to which posteriors add nothing."""
+
+    def __init__(self, rows):
+        self.rows, self.mixtures = rows, [SimpleNamespace(candidates=None)] * len(rows)
+
+    def part(self, rows):
+        return ToldBeliefs(self.rows[rows])
+
+    def after(self, posteriors):
+        assert len(posteriors) == len(self.rows)
+        return self
+
+
+@pytest.mark.parametrize("by_stretch", [False, True])
+def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monkeypatch):
+    lengths = (1000, 100, 40, 14, 6)
+    unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
+    score = np.arange(n) / n  # tells the frame
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    posterior, windows = SimpleNamespace(lost=False), []
+
+    class Seen(SimpleNamespace):
+        def part(self, rows):
+            return SimpleNamespace(n=len(self.candidates[rows]))
+
+    def window(seen, forward):
+        windows.append((seen.n, len(forward)))
+        return SimpleNamespace(first=lambda prior: posterior)
+
+    stubs = {
+        "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
+        "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
+        "hindsight_posteriors": lambda seen, prior, forward: forward,
+        "Window": window,
+        "choose_places": lambda its, t, prior: (Trajectory(t, np.zeros((len(t), 3)), quats[: len(t)]), np.ones(len(t))),
+        "same_place": lambda *its: np.ones(len(its[1]), dtype=bool),
+        "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
+    }
+    for name, stub in stubs.items():
+        monkeypatch.setattr(calibrating, name, stub)
+    truth = Trajectory(np.arange(n), np.zeros((n, 3)), quats)
+    sequence = SimpleNamespace(recording=unit, timestamps_s=truth.timestamps_s, require_truth=lambda: truth)
+    localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
+    groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
+    rules = SimpleNamespace(
+        overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS), known_with_local=every, recognised=every
+    )
+    folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
+    its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
+    motions = dict.fromkeys(range(n))
+    paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
+    rule, lag = paths["lagged"], FILTER.lag
+    assert set(windows) == {(lag + 1, lag + 1)}
+    frames = np.rint(rule.scores_[:, 0] * n).astype(int)
+    assert len(np.unique(frames)) == len(frames)
+    followers = np.cumsum(lengths)[unit] - 1 - np.arange(n)
+    assert (followers[frames] >= lag).all()
+    counts = np.bincount(unit[frames], minlength=5)
+    if by_stretch:
+        assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
+        np.testing.assert_array_equal(rule.groups_, unit[frames])
+        assert [float(w) for w in rule.weights] == (1 / counts[unit[frames]]).tolist()
+    else:
+        assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
+        assert rule.groups_ is None
+    assert len(paths["online"].scores_) == n

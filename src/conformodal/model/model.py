@@ -35,7 +35,8 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import EvidenceType, RegionRules
 
-# What posteriors rest on: the frames up to each, and as many after it as the lag, or all frames of its recording.
+# What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
+# its recording (hindsight).
 PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
 
 

@@ -68,8 +68,8 @@ class Estimate:
         Hypotheses given all frames so far, and the probability that none is right; or None without an image.
     places
         The places that they make up, most probable first; the first gives the pose. Empty without an image.
-    revise, look_back
-        Called for :attr:`revised` and :attr:`lagged`.
+    revise
+        Called for :attr:`revised`.
     localization
         Belief and region of this frame alone; None without an image.
     reliable
@@ -97,7 +97,6 @@ class Estimate:
     places: list[Place] = field(default_factory=list)
     path_region: PoseRegions | None = None
     revise: Callable[[], Trajectory] | None = None
-    look_back: Callable[[], Estimate] | None = None
 
     def __post_init__(self) -> None:
         if self.evidence is not None:
@@ -122,15 +121,6 @@ class Estimate:
         A frame's pose may change until `lag` frames have followed it.
         """
         return self.pose if self.revise is None else self.revise()
-
-    @property
-    def lagged(self) -> Estimate | None:
-        """The frame `lag` frames before, from all frames up to this one. Worked out when asked for.
-
-        Its :attr:`path_region` is calibrated for a lag of ten frames, and None for others. None for the first `lag`
-        frames.
-        """
-        return None if self.look_back is None else self.look_back()
 
 
 @dataclass(eq=False)

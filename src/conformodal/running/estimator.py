@@ -46,7 +46,7 @@ class VisualOdometry(Odometry):
     model
         Trained and calibrated.
     lag
-        Frames of a stream that :attr:`Estimate.revised` and :attr:`Estimate.lagged` go back. :meth:`run` uses all.
+        Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
         Regions of the others are wider. :meth:`run` matches them in all.
@@ -100,20 +100,22 @@ class VisualOdometry(Odometry):
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
         now = self._push(self._filter, found, motion, timestamp_s)
-        now, window = replace(now, tracks=its[0], corners=its[1], matched=its[2]), self._filter.window()
+        now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
         self._last.append(now)
-        full = len(self._last) > self.lag
-        return replace(
-            now,
-            revise=partial(_revised, window, self.model.prior),
-            look_back=partial(self._lagged, self._last[0], window) if full else None,
-        )
+        return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
-    def _lagged(self, then: Estimate, window: Window) -> Estimate:
-        """The estimate of the first frame of a window, from all of them."""
+    def lagged(self) -> Estimate | None:
+        """The estimate of the usable frame `lag` such frames before the newest, from all of them up to that one.
+
+        None for the first frames of a stream. Its `path_region` is calibrated for a lag of ten frames: None for
+        another one, and where the model has no such calibration. `reliable` asks for the same probability as online.
+        """
+        if len(self._last) <= self.lag:
+            return None
+        then, posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        motion, path = then.relative_motion, LAGGED if self.lag == FILTER.lag else ""
-        now = self._estimate(then.localization, motion, then.timestamp_s, window.first(self.model.prior), path)
+        path = LAGGED if self.lag == FILTER.lag else ""
+        now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
         return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.local_features import frame_features
 from conformodal.localization.localizer import Localizer
-from conformodal.localization.parallel import in_threads
+from conformodal.localization.parallel import go_on, in_threads
 from conformodal.localization.regions import pose_scores
 from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
@@ -216,7 +217,8 @@ def calibrate_paths(
     as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
     show.
 
-    Regions at the lag of a stream are calibrated on some frames of each stream alone, drawn at random.
+    Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so many
+    follow: as many of each stretch, or in proportion to their number where frames calibrate.
 
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
@@ -243,7 +245,9 @@ def calibrate_paths(
                 known=known[start + at],
             )
             forward = filter_posteriors(seen, prior)
-            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: -(-FILTER.lagged // n_streams)]
+            go_on()
+            drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
+            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
             windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
             found[ONLINE].update(zip(at.tolist(), forward, strict=True))
             found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}

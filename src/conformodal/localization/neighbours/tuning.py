@@ -68,7 +68,8 @@ def fit_local(
 
     some, likelihoods = rows[:: -(-len(rows) // NEIGHBOURS.screened)], []
     for k, regression in enumerate(regressions):
-        likelihoods.append(tried(regression, some)[0])
+        few = len(regressions) <= NEIGHBOURS.finalists
+        likelihoods.append(0.0 if few else tried(regression, some)[0])
         if progress is not None:
             progress(k + 1, len(regressions))
     best = np.argsort(-np.array(likelihoods), kind="stable")[: NEIGHBOURS.finalists]
