@@ -62,13 +62,11 @@ def test_a_camera_that_nothing_gives_is_told(tmp_path, known):
         (folder / "camera-intrinsics.txt").unlink()
     sequence = read_sevenscenes(folder)
     assert sequence.camera.fx == (600 if known else 585)
-    told = [where for what, where in sequence.notes if what == "the camera is assumed"]
+    told = [where for what, where in sequence.notes if what == "the camera is the layout's"]
     assert told == (
-        []
-        if known
-        else [f"{folder}: the layout's, of 585 pixels focal length; write another into camera-intrinsics.txt"]
+        [] if known else [f"{folder}: its focal length is 585 pixels; write another camera into camera-intrinsics.txt"]
     )
-    assert not any(finding.wrong for finding in check_sequence(sequence).findings if "assumed" in finding.what)
+    assert not any(finding.wrong for finding in check_sequence(sequence).findings if "layout" in finding.what)
 
 
 def test_a_lens_with_distortion_is_read(tmp_path):

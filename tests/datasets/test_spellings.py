@@ -20,7 +20,9 @@ from conformodal.datasets.reading import by_name
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.writing import write_layout
 from conformodal.poses import PinholeCamera, read_tum
+from conformodal.poses.formats import tum_table
 from conformodal.poses.metrics import in_seconds
+from conformodal.poses.text import fractions_of
 
 from .test_layouts import PLACES, QUATS, WRITERS, N, as_binary, matrices, picture
 from .test_on_disk import PINHOLE, colmap, nerf, path_at
@@ -134,6 +136,30 @@ def test_fractions_of_several_lengths_are_read_as_they_were_written(tmp_path, sp
     np.testing.assert_array_equal(sequence.truth.positions_xyz[:, 0], np.arange(60))
     assert [path.stem for path in sequence.image_paths] == [spell(time) for time in times.tolist()]
     assert ("numbers can be read in two ways" in dict(sequence.notes)) is told
+
+
+@pytest.mark.parametrize("line", ["bad line", "1 2 3 4 5 6 7"])
+def test_a_damaged_line_does_not_change_how_times_are_read(tmp_path, line):
+    times = 12_000_005_000 + 33_000_000 * np.arange(60)
+    poses = [f"{t // 10**9}.{t % 10**9} 0 0 0 0 0 0 1" for t in times.tolist()]
+    (tmp_path / "a.tum").write_text("\n".join([*poses[:7], line, *poses[8:]]))
+    damaged, doubts = {}, []
+    rows = tum_table(tmp_path / "a.tum", damaged, doubts)
+    there = np.delete(np.arange(60), 7)
+    np.testing.assert_allclose(rows[there, 0], times[there] / 1e9, atol=1e-9)
+    assert any("its number is read as" in doubt for doubt in doubts)
+
+
+def test_milliseconds_in_order_are_told_from_decimals_by_their_order():
+    times = np.cumsum(np.random.default_rng(0).integers(20, 60, 100)) + 12_000
+    times[50:] += 20_000  # a pause
+    unpadded = [f"{t // 1000}.{t % 1000}" for t in times.tolist()]
+    found, told = fractions_of(unpadded, in_order=True)
+    np.testing.assert_allclose(found, times / 1000)
+    assert told
+    found, told = fractions_of([repr(t / 1000) for t in times.tolist()], in_order=True)
+    np.testing.assert_allclose(found, times / 1000)
+    assert not told
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,14 @@ def zero_is_white(array):
     return content.replace(tag + one, tag + zero)
 
 
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_levels_of_a_tiff_whose_zero_is_white_are_those_of_its_bits(tmp_path, bits):
+    ramp = np.tile(np.linspace(0, 2**bits - 1, 64).round().astype(np.uint16), (48, 1))
+    white = 2**16 - 1 - (2**bits - 1 - ramp)  # zero_is_white takes it from 16 bits
+    (tmp_path / "a.tif").write_bytes(zero_is_white(white.astype(np.uint16)))
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif")[0, :, 0], np.linspace(0, 255, 64), atol=1)
+
+
 def with_alpha(alpha):
     return Image.fromarray(np.dstack((COLOURS, np.broadcast_to(np.asarray(alpha, np.uint8), (48, 64)))))
 

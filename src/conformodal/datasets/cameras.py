@@ -17,7 +17,7 @@ from .reading import Note, read_numbers
 Size = tuple[int, int]
 
 SCALED = "intrinsics were scaled"
-ASSUMED = "the camera is assumed"
+OF_LAYOUT = "the camera is the layout's"
 
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _TURNED = " (are they turned, perhaps by EXIF?)"
@@ -88,8 +88,8 @@ def camera_beside(
     if not path.is_file():
         if default is not None and (default.width, default.height) == size and focal_px is None:
             if notes is not None:
-                where = f"{folder}: the layout's, of {default.fx:g} pixels focal length; write another into {path.name}"
-                notes.append(Note(ASSUMED, where))
+                where = f"{folder}: its focal length is {default.fx:g} pixels; write another camera into {path.name}"
+                notes.append(Note(OF_LAYOUT, where))
             return default
         told = "as given"
         if focal_px is None and images:

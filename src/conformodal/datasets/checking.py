@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .cameras import ASSUMED, SCALED
+from .cameras import OF_LAYOUT, SCALED
 from .colmap import TWICE
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import SCALED_BITS, TURNED
@@ -26,7 +26,7 @@ _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
 _NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE, AS_STORED}
-_NOTES |= {ORIGINAL_WORLD, ASSUMED, NUMBERS}
+_NOTES |= {ORIGINAL_WORLD, OF_LAYOUT, NUMBERS}
 
 
 @dataclass

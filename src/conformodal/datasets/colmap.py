@@ -100,7 +100,7 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
     registered = {name: image(base, name) for name in rows}
     unregistered = [] if base == folder else _unregistered(base, list(registered.values()))
     found = registered | {name: image(base, name) for name in unregistered}
-    names = by_name(found, str)
+    names = by_name(found, str, notes)
     usual = Counter(camera for *_, camera in rows.values()).most_common(1)[0][0]
     wide = [_wide(cameras[rows[name][2] if name in rows else usual]) for name in names]
     images = as_stored([found[name] for name in names], wide, "COLMAP", notes)

@@ -96,7 +96,7 @@ def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
     if image.mode == "I" or image.mode.startswith("I;16"):
         wide = np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
         zero_is_white = image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0  # type: ignore[attr-defined]
-        return WIDEST - wide if zero_is_white else wide
+        return white_level(wide) - wide if zero_is_white else wide
     if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):
         return None
     image.load()  # which refuses truncated files

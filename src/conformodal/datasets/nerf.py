@@ -57,7 +57,7 @@ def read_nerf(folder: Path | str, *, require_poses: bool = True, follow_outside:
         notes.append(Note("other frames are not read", f"{path}: is read, and {', '.join(others)} beside it are not"))
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
-        frames = by_name(content["frames"], lambda frame: str(frame["file_path"]))
+        frames = by_name(content["frames"], lambda frame: str(frame["file_path"]), notes)
         poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
         world = _original_world(path, content)
         cameras = [_stated(content, frame) for frame in frames]

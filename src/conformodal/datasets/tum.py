@@ -62,7 +62,7 @@ def read_tum_rgbd(
         return image
 
     images, times = listed(path, parse, "'timestamp filename'", notes)
-    if (numbers := fractions_of(stamps)) is not None and (times >= 0).all():
+    if (numbers := fractions_of(stamps, in_order=True)) is not None and (times >= 0).all():
         times, told = numbers
         notes += [Note(NUMBERS, f"{path}: {told}")] if told else []
     match = re.search(r"(?<![A-Za-z])(?:freiburg|fr)([123])(?![0-9])", folder.name)

@@ -70,13 +70,15 @@ def tum_table(path: Path, damaged: dict[int, str] | None = None, doubts: list[st
 
     def parse(line: str) -> list[float]:
         row = _numbers(line)
-        stamps.append(_fields(line)[0])
+        if len(row) == 8 and np.isfinite(row[0]):
+            stamps.append(_fields(line)[0])
         return row
 
     rows = read_rows(path, parse, 8, expected, damaged)
-    told = ""
-    if len(stamps) == len(rows) and (numbers := fractions_of(stamps)) is not None and (rows[:, 0] >= 0).all():
-        rows[:, 0], told = numbers
+    told, there = "", np.isfinite(rows[:, 0])
+    numbers = fractions_of(stamps, in_order=True) if len(stamps) == there.sum() else None
+    if numbers is not None and (rows[there, 0] >= 0).all():
+        rows[there, 0], told = numbers
     return _checked(rows, "xyzw", path, damaged, doubts, told)
 
 

@@ -39,11 +39,12 @@ def number(text: str) -> float:
     return float(text)
 
 
-def fractions_of(texts: list[str]) -> tuple[FloatArray, str] | None:
+def fractions_of(texts: list[str], *, in_order: bool = False) -> tuple[FloatArray, str] | None:
     """Numbers with a fraction that texts end in, where all have one beginning, and what is doubtful about them.
 
     Fractions of several lengths are decimals without the zeros at their ends, or whole nanoseconds without those before
-    them: 12.5000 may be 12 s and 5000 ns. Where zeros do not decide, numbers are read as the more even ones.
+    them: 12.5000 may be 12 s and 5000 ns. Where zeros do not decide, numbers are read so that they increase, if they
+    are `in_order`, or as the more even ones.
     """
     found = [match for text in texts if (match := _FRACTION.fullmatch(text))]
     if not found or len(found) < len(texts) or len({match[1] for match in found}) > 1:
@@ -57,7 +58,11 @@ def fractions_of(texts: list[str]) -> tuple[FloatArray, str] | None:
     uneven, other = (float(np.square(np.diff(np.sort(values))).sum()) for values in (decimal, unpadded))
     ends_in_zero = any(digits[-1] == "0" < digits for digits in after)
     whole = ends_in_zero or uneven > other * (_CLEAR if unit == 3 else 1)  # milliseconds are rarer
-    if (ends_in_zero and found[0][1]) or (not whole and uneven * _CLEAR < other):  # counts, as in f1.10, or decimals
+    rising = [bool((np.diff(values) > 0).all()) for values in (decimal, unpadded)]
+    if sure := in_order and not ends_in_zero and rising[0] != rising[1]:
+        whole = rising[1]
+    clear = sure or uneven * _CLEAR < other
+    if (ends_in_zero and found[0][1]) or (not whole and clear):  # counts, as in f1.10, or decimals
         return (unpadded if whole else decimal), ""
     match = min(found, key=lambda one: len(one[3]))
     reading = f"{match[3]} / {10**unit:,}" if whole else f"0.{match[3]}"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.datasets import DatasetError, read_sequence
+from conformodal.datasets import DatasetError, DatasetWarning, read_sequence
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.opening import open_stream
@@ -86,7 +86,8 @@ def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
     path.write_bytes(content)
     stream = open_stream(path)
     assert stream.n_frames == 90
-    assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
+    with pytest.warns(DatasetWarning, match=r"v\.mkv: ends after 30 of 90 frames: its sound is longer, or the file is"):
+        assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
     path.write_bytes(content[: len(content) * 2 // 3])
     with pytest.raises(SourceError, match=r"v\.mkv: ends after \d+ of 90"):
         list(open_stream(path))
@@ -97,7 +98,8 @@ def test_a_transport_stream_with_a_gap_is_read_to_its_end(tmp_path):
     content = mp4(path, codec="MPEG")
     packets = [content[k : k + 188] for k in range(0, len(content), 188)]
     path.write_bytes(b"".join(packets[:12] + packets[-12:]))
-    frames = list(open_stream(path))
+    with pytest.warns(DatasetWarning, match=r"v\.ts: ends after \d+ of \d+ frames"):
+        frames = list(open_stream(path))
     assert open_stream(path).n_frames > len(frames) + 5
     assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
 
@@ -664,7 +666,7 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
     cut.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
         open_stream(cut)
-    with pytest.raises(SourceError, match="as a ROS recording"):
+    with pytest.raises(SourceError, match=r"as a ROS recording.*; rename it to CUT\.mcap"):
         open_stream(cut.rename(tmp_path / "CUT.MCAP"))
 
 

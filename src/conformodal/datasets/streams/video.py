@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.datasets.decoding import TURNED
+from conformodal.datasets.errors import DatasetWarning
 from conformodal.datasets.reading import Note
 from conformodal.poses import PinholeCamera
 
@@ -23,6 +25,8 @@ from .frames import Frame, SourceError, check_size
 
 # Containers count frames roughly; fewer than this share of them is a file that was cut off.
 _WHOLE = 0.98
+_PACKET = 188  # bytes, of a transport stream
+_ROUGH = (".mkv", ".webm", ".ts", ".mts", ".m2ts")  # count frames by what lasts longest
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
 
@@ -34,7 +38,7 @@ def _is_whole(path: Path) -> bool:
     """Whether the parts of an MP4, MOV, AVI or Matroska file have the sizes that they say, so that it was not cut off.
 
     Of such a file an edit list may show fewer frames than there are, and others count what lasts longer, such as sound.
-    A transport stream says no sizes.
+    A transport stream does not state sizes.
     """
     with path.open("rb") as file:
         end, at = file.seek(0, 2), 0
@@ -50,7 +54,9 @@ def _is_whole(path: Path) -> bool:
             file.seek(at)
             size, large = int.from_bytes(file.read(4)), int.from_bytes(file.read(12)[4:])
             at += max({0: end - at, 1: large}.get(size, size), 8)  # to the end of the file, or in 64 bits
-    return at == end or head[:1] == b"G"
+        file.seek(_PACKET)
+        packets = head[:1] == b"G" == file.read(1)  # of a transport stream
+    return at == end or packets
 
 
 def _size(file: BinaryIO) -> int:
@@ -131,8 +137,13 @@ class VideoStream:
                 last = stated if stated > last or not rate > 0 else last + 1 / rate
                 yield Frame(f"{self.path.stem}-{done:06d}", last, _rgb(image))
                 done += 1
-            if done == 0 or (done < _WHOLE * claimed - 1 and not _is_whole(self.path)):
-                raise SourceError(f"{self.path}: ends after {done} of {claimed:.0f} frames; the file was cut off")
+        if done >= max(_WHOLE * claimed - 1, 1):
+            return
+        ends = f"{self.path}: ends after {done} of {claimed:.0f} frames"
+        if done == 0 or not _is_whole(self.path):
+            raise SourceError(f"{ends}; the file was cut off")
+        if self.path.suffix.lower() in _ROUGH:
+            warnings.warn(f"{ends}: its sound is longer, or the file is damaged", DatasetWarning, stacklevel=2)
 
 
 @dataclass(frozen=True)
