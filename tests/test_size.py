@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5690,
     "core": 410,
     "datasets": 5770,
-    "localization": 3320,
+    "localization": 3300,
     "model": 1460,
     "motion": 1070,
     "networks": 730,

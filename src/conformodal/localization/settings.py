@@ -173,7 +173,6 @@ class _AdjustmentSettings:
     solved: float = 1e-2
     solving: int = 300
     tracks: int = 80  # of each frame, the longest first
-    corners: int = 200  # of each frame, that are triangulated to find them: those that most others see
     least_views: int = 3
     least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
     # standard deviations of the given poses at first, and how far they may fall

@@ -122,14 +122,6 @@ def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
     assert len(choose_tracks([(twice, *triangulate(rays, 0.005))], 4, 0.005).points) == 2
 
 
-def test_corners_that_most_others_see_are_triangulated_for_the_adjustment(monkeypatch):
-    monkeypatch.setattr(mapping, "ADJUSTMENT", replace(ADJUSTMENT, corners=2))
-    own = [(7, np.array([[0, 5], [1, 6], [3, 2]])), (8, np.array([[1, 0], [3, 9], [2, 1]])), (9, np.array([[3, 3]]))]
-    often = mapping._seen_often(own, 4)
-    assert [(j, pairs.tolist()) for j, pairs in often] == [(7, [[1, 6], [3, 2]]), (8, [[1, 0], [3, 9]]), (9, [[3, 3]])]
-    assert mapping._seen_often([], 4) == []
-
-
 def test_a_clock_that_is_far_off_leaves_the_rest_of_the_fit(world_of, stated_camera, depth_m):
     world, rng = world_of(factor=1.1), np.random.default_rng(2)
 

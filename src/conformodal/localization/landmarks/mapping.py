@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from .keyframes import LandmarkMap
 from .triangulation import Rays, triangulate
 
 _FRAMES_AT_A_TIME = 32  # that are triangulated
-_Pairs: TypeAlias = Sequence[Sequence[tuple[int, IntArray]]]  # of each frame, see _matched
 
 
 def build_map(
@@ -44,22 +42,21 @@ def build_map(
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
-    def triangulated(few: range, now: Adjusted, pairs: _Pairs) -> tuple[Rays, FloatArray, BoolArray]:
+    def triangulated(few: range, now: Adjusted) -> tuple[Rays, FloatArray, BoolArray]:
         camera = now.mounted.camera
         rays = _rays(few, pairs, features, now.poses_cam, camera, before)
         return rays, *triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
 
     sigmas = np.repeat([ADJUSTMENT.sigma_rad, ADJUSTMENT.sigma_depths * depth_m], 3)
     now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas, known_camera)
-    often = [_seen_often(own, len(f.pixels)) for own, f in zip(pairs, features, strict=True)]
     for _ in range(ADJUSTMENT.rounds):
-        found = in_threads(partial(triangulated, now=now, pairs=often), chunks)
+        found = in_threads(partial(triangulated, now=now), chunks)
         camera = now.mounted.camera
         tracks = choose_tracks(found, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
         if len(tracks.frame) < ADJUSTMENT.least_per_frame * len(features):
             break
         now = adjust(now, poses_se3, tracks)
-    found = in_threads(partial(triangulated, now=now, pairs=pairs), chunks)
+    found = in_threads(partial(triangulated, now=now), chunks)
     points, sound = np.concatenate([its for _, its, _ in found]), np.concatenate([its for _, _, its in found])
     return LandmarkMap(
         camera=now.mounted.camera,
@@ -130,17 +127,7 @@ def _matched(
     return found
 
 
-def _seen_often(own: Sequence[tuple[int, IntArray]], n_corners: int) -> list[tuple[int, IntArray]]:
-    """A frame's pairs of those corners that most others see: the adjustment takes the longest tracks alone."""
-    counts = np.zeros(n_corners, np.int64)
-    for _, pairs in own:
-        counts[pairs[:, 0]] += 1  # a match names each corner once
-    often = np.zeros(n_corners, dtype=bool)
-    often[np.argsort(-counts, kind="stable")[: ADJUSTMENT.corners]] = True
-    return [(j, pairs[often[pairs[:, 0]]]) for j, pairs in own]
-
-
-def _some_matches(features: Sequence[LocalFeatures], pairs: _Pairs) -> Matches:
+def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]]) -> Matches:
     rng, moving = np.random.default_rng(0), [its.flows for its in features]
     frames, pixels, flows = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))], [np.empty((0, 2, 2))]
     for i, others in enumerate(pairs):
@@ -155,7 +142,7 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: _Pairs) -> Matches:
 
 def _rays(
     frames: range,
-    pairs: _Pairs,
+    pairs: Sequence[Sequence[tuple[int, IntArray]]],
     features: Sequence[LocalFeatures],
     poses_cam: FloatArray,
     camera: PinholeCamera,
