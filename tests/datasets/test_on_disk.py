@@ -20,6 +20,8 @@ from .test_layouts import PLACES, QUATS, WRITERS, Layout, N, as_binary, matrices
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
 
+MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])  # y up becomes y down
+
 
 def nerf(root, *, name="transforms.json", top=None, frames=None):
     """A NeRF data set, changed on top and in its frames."""
@@ -295,6 +297,7 @@ def reordered(poses, scalar_first):
         (np.linalg.inv, "world-to-camera, OpenCV axes"),
         (lambda poses: poses @ OPENGL_AXES, "camera-to-world, OpenGL axes"),
         (lambda poses: np.linalg.inv(poses @ OPENGL_AXES), "world-to-camera, OpenGL axes"),
+        (lambda poses: MIRRORED @ poses @ MIRRORED, "camera-to-world, left-handed axes with y up (Unity)"),
     ],
 )
 def test_the_convention_of_given_poses_is_told(real_data, data, made, best):

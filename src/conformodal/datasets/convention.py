@@ -19,6 +19,7 @@ from .sequence import Sequence
 AS_GIVEN = "camera-to-world, OpenCV axes"
 FITTED = "the focal length is an estimate"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+_Y_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
 _PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
 _FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
@@ -50,6 +51,7 @@ def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
         "world-to-camera, OpenCV axes": back,
         "camera-to-world, OpenGL axes": given @ _OPENGL,
         "world-to-camera, OpenGL axes": back @ _OPENGL,
+        "camera-to-world, left-handed axes with y up (Unity)": _Y_DOWN @ given @ _Y_DOWN,
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
         poses[f"quaternions {order}"] = rolled = _rolled(given, by)
