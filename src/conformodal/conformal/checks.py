@@ -48,6 +48,11 @@ def shortened(text: str, most: int = 300) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
+def reason(exc: Exception) -> str:
+    """What an exception says, on one line."""
+    return shortened(" ".join(str(exc).split()))
+
+
 def as_alpha(alpha: Alpha) -> Fraction:
     """A miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055."""
     try:
@@ -126,8 +131,7 @@ def as_array(values: Any, name: str) -> npt.NDArray[Any]:
     except (ConformalError, MemoryError):
         raise
     except Exception as exc:  # whatever a foreign class raises
-        why = shortened(" ".join(str(exc).split()))
-        raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {why}") from None
+        raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {reason(exc)}") from None
 
 
 def as_reals(values: Any, name: str) -> RealArray:

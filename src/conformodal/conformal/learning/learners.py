@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from sklearn.base import clone
 
-from conformodal.conformal.checks import brief, shortened
+from conformodal.conformal.checks import brief, reason
 from conformodal.conformal.errors import ConformalError, SlowFitWarning
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import Progress
@@ -135,7 +135,7 @@ def _fitted(
     except ConformalError:
         raise
     except (ValueError, TypeError) as exc:
-        raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
+        raise ConformalError(f"estimator cannot be fitted: {reason(exc)}") from exc
 
 
 def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int = 1) -> bool:
