@@ -114,6 +114,46 @@ def test_columns_are_numbers_or_text(column, expected):
     np.testing.assert_array_equal(as_column(column, "c"), expected)
 
 
+@pytest.mark.parametrize("value", [[1, 2], {"a": 1}, np.zeros(2), 1j])
+def test_columns_of_other_things_are_not_taken_for_missing_or_text(value):
+    with pytest.raises(ConformalError, match="column c must hold numbers, dates or text, found"):
+        as_column(pd.Series([value] * 3), "c")
+
+
+def test_a_column_without_values_in_training_tells_nothing():
+    X = pd.DataFrame({"a": [1.0, 2.0], "b": [None, None]})
+    encoder = TableEncoder().fit(X)
+    for later in ("x", 3.0, None):
+        np.testing.assert_array_equal(encoder.transform(X.assign(b=later)), [[1, 0], [2, 0]])
+
+
+def test_columns_in_another_order_are_refused_whatever_their_names_are():
+    X, y = frame()
+    numbers = X[["age", "sex"]].assign(age=X.age.fillna(50), sex=X.sex == "f")
+    for names in ([0, 1], pd.MultiIndex.from_tuples([("n", "age"), ("n", "sex")])):
+        table = numbers.set_axis(names, axis=1)
+        reg = tree().fit(table, y)
+        np.testing.assert_array_equal(reg.predict(table), tree().fit(numbers, y).predict(numbers))
+        with pytest.raises(ConformalError, match="another order than in training"):
+            reg.predict(table.iloc[:, ::-1])
+    reg.fit(numbers.to_numpy() * 1.0, y)
+    assert len(reg.predict(numbers)) == N
+
+
+def test_a_lazy_table_is_refused():
+    pl = pytest.importorskip("polars")
+    with pytest.raises(ConformalError, match="in memory, got a LazyFrame: call its collect"):
+        tree().fit(pl.LazyFrame({"a": [1.0, 2.0]}), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("unit", ["datetime64[s]", "timedelta64[s]", object])
+def test_dates_as_values_are_refused_in_series_too(unit):
+    dates = pd.Series([date(2020, 1, 1)] * 3) if unit is object else pd.Series(np.arange(3), name="d").astype(unit)
+    for y in (dates, dates.to_frame("d")):
+        with pytest.raises(ConformalError, match="numeric, found dates or times"):
+            tree().fit(np.zeros((3, 1)), y)
+
+
 def test_an_infinite_number_is_told_by_column_and_row():
     with pytest.raises(ConformalError, match="column age must be finite or missing, found inf in row 1"):
         as_column(pd.Series([0.0, np.inf]), "age")
@@ -165,7 +205,7 @@ def test_sparse_columns_stay_sparse():
         ConformalRegressor().fit(wide, y)
 
 
-@pytest.mark.parametrize("form", [lambda y: y, lambda y: y.to_frame(), lambda y: y.to_numpy()])
+@pytest.mark.parametrize("form", [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list])
 def test_rows_without_a_label_are_told(form):
     X, y = frame()
     y = y.where(~y.index.isin([3, 17]))
@@ -248,6 +288,8 @@ def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
     assert unbounded <= 2  # 12 of 40 where the outer bins end with the range
     with pytest.warns(UserWarning, match="regions are unbounded: 4 calibration samples are too few for alpha"):
         tree().fit(X[:20], y[:20])
+    with pytest.warns(UserWarning, match="regions are unbounded: 1 calibration sample is too few"):
+        tree().fit(X[:5], y[:5])
 
 
 def test_tail_bins_lie_beyond_the_others():
