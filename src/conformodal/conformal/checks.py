@@ -125,6 +125,8 @@ def as_array(values: Any, name: str) -> npt.NDArray[Any]:
             masked = np.argwhere(np.ma.getmaskarray(np.ma.asanyarray(values)))
             if masked.size:
                 raise ConformalError(f"{name} must not hold masked entries, found one at position {masked[0].tolist()}")
+        if callable(getattr(values, "combine_chunks", None)):  # of Arrow, whose chunks of categories fill gaps with one
+            values = values.combine_chunks()
         if callable(getattr(values, "detach", None)):  # a tensor of torch, with a gradient or on a device
             values = values.detach().cpu()
         return np.asarray(values)

@@ -127,6 +127,33 @@ def test_a_column_without_values_in_training_tells_nothing():
         np.testing.assert_array_equal(encoder.transform(X.assign(b=later)), [[1, 0], [2, 0]])
 
 
+@pytest.mark.parametrize(
+    "column",
+    [["a", None, 1, 2.0], ["x", None, "y", "y"], pd.Categorical([1, None, 2, 2]), pd.Categorical(["u", "v"] * 2)],
+)
+def test_a_row_is_the_same_by_itself(column):
+    X = pd.DataFrame({"k": pd.Series(column)}).loc[np.repeat(np.arange(4), 2)]
+    encoder = TableEncoder().fit(X)
+    assert {tuple(row) for row in encoder.transform(X)} == {tuple(row) for row in np.eye(len(X.k.unique()))}
+    rows = [encoder.transform(X.iloc[[i]])[0] for i in range(8)]
+    np.testing.assert_array_equal(rows, encoder.transform(X))
+    for empty in ([None], [np.nan], pd.to_datetime([None])):
+        missing = encoder.transform(pd.DataFrame({"k": empty}))
+        np.testing.assert_array_equal(missing.any(), X.k.isna().any())
+    whole = X[X.k.notna()].assign(k=lambda own: own.k.astype(X.k.dtype.name))  # categories of 1, not 1.0
+    np.testing.assert_array_equal(encoder.transform(whole), encoder.transform(X)[X.k.notna()])
+
+
+def test_gaps_in_categories_of_arrow_stay_gaps():
+    pa = pytest.importorskip("pyarrow")
+    column = pa.array(["a", "b", None, "b"]).dictionary_encode()
+    X = pa.table({"k": pa.chunked_array([column, column])})
+    assert as_column(X.column("k"), "k").tolist() == ["a", "b", "", "b"] * 2
+    assert as_column(pa.chunked_array([pa.array([1, 2]).dictionary_encode()]), "k").tolist() == ["1", "2"]
+    with pytest.raises(ConformalError, match="missing label, found None, in row 2"):
+        tree(groups="k").fit(X, np.arange(8.0))
+
+
 def test_columns_in_another_order_are_refused_whatever_their_names_are():
     X, y = frame()
     numbers = X[["age", "sex"]].assign(age=X.age.fillna(50), sex=X.sex == "f")
@@ -262,6 +289,7 @@ def test_two_targets_in_groups_are_covered_together():
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
+        (lambda X, y: tree().fit(X, y.to_frame()[[]]), r"0 feature\(s\)"),
         (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
     ],
 )

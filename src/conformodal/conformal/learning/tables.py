@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from datetime import date, datetime, timedelta
 from decimal import Decimal
 from numbers import Real
@@ -50,14 +50,18 @@ def rows_of(X: Any, rows: Any) -> Any:
     return X.take(positions) if hasattr(X, "column_names") else X[positions]
 
 
-def as_column(column: Any, name: object) -> npt.NDArray[Any]:
-    """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``."""
-    arr = np.asarray(column)
+def as_column(column: Any, name: object, text: bool = False) -> npt.NDArray[Any]:
+    """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``.
+
+    With `text`, so are objects of any kind, and a column without any value.
+    """
+    arr = as_array(column, f"column {name}")
     nested = arr.ndim != 1 or arr.dtype.kind in "cV"
     for value in arr if nested or arr.dtype.kind == "O" else ():
         if nested or (not isinstance(value, (str, bytes, tuple)) and np.iterable(value)):
             raise ConformalError(f"column {name} must hold numbers, dates or text, found {brief(value)}")
-    labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
+    kind = str(getattr(column, "dtype", getattr(column, "type", ""))).lower()
+    labels = kind.startswith(("categor", "enum", "dictionary")) or (text and arr.dtype.kind == "O")
     if arr.dtype.kind == "O" and not labels:
         known = [value for value in arr if not is_missing(value)]
         if all(isinstance(value, (Real, Decimal, np.bool_)) for value in known):
@@ -72,8 +76,15 @@ def as_column(column: Any, name: object) -> npt.NDArray[Any]:
         if np.isinf(numbers).any():
             row = int(np.isinf(numbers).argmax())
             raise ConformalError(f"column {name} must be finite or missing, found {numbers[row]} in row {row}")
-        return numbers
-    return np.array(["" if is_missing(value) else str(value) for value in arr], dtype=np.str_)
+        return np.full(numbers.shape, "") if text and np.isnan(numbers).all() else numbers
+    return np.array([_label(value) for value in arr], dtype=np.str_)
+
+
+def _label(value: Any) -> str:
+    """A value as text; gaps turn the whole numbers of a category into floats, which are the same labels."""
+    if is_missing(value):
+        return ""
+    return str(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
 def named_targets(y: Any) -> tuple[Any, list[str] | None]:
@@ -81,7 +92,8 @@ def named_targets(y: Any) -> tuple[Any, list[str] | None]:
     names = None
     if is_frame(y):
         names = [str(name) for name in names_of(y)]
-        y = np.column_stack([_target(column_of(y, j), name) for j, name in enumerate(names)])
+        columns = [_target(column_of(y, j), name) for j, name in enumerate(names)]
+        y = np.column_stack([np.empty((y.shape[0], 0)), *columns])
     elif hasattr(y, "to_frame"):  # a series
         names, y = [str(y.name)] if y.name else None, _target(y, y.name)
     values = as_array(y, "y")
@@ -95,17 +107,16 @@ def named_targets(y: Any) -> tuple[Any, list[str] | None]:
 def _target(column: Any, name: object) -> FloatArray:
     """A column of values to predict as float64, missing NaN; dates, which regions could not hold, are refused."""
     what = f"y, {name}," if name else "y"
-    raw = np.asarray(column)
-    times = raw.dtype.kind in "mM" or (raw.dtype.kind == "O" and any(isinstance(v, (date, timedelta)) for v in raw))
-    if times:
+    arr = as_array(column, what)
+    if arr.dtype.kind in "mM" or (arr.dtype.kind == "O" and any(isinstance(v, (date, timedelta)) for v in arr)):
         raise ConformalError(f"{what} must be numeric, found dates or times: give days since a date, say")
-    return as_doubles(as_column(column, name), what)
+    return as_doubles(as_column(column, name) if arr.dtype.kind == "O" else arr, what)
 
 
-def columns_of(X: Any) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, npt.NDArray[Any]]]:
     """Names and values of the columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
-        return [(name, as_column(column_of(X, j), name)) for j, name in enumerate(names_of(X))]
+        return [(name, as_column(column_of(X, j), name, j in text)) for j, name in enumerate(names_of(X))]
     arr = as_doubles(X, "X")
     if arr.ndim != 2 or np.isinf(arr).any():
         raise ConformalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")
@@ -136,7 +147,7 @@ class TableEncoder:
 
     def transform(self, X: Any) -> FloatArray:
         """The columns (n, q) of a table with as many columns as the one that was learnt."""
-        found = columns_of(X)
+        found = columns_of(X, [j for j, known in enumerate(self.columns_) if isinstance(known, list)])
         if len(found) != len(self.columns_):
             raise ConformalError(f"X has {len(found)} columns, expected {len(self.columns_)}")
         parts: list[FloatArray] = []
@@ -146,7 +157,7 @@ class TableEncoder:
             elif isinstance(known, tuple) and values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 parts += [np.where(gaps, known[0], values), *([gaps * 1.0] if known[1] else [])]
-            elif isinstance(known, list) and (values.dtype.kind != "f" or np.isnan(values).all()):
+            elif isinstance(known, list) and values.dtype.kind != "f":
                 parts += [(values == label) * 1.0 for label in known]
             else:
                 what = ("numbers or dates", "text")[:: 1 if isinstance(known, tuple) else -1]
