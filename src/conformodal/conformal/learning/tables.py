@@ -53,7 +53,7 @@ def rows_of(X: Any, rows: Any) -> Any:
 def as_column(column: Any, name: object, text: bool = False) -> npt.NDArray[Any]:
     """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``.
 
-    With `text`, so are objects of any kind, and a column without any value.
+    With `text`, objects of any kind and a column without any value are text too.
     """
     arr = as_array(column, f"column {name}")
     nested = arr.ndim != 1 or arr.dtype.kind in "cV"
