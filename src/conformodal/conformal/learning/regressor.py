@@ -420,12 +420,15 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self.calibrator_.calibrate(self._proba(features), values)
             if np.isinf(self.calibrator_.thresholds_).any():
                 few = counted(len(values), "calibration sample is", "calibration samples are")
-                warnings.warn(f"regions are unbounded: {few} too few for alpha = {self.alpha}", stacklevel=3)
+                warnings.warn(
+                    f"regions are unbounded: {few} too few for alpha = {self.calibrator_.alpha}", stacklevel=3
+                )
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
         if small:
-            warnings.warn(f"regions of groups with too few calibration samples are unbounded: {small}", stacklevel=3)
+            few = f"{counted(len(small), 'group')} with too few calibration samples"
+            warnings.warn(f"regions of {few} are unbounded: {shortened(str(small))}", stacklevel=3)
 
     def _calibrated(self) -> Any:
         if not hasattr(self.calibrator_, "scores_"):
