@@ -163,6 +163,15 @@ def as_doubles(values: Any, name: str) -> FloatArray:
     return as_reals(values, name).astype(np.float64, copy=False)
 
 
+def column_names(table: Any, name: str, learnt: list[str] | None) -> list[str]:
+    """Names of a frame's columns, none of an array's; those that were `learnt`, in another order, are refused."""
+    found = list(map(str, getattr(table, "column_names", getattr(table, "columns", ()))))
+    if learnt and found != learnt and sorted(found) == sorted(learnt):
+        order = f"got {brief(found)}, expected {brief(learnt)}"
+        raise ConformalError(f"{name} has its columns in another order than in training: {order}")
+    return found
+
+
 def as_finite(values: Any, name: str, shape: str) -> FloatArray:
     """Finite numbers in float64, with as many axes as `shape`, such as ``"(n, k)"``, has letters."""
     arr = as_doubles(values, name)

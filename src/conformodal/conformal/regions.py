@@ -12,7 +12,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
-from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief
+from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief, column_names
 from .errors import ConformalError
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class Regions:
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
         """Whether each set holds the value `y`, (n, d), or (n,) for one target; with `joint`, whether all do, (n,)."""
+        column_names(y, "y", self.bins.names)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
             raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")

@@ -167,6 +167,28 @@ def test_columns_in_another_order_are_refused_whatever_their_names_are():
     assert len(reg.predict(numbers)) == N
 
 
+def test_targets_in_another_order_are_refused():
+    X, y = frame()
+    both, numbers = pd.DataFrame({"dose": y, "days": 10 * y}), X[["age"]].fillna(50)
+    reg = tree().fit(numbers, both)
+    regions, density = reg.predict_region(numbers), reg.predict_density(numbers)
+    np.testing.assert_array_equal(regions.contains(both), regions.contains(both.to_numpy()))
+    np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
+    turned = both[["days", "dose"]]
+    calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
+        reg.conformalize, reg.diagnose, reg.score)))  # fmt: skip
+    for call in calls:
+        with pytest.raises(ConformalError, match="y has its columns in another order"):
+            call(turned)
+
+
+def test_values_beyond_those_learnt_from_are_not_called_few():
+    X, y = frame()
+    reg = tree(calibration_size=0).fit(X[["age"]].fillna(50), y)
+    with pytest.warns(UserWarning, match="unbounded: 50 of 240 calibration samples have values beyond those learnt"):
+        reg.conformalize(X[["age"]].fillna(50), y.where(np.arange(N) >= 50, 1e3))
+
+
 def test_a_lazy_table_is_refused():
     pl = pytest.importorskip("polars")
     with pytest.raises(ConformalError, match="in memory, got a LazyFrame: call its collect"):

@@ -29,6 +29,7 @@ from conformodal.conformal.checks import (
     as_random,
     as_reals,
     brief,
+    column_names,
     shortened,
 )
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
@@ -76,6 +77,7 @@ def _log_score(self: ConformalRegressor, X: Any, y: Any, sample_weight: npt.Arra
 
     A density below a millionth of that of a uniform distribution, as beyond all bins, counts as so much.
     """
+    check_is_fitted(self, "bins_")
     values = self._table(X, y, reset=False)[1]
     density = self.predict_density(X).pdf(values)
     least = [_LEAST_SHARE / np.ptp(edges) for edges in self.bins_.edges_]
@@ -367,7 +369,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""
         if callable(getattr(X, "collect", None)):  # of polars, a plan without values
             raise ConformalError(f"X must be a table in memory, got a {type(X).__name__}: call its collect() first")
-        frame, (y, names) = is_frame(X), named_targets(y)
+        frame, learnt = is_frame(X), None if reset else self.bins_.names
+        y, names = named_targets(y, learnt)
         needs = {} if y is _NO_TARGETS else {"y": y}
         if isinstance(X, np.ndarray) and not X.dtype.isnative:  # in which scikit-learn 1.6 finds no NaN
             X = X.astype(X.dtype.newbyteorder("="))
@@ -386,11 +389,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise
         except Exception as exc:  # whatever a foreign class raises
             raise ConformalError(shortened(str(exc))) from None
-        columns = [str(name) for name in names_of(X)] if frame else []
-        learnt = self._columns = columns if reset else getattr(self, "_columns", columns)
-        if columns != learnt and sorted(columns) == sorted(learnt):  # scikit-learn compares names of text only
-            order = f"got {brief(columns)}, expected {brief(learnt)}"
-            raise ConformalError(f"X has its columns in another order than in training: {order}")
+        columns = column_names(X, "X", None if reset else getattr(self, "_columns", None))
+        if reset:
+            self._columns = columns
         # scikit-learn drops masks, and reads text and dates among objects as numbers
         for name, given in (("X", X), *needs.items()):
             if not (issparse(given) or is_frame(given)):
@@ -419,10 +420,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if labels is None:
             self.calibrator_.calibrate(self._proba(features), values)
             if np.isinf(self.calibrator_.thresholds_).any():
-                few = counted(len(values), "calibration sample is", "calibration samples are")
-                warnings.warn(
-                    f"regions are unbounded: {few} too few for alpha = {self.calibrator_.alpha}", stacklevel=3
-                )
+                n, beyond = len(values), int((self.bins_.encode(values) < 0).any(axis=1).sum())
+                why = f"{counted(n, 'calibration sample is', 'calibration samples are')} too few"
+                if self.calibrator_.rank <= n:
+                    why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
+                warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}

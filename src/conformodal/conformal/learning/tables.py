@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
-from conformodal.conformal.checks import as_array, as_doubles, brief
+from conformodal.conformal.checks import as_array, as_doubles, brief, column_names
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import is_missing
 from conformodal.core.arrays import FloatArray
@@ -87,11 +87,11 @@ def _label(value: Any) -> str:
     return str(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
-def named_targets(y: Any) -> tuple[Any, list[str] | None]:
+def named_targets(y: Any, learnt: list[str] | None) -> tuple[Any, list[str] | None]:
     """Values to predict, those of a frame or series as float64, and their names; none may be missing."""
     names = None
     if is_frame(y):
-        names = [str(name) for name in names_of(y)]
+        names = column_names(y, "y", learnt)
         columns = [_target(column_of(y, j), name) for j, name in enumerate(names)]
         y = np.column_stack([np.empty((y.shape[0], 0)), *columns])
     elif hasattr(y, "to_frame"):  # a series
