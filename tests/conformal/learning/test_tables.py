@@ -311,6 +311,10 @@ def test_two_targets_in_groups_are_covered_together():
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
+        (
+            lambda X, y: tree().fit(X, y, groups=np.arange(N)),
+            "240 of .* calibrate, 1 or more of each of 240 groups: at",
+        ),
         (lambda X, y: tree().fit(X, y.to_frame()[[]]), r"0 feature\(s\)"),
         (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
     ],

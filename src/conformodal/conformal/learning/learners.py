@@ -61,8 +61,9 @@ def split_off(
         order = order[np.argsort(rank[order], kind="stable")]
         n_held = n - int(rank.sum())
     if n - n_held < 2:
+        each = "" if codes is None else f", 1 or more of each of {counted(np.unique(codes).size, 'group')}"
         raise ConformalError(
-            f"X has n_samples={n}, {n_held} of which are held out to calibrate: at least 2 must be left"
+            f"X has n_samples={n}, {n_held} of which are held out to calibrate{each}: at least 2 must be left"
         )
     return order[:n_held], order[n_held:]
 
