@@ -17,7 +17,7 @@ from conformodal.conformal import (
 )
 from conformodal.conformal.intervals import shortest_sets
 
-pytestmark = pytest.mark.filterwarnings("ignore:regions are unbounded", "ignore:The number of unique")
+pytestmark = pytest.mark.filterwarnings("ignore:regions are unbounded")
 RNG = np.random.default_rng(0)
 
 

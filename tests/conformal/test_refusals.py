@@ -198,6 +198,7 @@ REFUSED = [
     (lambda: cm.diagnose(MONDRIAN, P, Y), "groups are needed"),
     (lambda: cm.diagnose(SPLIT, P, Y, names=5), "name per target"),
     (lambda: cm.diagnose(SPLIT, P, Y, names=["a"]), "names"),
+    (lambda: cm.diagnose(SPLIT, P, Y, names="ab"), "one name per target .2., got 'ab'"),
     (lambda: cm.diagnose(SPLIT, P, Y, X[:7]), "X must"),
     (lambda: cm.diagnose(SPLIT, P, Y, groups=[1]), "groups"),
     (lambda: cm.diagnose(SPLIT, P[:0], Y[:0]), "at least one"),

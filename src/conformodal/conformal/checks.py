@@ -48,6 +48,11 @@ def shortened(text: str, most: int = 300) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
+def reason(exc: Exception) -> str:
+    """What an exception says, on one line."""
+    return shortened(" ".join(str(exc).split()))
+
+
 def as_alpha(alpha: Alpha) -> Fraction:
     """A miscoverage rate as the decimal it is written as: ``0.1`` is one tenth, not 0.1000000000000000055."""
     try:
@@ -120,14 +125,15 @@ def as_array(values: Any, name: str) -> npt.NDArray[Any]:
             masked = np.argwhere(np.ma.getmaskarray(np.ma.asanyarray(values)))
             if masked.size:
                 raise ConformalError(f"{name} must not hold masked entries, found one at position {masked[0].tolist()}")
+        if callable(getattr(values, "combine_chunks", None)):  # of Arrow, whose chunks of categories fill gaps with one
+            values = values.combine_chunks()
         if callable(getattr(values, "detach", None)):  # a tensor of torch, with a gradient or on a device
             values = values.detach().cpu()
         return np.asarray(values)
     except (ConformalError, MemoryError):
         raise
     except Exception as exc:  # whatever a foreign class raises
-        why = shortened(" ".join(str(exc).split()))
-        raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {why}") from None
+        raise ConformalError(f"{name} cannot be read as an array, got {type(values).__name__}: {reason(exc)}") from None
 
 
 def as_reals(values: Any, name: str) -> RealArray:
@@ -155,6 +161,15 @@ def as_reals(values: Any, name: str) -> RealArray:
 def as_doubles(values: Any, name: str) -> FloatArray:
     """:func:`as_reals` in float64."""
     return as_reals(values, name).astype(np.float64, copy=False)
+
+
+def column_names(table: Any, name: str, learnt: list[str] | None) -> list[str]:
+    """Names of a frame's columns, none of an array's; those that were `learnt`, in another order, are refused."""
+    found = list(map(str, getattr(table, "column_names", getattr(table, "columns", ()))))
+    if learnt and found != learnt and sorted(found) == sorted(learnt):
+        order = f"got {brief(found)}, expected {brief(learnt)}"
+        raise ConformalError(f"{name} has its columns in another order than in training: {order}")
+    return found
 
 
 def as_finite(values: Any, name: str, shape: str) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray
 
 from .bins import QuantileBins
-from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets
+from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets, column_names
 from .errors import ConformalError
 from .regions import Regions
 
@@ -89,6 +89,7 @@ class PredictiveDensity:
         return found
 
     def _values(self, y: npt.ArrayLike) -> FloatArray:
+        column_names(y, "y", self.bins.names)
         values = as_targets(y, self.bins.n_targets)
         if len(values) != len(self):
             raise ConformalError(f"y has {len(values)} rows, the densities have {len(self)}")

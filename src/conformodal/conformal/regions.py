@@ -12,7 +12,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
-from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief
+from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief, column_names
 from .errors import ConformalError
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class Regions:
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
         """Whether each set holds the value `y`, (n, d), or (n,) for one target; with `joint`, whether all do, (n,)."""
+        column_names(y, "y", self.bins.names)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
             raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
@@ -117,7 +118,12 @@ class Regions:
             row, j = np.argwhere(~np.isfinite(ends))[0]
             found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}: bound them by y_min= and y_max="
             raise ConformalError(f"function must be finite at all edges of the bins, {found}")
-        steps = [slice(None, None, 1 if end[0] < end[1] else -1) for end in ends.T]
+        steps = [slice(None, None, 1 if end[0] < end[-1] else -1) for end in ends.T]
+        for j, (end, e, step) in enumerate(zip(ends.T, edges, steps, strict=True)):
+            for at in np.flatnonzero(np.diff(end[: e.size]) * step.step <= 0)[:1]:
+                found = f"{end[at]:g}, {end[at + 1]:g} at {e[at]:g}, {e[at + 1]:g}, target {j}"
+                hint = "bound them by y_min= and y_max="
+                raise ConformalError(f"function must be strictly monotone, found {found}: {hint}")
         bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
         bins.names = self.bins.names
         return Regions(bins, [mask[:, s] for mask, s in zip(self.masks, steps, strict=True)], self.unbounded)

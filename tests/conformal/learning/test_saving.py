@@ -2,6 +2,8 @@
 
 import io
 import zipfile
+from datetime import date
+from decimal import Decimal
 
 import numpy as np
 import pandas as pd
@@ -34,7 +36,6 @@ def fitted(**options):
     return ConformalRegressor(**({"random_state": 0} | options)).fit(X, targets)
 
 
-@pytest.mark.filterwarnings("ignore:The number of unique")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
     reg = fitted(**KINDS[kind])
@@ -49,6 +50,22 @@ def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
     again.conformalize(X, np.column_stack((Y, -Y)) if "joint" in KINDS[kind] else Y)
 
 
+@pytest.mark.parametrize(
+    "labels", [(False, True), (("a", 0), ("a", 1)), (date(2020, 1, 1), date(2021, 1, 1)), (0, "x"), (0.0, 0.5)]
+)
+def test_groups_come_back_whatever_their_labels_are(labels, tmp_path):
+    groups = [labels[i % 2] for i in range(200)]
+    reg = ConformalRegressor(RandomForestClassifier(5), n_bins=8, alpha=Decimal("0.2"), random_state=0)
+    reg.fit(X[["a"]], Y, groups=groups).save(tmp_path / "reg.cm")
+    again = ConformalRegressor.load(tmp_path / "reg.cm")
+    assert again.calibrator_.sizes_ == reg.calibrator_.sizes_
+    assert set(again.calibrator_.sizes_.values()) == {20}
+    for alpha in (None, 0.4):
+        found, expected = (one.predict_region(X[["a"]], alpha, groups) for one in (again, reg))
+        np.testing.assert_array_equal(found.masks[0], expected.masks[0])
+        assert not found.unbounded.any()
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::conformodal.conformal.SlowFitWarning")
 def test_the_stack_comes_back_as_it_was(tmp_path):
@@ -61,7 +78,6 @@ class Foreign(RandomForestClassifier):
     pass
 
 
-@pytest.mark.filterwarnings("ignore:The number of unique")
 def test_types_of_others_are_named_and_need_trust(tmp_path):
     path = tmp_path / "reg.cm"
     inner = make_pipeline(FOREST[0], Foreign(5, random_state=0))

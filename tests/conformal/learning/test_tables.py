@@ -114,6 +114,95 @@ def test_columns_are_numbers_or_text(column, expected):
     np.testing.assert_array_equal(as_column(column, "c"), expected)
 
 
+@pytest.mark.parametrize("value", [[1, 2], {"a": 1}, np.zeros(2), 1j])
+def test_columns_of_other_things_are_not_taken_for_missing_or_text(value):
+    with pytest.raises(ConformalError, match="column c must hold numbers, dates or text, found"):
+        as_column(pd.Series([value] * 3), "c")
+
+
+def test_a_column_without_values_in_training_tells_nothing():
+    X = pd.DataFrame({"a": [1.0, 2.0], "b": [None, None]})
+    encoder = TableEncoder().fit(X)
+    for later in ("x", 3.0, None):
+        np.testing.assert_array_equal(encoder.transform(X.assign(b=later)), [[1, 0], [2, 0]])
+
+
+@pytest.mark.parametrize(
+    "column",
+    [["a", None, 1, 2.0], ["x", None, "y", "y"], pd.Categorical([1, None, 2, 2]), pd.Categorical(["u", "v"] * 2)],
+)
+def test_a_row_is_the_same_by_itself(column):
+    X = pd.DataFrame({"k": pd.Series(column)}).loc[np.repeat(np.arange(4), 2)]
+    encoder = TableEncoder().fit(X)
+    assert {tuple(row) for row in encoder.transform(X)} == {tuple(row) for row in np.eye(len(X.k.unique()))}
+    rows = [encoder.transform(X.iloc[[i]])[0] for i in range(8)]
+    np.testing.assert_array_equal(rows, encoder.transform(X))
+    for empty in ([None], [np.nan], pd.to_datetime([None])):
+        missing = encoder.transform(pd.DataFrame({"k": empty}))
+        np.testing.assert_array_equal(missing.any(), X.k.isna().any())
+    whole = X[X.k.notna()].assign(k=lambda own: own.k.astype(X.k.dtype.name))  # categories of 1, not 1.0
+    np.testing.assert_array_equal(encoder.transform(whole), encoder.transform(X)[X.k.notna()])
+
+
+def test_gaps_in_categories_of_arrow_stay_gaps():
+    pa = pytest.importorskip("pyarrow")
+    column = pa.array(["a", "b", None, "b"]).dictionary_encode()
+    X = pa.table({"k": pa.chunked_array([column, column])})
+    assert as_column(X.column("k"), "k").tolist() == ["a", "b", "", "b"] * 2
+    assert as_column(pa.chunked_array([pa.array([1, 2]).dictionary_encode()]), "k").tolist() == ["1", "2"]
+    with pytest.raises(ConformalError, match="missing label, found None, in row 2"):
+        tree(groups="k").fit(X, np.arange(8.0))
+
+
+def test_columns_in_another_order_are_refused_whatever_their_names_are():
+    X, y = frame()
+    numbers = X[["age", "sex"]].assign(age=X.age.fillna(50), sex=X.sex == "f")
+    for names in ([0, 1], pd.MultiIndex.from_tuples([("n", "age"), ("n", "sex")])):
+        table = numbers.set_axis(names, axis=1)
+        reg = tree().fit(table, y)
+        np.testing.assert_array_equal(reg.predict(table), tree().fit(numbers, y).predict(numbers))
+        with pytest.raises(ConformalError, match="another order than in training"):
+            reg.predict(table.iloc[:, ::-1])
+    reg.fit(numbers.to_numpy() * 1.0, y)
+    assert len(reg.predict(numbers)) == N
+
+
+def test_targets_in_another_order_are_refused():
+    X, y = frame()
+    both, numbers = pd.DataFrame({"dose": y, "days": 10 * y}), X[["age"]].fillna(50)
+    reg = tree().fit(numbers, both)
+    regions, density = reg.predict_region(numbers), reg.predict_density(numbers)
+    np.testing.assert_array_equal(regions.contains(both), regions.contains(both.to_numpy()))
+    np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
+    turned = both[["days", "dose"]]
+    calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
+        reg.conformalize, reg.diagnose, reg.score)))  # fmt: skip
+    for call in calls:
+        with pytest.raises(ConformalError, match="y has its columns in another order"):
+            call(turned)
+
+
+def test_values_beyond_those_learnt_from_are_not_called_few():
+    X, y = frame()
+    reg = tree(calibration_size=0).fit(X[["age"]].fillna(50), y)
+    with pytest.warns(UserWarning, match="unbounded: 50 of 240 calibration samples have values beyond those learnt"):
+        reg.conformalize(X[["age"]].fillna(50), y.where(np.arange(N) >= 50, 1e3))
+
+
+def test_a_lazy_table_is_refused():
+    pl = pytest.importorskip("polars")
+    with pytest.raises(ConformalError, match="in memory, got a LazyFrame: call its collect"):
+        tree().fit(pl.LazyFrame({"a": [1.0, 2.0]}), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("unit", ["datetime64[s]", "timedelta64[s]", object])
+def test_dates_as_values_are_refused_in_series_too(unit):
+    dates = pd.Series([date(2020, 1, 1)] * 3) if unit is object else pd.Series(np.arange(3), name="d").astype(unit)
+    for y in (dates, dates.to_frame("d")):
+        with pytest.raises(ConformalError, match="numeric, found dates or times"):
+            tree().fit(np.zeros((3, 1)), y)
+
+
 def test_an_infinite_number_is_told_by_column_and_row():
     with pytest.raises(ConformalError, match="column age must be finite or missing, found inf in row 1"):
         as_column(pd.Series([0.0, np.inf]), "age")
@@ -165,7 +254,7 @@ def test_sparse_columns_stay_sparse():
         ConformalRegressor().fit(wide, y)
 
 
-@pytest.mark.parametrize("form", [lambda y: y, lambda y: y.to_frame(), lambda y: y.to_numpy()])
+@pytest.mark.parametrize("form", [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list])
 def test_rows_without_a_label_are_told(form):
     X, y = frame()
     y = y.where(~y.index.isin([3, 17]))
@@ -179,7 +268,7 @@ def test_groups_by_column_name_and_by_labels_are_covered_each():
     numbers = X[["age", "sex"]]
     few = {"C": int((X.hospital[:600] == "C").sum())}
     assert 20 < few["C"] < 45  # too few to calibrate, a fifth of them
-    with pytest.warns(UserWarning, match="'C'"):
+    with pytest.warns(UserWarning, match="regions of 1 group with .*'C'"):
         reg = tree().fit(numbers[:600], y[:600], groups=X.hospital[:600])
     assert isinstance(reg.calibrator_, MondrianConformal)
     assert set(reg.calibrator_.sizes_) == {"A", "B", "C"}
@@ -222,6 +311,11 @@ def test_two_targets_in_groups_are_covered_together():
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
         (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
+        (
+            lambda X, y: tree().fit(X, y, groups=np.arange(N)),
+            "240 of .* calibrate, 1 or more of each of 240 groups: at",
+        ),
+        (lambda X, y: tree().fit(X, y.to_frame()[[]]), r"0 feature\(s\)"),
         (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
     ],
 )
@@ -248,6 +342,8 @@ def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
     assert unbounded <= 2  # 12 of 40 where the outer bins end with the range
     with pytest.warns(UserWarning, match="regions are unbounded: 4 calibration samples are too few for alpha"):
         tree().fit(X[:20], y[:20])
+    with pytest.warns(UserWarning, match="regions are unbounded: 1 calibration sample is too few"):
+        tree().fit(X[:5], y[:5])
 
 
 def test_tail_bins_lie_beyond_the_others():

@@ -6,6 +6,8 @@ import pytest
 from sklearn import config_context
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.compose import TransformedTargetRegressor, make_column_transformer
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_predict, cross_val_score, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import OneHotEncoder, StandardScaler
@@ -61,7 +63,6 @@ WORKFLOWS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:The number of unique")
 @pytest.mark.parametrize("name", WORKFLOWS)
 def test_it_works_inside(name):
     model = WORKFLOWS[name]()
@@ -104,7 +105,7 @@ def test_a_transformed_target_keeps_its_regions(function, inverse):
     regions = own.mapped(model.transformer_.inverse_transform)
     np.testing.assert_array_equal(regions.contains(Y), own.contains(function(Y)))
     np.testing.assert_allclose(np.sort(function(regions.intervals(0)[0]).ravel()), own.intervals(0)[0].ravel())
-    with pytest.raises(ConformalError, match="strictly increasing"):
+    with pytest.raises(ConformalError, match="function must be strictly monotone, found 0"):
         own.mapped(np.cos)
 
 
@@ -170,6 +171,16 @@ def test_a_classifier_that_demands_labels_without_gaps_gets_them():
     plain = ConformalRegressor(DecisionTreeClassifier(max_depth=3, random_state=0), n_bins=150, random_state=0)
     reg = ConformalRegressor(Demanding(), n_bins=150, random_state=0).fit(own, y)
     np.testing.assert_array_equal(reg.predict_bins(own)[0], plain.fit(own, y).predict_bins(own)[0])
+
+
+@pytest.mark.parametrize("model", [Ridge(), TransformedTargetRegressor(tree())])
+def test_scorers_name_an_estimator_without_regions(model):
+    with pytest.raises(
+        ConformalError, match=f"must be a ConformalRegressor or a pipeline .* got {type(model).__name__}"
+    ):
+        region_scorers()["coverage"](model.fit(X, Y), X, Y)
+    with pytest.raises(NotFittedError):
+        region_scorers()["coverage"](tree(), X, Y)
 
 
 def test_the_interval_score_is_that_of_one_interval():

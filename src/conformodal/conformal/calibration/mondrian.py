@@ -21,6 +21,7 @@ from .base import Calibrator, Empty
 from .joint import Joint
 
 Fallback = Literal["whole", "pooled"]
+_BY_GROUP = ("thresholds_", "sizes_")
 
 
 class MondrianConformal(Calibrator):
@@ -79,6 +80,13 @@ class MondrianConformal(Calibrator):
         as_choice(fallback, Fallback, "fallback")
         self.min_group = as_count(min_group, "min_group")
         self.fallback: Fallback = fallback
+
+    def __getstate__(self) -> dict[str, Any]:
+        # files of skops hold lists of any labels, but as keys of a dict only text and numbers
+        return self.__dict__ | {name: list(vars(self)[name].items()) for name in _BY_GROUP if name in vars(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state | {name: dict(state[name]) for name in _BY_GROUP if name in state})
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
         """Set one threshold per group; `groups` are (n,) labels."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from conformodal.conformal.calibration.joint import Joint
 from conformodal.conformal.calibration.mondrian import MondrianConformal
 from conformodal.conformal.calibration.split import SplitConformal
-from conformodal.conformal.checks import Alpha, Probabilities, as_targets
+from conformodal.conformal.checks import Alpha, Probabilities, as_targets, brief
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.words import counted
@@ -226,9 +226,9 @@ def diagnose(
     inside, given = regions.contains(values), names
     if given is None:
         given = calibrator.bins.names or [f"target {j}" for j in range(inside.shape[1])]
-    targets = tuple(map(str, given if isinstance(given, Iterable) else []))
+    targets = tuple(map(str, given if isinstance(given, Iterable) and not isinstance(given, str) else []))
     if len(targets) != inside.shape[1]:
-        raise ConformalError(f"names must hold one name per target ({inside.shape[1]}), got {len(targets)}")
+        raise ConformalError(f"names must hold one name per target ({inside.shape[1]}), got {brief(given)}")
     guarantees = zip(targets, inside.T, regions.length.T, strict=True)
     if calibrator.joint == "max":
         guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from sklearn.base import clone
 
-from conformodal.conformal.checks import brief, shortened
+from conformodal.conformal.checks import brief, reason
 from conformodal.conformal.errors import ConformalError, SlowFitWarning
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import Progress
@@ -61,8 +61,9 @@ def split_off(
         order = order[np.argsort(rank[order], kind="stable")]
         n_held = n - int(rank.sum())
     if n - n_held < 2:
+        each = "" if codes is None else f", 1 or more of each of {counted(np.unique(codes).size, 'group')}"
         raise ConformalError(
-            f"X has n_samples={n}, {n_held} of which are held out to calibrate: at least 2 must be left"
+            f"X has n_samples={n}, {n_held} of which are held out to calibrate{each}: at least 2 must be left"
         )
     return order[:n_held], order[n_held:]
 
@@ -135,7 +136,7 @@ def _fitted(
     except ConformalError:
         raise
     except (ValueError, TypeError) as exc:
-        raise ConformalError(f"estimator cannot be fitted: {shortened(str(exc))}") from exc
+        raise ConformalError(f"estimator cannot be fitted: {reason(exc)}") from exc
 
 
 def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int = 1) -> bool:

@@ -76,8 +76,10 @@ def as_features(X: npt.ArrayLike) -> FloatArray:
     """Finite features (n, p) that float32 can hold, as trees need."""
     features = as_finite(X, "X", "(n, p)")
     most = float(np.finfo(np.float32).max)
-    if not features.shape[1] or (features.size and np.abs(features).max() > most):
-        raise ConformalError(f"X must have a column and numbers that float32 can hold, up to {most:.3g}, as trees do")
+    if not features.shape[1]:
+        raise ConformalError("X must have a column of numbers, or of text with a label in two rows")
+    if features.size and np.abs(features).max() > most:
+        raise ConformalError(f"X must have numbers that float32 can hold, up to {most:.3g}, as trees do")
     return features
 
 

@@ -29,6 +29,7 @@ from conformodal.conformal.checks import (
     as_random,
     as_reals,
     brief,
+    column_names,
     shortened,
 )
 from conformodal.conformal.diagnostics.diagnosis import Diagnosis, diagnose
@@ -45,7 +46,7 @@ from .learners import announce, as_learner, fit_target, on_stderr, split_off
 from .mixture import as_sample_weight
 from .saving import load_regressor, save_regressor
 from .smoothing import proba_of_bins
-from .tables import as_column, column_of, dense_inputs, is_frame, names_of, rows_of
+from .tables import column_of, dense_inputs, is_frame, named_targets, names_of, rows_of
 
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
@@ -76,6 +77,7 @@ def _log_score(self: ConformalRegressor, X: Any, y: Any, sample_weight: npt.Arra
 
     A density below a millionth of that of a uniform distribution, as beyond all bins, counts as so much.
     """
+    check_is_fitted(self, "bins_")
     values = self._table(X, y, reset=False)[1]
     density = self.predict_density(X).pdf(values)
     least = [_LEAST_SHARE / np.ptp(edges) for edges in self.bins_.edges_]
@@ -365,16 +367,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _table(self, X: Any, y: Any = _NO_TARGETS, reset: bool = True) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values, and the targets' names, checked by scikit-learn and by this package."""
-        names, frame = None, is_frame(X)
-        if is_frame(y):
-            names = [str(name) for name in names_of(y)]
-            y = np.column_stack([as_doubles(as_column(column_of(y, j), n), f"y, {n},") for j, n in enumerate(names)])
-        elif hasattr(y, "to_frame"):  # a series
-            names, y = [str(y.name)] if y.name else None, as_doubles(as_column(y, y.name), f"y, {y.name},")
-        if isinstance(y, np.ndarray) and y.dtype.kind == "f" and y.ndim and np.isnan(y).any():
-            gaps = np.flatnonzero(np.isnan(y.reshape(len(y), -1)).any(axis=1))
-            first = ", ".join(map(str, gaps[:10].tolist())) + (", ..." if gaps.size > 10 else "")
-            raise ConformalError(f"y has no value in {counted(gaps.size, 'row')} ({first}): leave them out")
+        if callable(getattr(X, "collect", None)):  # of polars, a plan without values
+            raise ConformalError(f"X must be a table in memory, got a {type(X).__name__}: call its collect() first")
+        frame, learnt = is_frame(X), None if reset else self.bins_.names
+        y, names = named_targets(y, learnt)
         needs = {} if y is _NO_TARGETS else {"y": y}
         if isinstance(X, np.ndarray) and not X.dtype.isnative:  # in which scikit-learn 1.6 finds no NaN
             X = X.astype(X.dtype.newbyteorder("="))
@@ -393,6 +389,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise
         except Exception as exc:  # whatever a foreign class raises
             raise ConformalError(shortened(str(exc))) from None
+        columns = column_names(X, "X", None if reset else getattr(self, "_columns", None))
+        if reset:
+            self._columns = columns
         # scikit-learn drops masks, and reads text and dates among objects as numbers
         for name, given in (("X", X), *needs.items()):
             if not (issparse(given) or is_frame(given)):
@@ -421,13 +420,17 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if labels is None:
             self.calibrator_.calibrate(self._proba(features), values)
             if np.isinf(self.calibrator_.thresholds_).any():
-                few = counted(len(values), "calibration sample")
-                warnings.warn(f"regions are unbounded: {few} are too few for alpha = {self.alpha}", stacklevel=3)
+                n, beyond = len(values), int((self.bins_.encode(values) < 0).any(axis=1).sum())
+                why = f"{counted(n, 'calibration sample is', 'calibration samples are')} too few"
+                if self.calibrator_.rank <= n:
+                    why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
+                warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
         if small:
-            warnings.warn(f"regions of groups with too few calibration samples are unbounded: {small}", stacklevel=3)
+            few = f"{counted(len(small), 'group')} with too few calibration samples"
+            warnings.warn(f"regions of {few} are unbounded: {shortened(str(small))}", stacklevel=3)
 
     def _calibrated(self) -> Any:
         if not hasattr(self.calibrator_, "scores_"):

@@ -10,7 +10,7 @@ from typing import Any
 
 import sklearn
 
-from conformodal.conformal.checks import brief, shortened
+from conformodal.conformal.checks import brief, reason
 from conformodal.conformal.errors import ConformalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
@@ -25,8 +25,10 @@ _OWN = (
     "learning.stacked._oob_mean", "learning.tables.TableEncoder", "scores.Aps",
     "scores.Density", "scores.Lac", "scores.LinearDensity",
 )  # fmt: skip
-# what skops does not trust by itself: compiled trees, kernels, and sparse arrays, of which it knows matrices
+# what skops does not trust by itself: dates as labels, exact rates, compiled trees, kernels, and sparse arrays, of
+# which it knows matrices
 _FOREIGN = (
+    "datetime.datetime", "decimal.Decimal", "fractions.Fraction",
     "scipy.sparse._csr.csr_array", "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     *(f"sklearn.gaussian_process.kernels.{name}" for name in ("ConstantKernel", "Matern", "Product", "Sum")),
     "sklearn.gaussian_process.kernels.WhiteKernel", "sklearn.metrics._dist_metrics.EuclideanDistance64",
@@ -59,7 +61,7 @@ def save_regressor(regressor: Any, path: str | Path) -> None:
     try:
         content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED)
     except Exception as exc:  # whatever a foreign class raises
-        raise ConformalError(f"{path}: estimator cannot be saved: {shortened(str(exc))}") from exc
+        raise ConformalError(f"{path}: estimator cannot be saved: {reason(exc)}") from exc
     with replacing(Path(path)) as part:
         part.write_bytes(content)
 
@@ -90,7 +92,7 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
         if record["format"] != _FORMAT:
             raise ValueError(record["format"])
     except Exception as exc:  # whatever a damaged file leads to
-        raise ConformalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {shortened(str(exc))}") from exc
+        raise ConformalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {reason(exc)}") from exc
     if version != sklearn.__version__:
         warnings.warn(
             f"{path}: saved with scikit-learn {version}, loaded with {sklearn.__version__}: check its predictions",

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets
+from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets, brief, reason
+from conformodal.conformal.errors import ConformalTypeError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray
 
@@ -40,7 +41,13 @@ class RegionScorer:
     ) -> float:
         """Score a fitted regressor, or a pipeline that ends with one, on samples."""
         options = {} if groups is None else {"groups": groups}
-        regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
+        try:
+            regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
+        except (TypeError, AttributeError) as exc:  # of a regressor without regions, or around one with them
+            if isinstance(exc, ValueError):  # its own, as of one that is not fitted
+                raise
+            wanted = "a ConformalRegressor or a pipeline that ends with one"
+            raise ConformalTypeError(f"estimator must be {wanted}, got {brief(estimator)}: {reason(exc)}") from exc
         values = as_targets(y)
         if self.name == "coverage":
             found = regions.contains(values).astype(np.float64).reshape(len(values), -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
-from conformodal.conformal.checks import as_doubles, shortened
+from conformodal.conformal.checks import as_doubles, reason
 from conformodal.conformal.errors import ConformalError
 from conformodal.core.arrays import FloatArray, IntArray
 
@@ -126,7 +127,8 @@ def fit_classifier(model: Any, X: Any, y: FloatArray, edges: FloatArray, weight:
     bins, labels = np.unique(bin_codes(y, edges), return_inverse=True)
     if bins.size == 1:
         return int(bins[0])
-    with np.errstate(over="ignore", invalid="ignore"):  # scikit-learn reports overflows
+    with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():  # scikit-learn reports overflows
+        warnings.filterwarnings("ignore", message="The number of unique classes")  # as if it were no classification
         fitted = model.fit(X, labels, **({} if weight is None else {"sample_weight": weight}))
     return BinClassifier(fitted, bins)
 
@@ -144,7 +146,7 @@ def proba_of_bins(model: Any, X: Any, n_bins: int) -> FloatArray:
     except ConformalError:
         raise
     except (ValueError, TypeError) as exc:
-        raise ConformalError(f"estimator cannot predict: {shortened(str(exc))}") from exc
+        raise ConformalError(f"estimator cannot predict: {reason(exc)}") from exc
     found = as_doubles(given, "predict_proba of the estimator")
     if bins is None:
         return found

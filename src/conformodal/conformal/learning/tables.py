@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from datetime import date, datetime
+from collections.abc import Collection, Hashable
+from datetime import date, datetime, timedelta
 from decimal import Decimal
 from numbers import Real
 from typing import Any, Self
@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
-from conformodal.conformal.checks import as_doubles, brief
+from conformodal.conformal.checks import as_array, as_doubles, brief, column_names
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import is_missing
 from conformodal.core.arrays import FloatArray
+from conformodal.core.words import counted
 
 # labels of a column of text that get a column of their own, the most frequent ones, each in at least two rows
 _MOST_LABELS, _LEAST_ROWS = 20, 2
@@ -49,10 +50,18 @@ def rows_of(X: Any, rows: Any) -> Any:
     return X.take(positions) if hasattr(X, "column_names") else X[positions]
 
 
-def as_column(column: Any, name: object) -> npt.NDArray[Any]:
-    """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``."""
-    arr = np.asarray(column)
-    labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
+def as_column(column: Any, name: object, text: bool = False) -> npt.NDArray[Any]:
+    """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``.
+
+    With `text`, objects of any kind and a column without any value are text too.
+    """
+    arr = as_array(column, f"column {name}")
+    nested = arr.ndim != 1 or arr.dtype.kind in "cV"
+    for value in arr if nested or arr.dtype.kind == "O" else ():
+        if nested or (not isinstance(value, (str, bytes, tuple)) and np.iterable(value)):
+            raise ConformalError(f"column {name} must hold numbers, dates or text, found {brief(value)}")
+    kind = str(getattr(column, "dtype", getattr(column, "type", ""))).lower()
+    labels = kind.startswith(("categor", "enum", "dictionary")) or (text and arr.dtype.kind == "O")
     if arr.dtype.kind == "O" and not labels:
         known = [value for value in arr if not is_missing(value)]
         if all(isinstance(value, (Real, Decimal, np.bool_)) for value in known):
@@ -67,14 +76,47 @@ def as_column(column: Any, name: object) -> npt.NDArray[Any]:
         if np.isinf(numbers).any():
             row = int(np.isinf(numbers).argmax())
             raise ConformalError(f"column {name} must be finite or missing, found {numbers[row]} in row {row}")
-        return numbers
-    return np.array(["" if is_missing(value) else str(value) for value in arr], dtype=np.str_)
+        return np.full(numbers.shape, "") if text and np.isnan(numbers).all() else numbers
+    return np.array([_label(value) for value in arr], dtype=np.str_)
 
 
-def columns_of(X: Any) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+def _label(value: Any) -> str:
+    """A value as text; gaps turn the whole numbers of a category into floats, which are the same labels."""
+    if is_missing(value):
+        return ""
+    return str(int(value) if isinstance(value, float) and value.is_integer() else value)
+
+
+def named_targets(y: Any, learnt: list[str] | None) -> tuple[Any, list[str] | None]:
+    """Values to predict, those of a frame or series as float64, and their names; none may be missing."""
+    names = None
+    if is_frame(y):
+        names = column_names(y, "y", learnt)
+        columns = [_target(column_of(y, j), name) for j, name in enumerate(names)]
+        y = np.column_stack([np.empty((y.shape[0], 0)), *columns])
+    elif hasattr(y, "to_frame"):  # a series
+        names, y = [str(y.name)] if y.name else None, _target(y, y.name)
+    values = as_array(y, "y")
+    if values.dtype.kind == "f" and values.ndim and np.isnan(values).any():
+        gaps = np.flatnonzero(np.isnan(values.reshape(len(values), -1)).any(axis=1))
+        first = ", ".join(map(str, gaps[:10].tolist())) + (", ..." if gaps.size > 10 else "")
+        raise ConformalError(f"y has no value in {counted(gaps.size, 'row')} ({first}): leave them out")
+    return y, names
+
+
+def _target(column: Any, name: object) -> FloatArray:
+    """A column of values to predict as float64, missing NaN; dates, which regions could not hold, are refused."""
+    what = f"y, {name}," if name else "y"
+    arr = as_array(column, what)
+    if arr.dtype.kind in "mM" or (arr.dtype.kind == "O" and any(isinstance(v, (date, timedelta)) for v in arr)):
+        raise ConformalError(f"{what} must be numeric, found dates or times: give days since a date, say")
+    return as_doubles(as_column(column, name) if arr.dtype.kind == "O" else arr, what)
+
+
+def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, npt.NDArray[Any]]]:
     """Names and values of the columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
-        return [(name, as_column(column_of(X, j), name)) for j, name in enumerate(names_of(X))]
+        return [(name, as_column(column_of(X, j), name, j in text)) for j, name in enumerate(names_of(X))]
     arr = as_doubles(X, "X")
     if arr.ndim != 2 or np.isinf(arr).any():
         raise ConformalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")
@@ -86,16 +128,17 @@ class TableEncoder:
 
     Numbers stay, dates count days. A missing number becomes the median of its column, and an own column marks it if
     any was missing in training. Text and categories become one column per label, for up to 20 labels that occur in two
-    rows or more; other labels are zero in all of them.
+    two or more; other labels are zero in all of them. A column without any value in training is zero, whatever comes.
     """
 
     def fit(self, X: Any) -> Self:
         """Learn the medians and labels of the columns."""
-        self.columns_: list[tuple[float, bool] | list[str]] = []
+        self.columns_: list[tuple[float, bool] | list[str] | None] = []
         for _, values in columns_of(X):
             if values.dtype.kind == "f":
                 gaps = np.isnan(values)
-                self.columns_.append((0.0 if gaps.all() else float(np.median(values[~gaps])), bool(gaps.any())))
+                known = None if gaps.all() else (float(np.median(values[~gaps])), bool(gaps.any()))
+                self.columns_.append(known)
             else:
                 labels, counts = np.unique(values, return_counts=True)
                 order = np.argsort(-counts, kind="stable")[:_MOST_LABELS]
@@ -104,15 +147,17 @@ class TableEncoder:
 
     def transform(self, X: Any) -> FloatArray:
         """The columns (n, q) of a table with as many columns as the one that was learnt."""
-        found = columns_of(X)
+        found = columns_of(X, [j for j, known in enumerate(self.columns_) if isinstance(known, list)])
         if len(found) != len(self.columns_):
             raise ConformalError(f"X has {len(found)} columns, expected {len(self.columns_)}")
         parts: list[FloatArray] = []
         for (name, values), known in zip(found, self.columns_, strict=True):
-            if isinstance(known, tuple) and values.dtype.kind == "f":
+            if known is None:
+                parts.append(np.zeros(len(values)))
+            elif isinstance(known, tuple) and values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 parts += [np.where(gaps, known[0], values), *([gaps * 1.0] if known[1] else [])]
-            elif isinstance(known, list) and (values.dtype.kind != "f" or np.isnan(values).all()):
+            elif isinstance(known, list) and values.dtype.kind != "f":
                 parts += [(values == label) * 1.0 for label in known]
             else:
                 what = ("numbers or dates", "text")[:: 1 if isinstance(known, tuple) else -1]
