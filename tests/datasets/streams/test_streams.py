@@ -93,12 +93,13 @@ def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
         list(open_stream(path))
 
 
-def test_a_transport_stream_with_a_gap_is_read_to_its_end(tmp_path):
-    path = tmp_path / "v.ts"
-    content = mp4(path, codec="MPEG")
-    packets = [content[k : k + 188] for k in range(0, len(content), 188)]
+@pytest.mark.parametrize(("name", "before"), [("v.ts", b""), ("v.m2ts", b"\0\0\0\0")])  # times go before packets
+def test_a_transport_stream_with_a_gap_is_read_to_its_end(name, before, tmp_path):
+    content = mp4(tmp_path / "v.ts", codec="MPEG")
+    packets = [before + content[k : k + 188] for k in range(0, len(content), 188)]
+    path = tmp_path / name
     path.write_bytes(b"".join(packets[:12] + packets[-12:]))
-    with pytest.warns(DatasetWarning, match=r"v\.ts: ends after \d+ of \d+ frames"):
+    with pytest.warns(DatasetWarning, match=rf"{name}: ends after \d+ of \d+ frames"):
         frames = list(open_stream(path))
     assert open_stream(path).n_frames > len(frames) + 5
     assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
