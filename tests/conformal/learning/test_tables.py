@@ -203,6 +203,32 @@ def test_dates_as_values_are_refused_in_series_too(unit):
             tree().fit(np.zeros((3, 1)), y)
 
 
+def test_values_of_a_tensor_with_a_gradient_are_those_of_its_array():
+    torch = pytest.importorskip("torch")
+    X, y = frame()
+    found = tree().fit(X[["age"]], torch.tensor(y.to_numpy(), requires_grad=True)).predict(X[["age"]])
+    np.testing.assert_array_equal(found, tree().fit(X[["age"]], y).predict(X[["age"]]))
+
+
+def test_columns_that_only_the_estimator_reads_are_left_out_of_a_diagnosis():
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    model = make_pipeline(FunctionTransformer(lambda X: np.stack(X["e"].to_numpy())), tree().estimator)
+    listed = pd.DataFrame({"e": list(numbers.to_numpy())})
+    reg = ConformalRegressor(model, n_bins=8, random_state=0)
+    found, plain = (str(reg.fit(its, y).diagnose(its, y)) for reg, its in ((reg, listed), (tree(), numbers)))
+    assert ("worst slab" in plain, "worst slab" in found) == (True, False)
+    assert "size" in found
+
+
+@pytest.mark.parametrize(("form", "name"), [(lambda y: y, "dose"), (lambda y: y.rename(None), "y"),
+                                            (pd.Series.to_frame, "dose")])  # fmt: skip
+def test_an_infinite_value_is_told_by_column_and_row(form, name):
+    X, y = frame()
+    with pytest.raises(ConformalError, match=f"column {name} must be finite or missing, found inf in row 3"):
+        tree().fit(X[["age"]], form(y.where(np.arange(N) != 3, np.inf)))
+
+
 def test_an_infinite_number_is_told_by_column_and_row():
     with pytest.raises(ConformalError, match="column age must be finite or missing, found inf in row 1"):
         as_column(pd.Series([0.0, np.inf]), "age")
@@ -254,7 +280,11 @@ def test_sparse_columns_stay_sparse():
         ConformalRegressor().fit(wide, y)
 
 
-@pytest.mark.parametrize("form", [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list])
+@pytest.mark.parametrize(
+    "form",
+    [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list, lambda y: y.astype(object).to_list(),
+     lambda y: y.astype(object).where(y.notna(), None).to_list()],
+)  # fmt: skip
 def test_rows_without_a_label_are_told(form):
     X, y = frame()
     y = y.where(~y.index.isin([3, 17]))
