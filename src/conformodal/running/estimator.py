@@ -105,10 +105,12 @@ class VisualOdometry(Odometry):
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
-        """The estimate of the usable frame `lag` such frames before the newest, from all of them up to that one.
+        """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
 
-        None for the first frames of a stream. Its `path_region` is calibrated for a lag of ten frames: None for
-        another one, and where the model has no such calibration. `reliable` asks for the same probability as online.
+        None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
+        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames:
+        None for another one, and where the model has no such calibration. `reliable` asks for the same probability as
+        online.
         """
         if len(self._last) <= self.lag:
             return None
