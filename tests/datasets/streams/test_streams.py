@@ -669,6 +669,10 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
         open_stream(cut)
     with pytest.raises(SourceError, match=r"as a ROS recording.*; rename it to CUT\.mcap"):
         open_stream(cut.rename(tmp_path / "CUT.MCAP"))
+    folder = path.parent.rename(tmp_path / "run.A")  # whose name ends in nothing that is at fault
+    (folder / path.name).write_bytes(b"")
+    with pytest.raises(SourceError, match=r"run\.A: cannot be opened as a ROS recording(?!.*rename)"):
+        open_stream(folder)
 
 
 def test_a_recording_without_images_is_named_with_its_topics(tmp_path):
