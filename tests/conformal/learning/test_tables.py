@@ -2,6 +2,7 @@
 
 from datetime import date
 from decimal import Decimal
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from sklearn.preprocessing import FunctionTransformer, OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal, QuantileBins
+from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal, QuantileBins, region_scorers
 from conformodal.conformal.learning.tables import TableEncoder, as_column
 
 N = 240
@@ -176,7 +177,7 @@ def test_targets_in_another_order_are_refused():
     np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
     turned = both[["days", "dose"]]
     calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
-        reg.conformalize, reg.diagnose, reg.score)))  # fmt: skip
+        reg.conformalize, reg.diagnose, reg.score, partial(region_scorers()["neg_length"], reg))))  # fmt: skip
     for call in calls:
         with pytest.raises(ConformalError, match="y has its columns in another order"):
             call(turned)
