@@ -2,8 +2,9 @@
 
 import io
 import zipfile
-from datetime import date
+from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
+from uuid import UUID
 
 import numpy as np
 import pandas as pd
@@ -51,8 +52,11 @@ def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "labels", [(False, True), (("a", 0), ("a", 1)), (date(2020, 1, 1), date(2021, 1, 1)), (0, "x"), (0.0, 0.5)]
-)
+    "labels",
+    [(False, True), (("a", 0), ("a", 1)), (date(2020, 1, 1), date(2021, 1, 1)), (0, "x"), (0.0, 0.5),
+     pd.interval_range(0, 2), (datetime(2020, 1, 1, tzinfo=UTC), datetime(2021, 1, 1, tzinfo=UTC)),
+     (time(1), timedelta(1)), (UUID(int=1), b"")],
+)  # fmt: skip
 def test_groups_come_back_whatever_their_labels_are(labels, tmp_path):
     groups = [labels[i % 2] for i in range(200)]
     reg = ConformalRegressor(RandomForestClassifier(5), n_bins=8, alpha=Decimal("0.2"), random_state=0)

@@ -26,10 +26,11 @@ _OWN = (
     "learning.stacked._oob_mean", "learning.tables.TableEncoder", "scores.Aps",
     "scores.Density", "scores.Lac", "scores.LinearDensity",
 )  # fmt: skip
-# what skops does not trust by itself: dates as labels, exact rates, compiled trees, kernels, and sparse arrays, of
+# what skops does not trust by itself: labels of groups, exact rates, compiled trees, kernels, and sparse arrays, of
 # which it knows matrices
 _FOREIGN = (
-    "datetime.datetime", "decimal.Decimal", "fractions.Fraction",
+    *(f"datetime.{name}" for name in ("datetime", "time", "timedelta", "timezone")), "decimal.Decimal",
+    "fractions.Fraction", "pandas.Interval", "uuid.UUID",
     "scipy.sparse._csr.csr_array", "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     *(f"sklearn.gaussian_process.kernels.{name}" for name in ("ConstantKernel", "Matern", "Product", "Sum")),
     "sklearn.gaussian_process.kernels.WhiteKernel", "sklearn.metrics._dist_metrics.EuclideanDistance64",
