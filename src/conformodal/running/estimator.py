@@ -49,7 +49,8 @@ class VisualOdometry(Odometry):
         Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
-        Regions of the others are wider. :meth:`run` matches them in all.
+        Regions of the others are wider. Those after motion (``path_region``) are calibrated for 1, and miss more often
+        with more. :meth:`run` matches them in all.
 
     Raises
     ------
