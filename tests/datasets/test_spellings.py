@@ -150,9 +150,11 @@ def test_a_damaged_line_does_not_change_how_times_are_read(tmp_path, line):
     assert any("its number is read as" in doubt for doubt in doubts)
 
 
-def test_milliseconds_in_order_are_told_from_decimals_by_their_order():
-    times = np.cumsum(np.random.default_rng(0).integers(20, 60, 100)) + 12_000
-    times[50:] += 20_000  # a pause
+@pytest.mark.parametrize("twice", [[], [9]])
+def test_milliseconds_in_order_are_told_from_decimals_by_their_order(twice):
+    times = np.cumsum(np.random.default_rng(0).integers(20, 60, 100)) // 10 * 10 + 12_003  # without zeros at ends
+    times[50:] += 100_000  # a pause
+    times[10 : 10 + len(twice)] = times[twice]
     unpadded = [f"{t // 1000}.{t % 1000}" for t in times.tolist()]
     found, told = fractions_of(unpadded, in_order=True)
     np.testing.assert_allclose(found, times / 1000)

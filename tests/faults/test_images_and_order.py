@@ -38,6 +38,9 @@ def test_levels_of_a_tiff_whose_zero_is_white_are_those_of_its_bits(tmp_path, bi
     white = 2**16 - 1 - (2**bits - 1 - ramp)  # zero_is_white takes it from 16 bits
     (tmp_path / "a.tif").write_bytes(zero_is_white(white.astype(np.uint16)))
     np.testing.assert_allclose(read_image(tmp_path / "a.tif")[0, :, 0], np.linspace(0, 255, 64), atol=1)
+    bright = np.tile(np.arange(64, dtype=np.uint16), (48, 1))  # so near white that it uses few bits, unlike the others
+    found = decode(zero_is_white(2**16 - 1 - bright), "a.tif", white=2**bits - 1)
+    np.testing.assert_allclose(found[..., 0], 255 * (1 - bright / (2**bits - 1)), atol=1)
 
 
 def with_alpha(alpha):

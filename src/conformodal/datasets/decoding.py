@@ -89,14 +89,12 @@ def white_in(content: bytes) -> int:
 def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
     """The numbers (height, width, 1, 3 or 4) of an image of 16 bits, not turned; None for one of 8.
 
-    Pillow keeps only the upper half of the bits of colours, and passes over a TIFF whose zero is white.
+    Pillow keeps only the upper half of the bits of colours.
     """
     tile = getattr(image, "tile", None)
     raw = str(tile[0][3]) if tile else ""
     if image.mode == "I" or image.mode.startswith("I;16"):
-        wide = np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
-        zero_is_white = image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0  # type: ignore[attr-defined]
-        return white_level(wide) - wide if zero_is_white else wide
+        return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
     if ";16" not in raw and not (image.format == "PPM" and str(WIDEST) in raw):
         return None
     image.load()  # which refuses truncated files
@@ -257,6 +255,8 @@ def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> npt.NDA
     turned = _orientation(image)
     if (wide := _wide(image, source)) is not None:
         eight = to_eight_bits(wide[..., :3], white or white_level(wide[..., :3]))
+        if image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0:  # type: ignore[attr-defined]
+            eight = 255 - eight  # its zero is white, which Pillow passes over
         eight = np.concatenate((eight, to_eight_bits(wide[..., 3:], WIDEST)), axis=2)
         image = Image.fromarray(np.repeat(eight, 3, axis=2) if eight.shape[2] == 1 else eight)
         image.getexif()[_ORIENTATION] = turned

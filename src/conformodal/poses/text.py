@@ -58,7 +58,7 @@ def fractions_of(texts: list[str], *, in_order: bool = False) -> tuple[FloatArra
     uneven, other = (float(np.square(np.diff(np.sort(values))).sum()) for values in (decimal, unpadded))
     ends_in_zero = any(digits[-1] == "0" < digits for digits in after)
     whole = ends_in_zero or uneven > other * (_CLEAR if unit == 3 else 1)  # milliseconds are rarer
-    rising = [bool((np.diff(values) > 0).all()) for values in (decimal, unpadded)]
+    rising = [bool((np.diff(values) >= 0).all()) for values in (decimal, unpadded)]
     if sure := in_order and not ends_in_zero and rising[0] != rising[1]:
         whole = rising[1]
     clear = sure or uneven * _CLEAR < other

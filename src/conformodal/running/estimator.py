@@ -49,7 +49,8 @@ class VisualOdometry(Odometry):
         Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
-        Regions of the others are wider. :meth:`run` matches them in all.
+        Regions of the others are wider. Those after motion (``path_region``) are calibrated for 1, and miss more often
+        with more. :meth:`run` matches them in all.
 
     Raises
     ------
@@ -105,10 +106,12 @@ class VisualOdometry(Odometry):
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
-        """The estimate of the usable frame `lag` such frames before the newest, from all of them up to that one.
+        """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
 
-        None for the first frames of a stream. Its `path_region` is calibrated for a lag of ten frames: None for
-        another one, and where the model has no such calibration. `reliable` asks for the same probability as online.
+        None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
+        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames:
+        None for another one, and where the model has no such calibration. `reliable` asks for the same probability as
+        online.
         """
         if len(self._last) <= self.lag:
             return None

@@ -2,8 +2,9 @@
 
 import io
 import zipfile
-from datetime import date
+from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
+from uuid import UUID
 
 import numpy as np
 import pandas as pd
@@ -51,8 +52,11 @@ def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "labels", [(False, True), (("a", 0), ("a", 1)), (date(2020, 1, 1), date(2021, 1, 1)), (0, "x"), (0.0, 0.5)]
-)
+    "labels",
+    [(False, True), (("a", 0), ("a", 1)), (date(2020, 1, 1), date(2021, 1, 1)), (0, "x"), (0.0, 0.5),
+     pd.interval_range(0, 2), (datetime(2020, 1, 1, tzinfo=UTC), datetime(2021, 1, 1, tzinfo=UTC)),
+     (time(1), timedelta(1)), (UUID(int=1), b"")],
+)  # fmt: skip
 def test_groups_come_back_whatever_their_labels_are(labels, tmp_path):
     groups = [labels[i % 2] for i in range(200)]
     reg = ConformalRegressor(RandomForestClassifier(5), n_bins=8, alpha=Decimal("0.2"), random_state=0)
@@ -103,8 +107,9 @@ def archive():
 @pytest.mark.parametrize(
     ("content", "match"),
     [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
-     (skops.dumps({"format": "x"}), "is no complete conformodal-table-1"),
-     (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "found int")],
+     (skops.dumps({"format": "x"}), "is no complete conformodal-table-2"),
+     (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "fit and save it again"),
+     (skops.dumps({"format": "conformodal-table-2", "scikit-learn": "0", "regressor": 3}), "found int")],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")
 def test_other_files_are_refused(content, match, tmp_path):
@@ -122,6 +127,12 @@ def test_other_files_and_folders_are_not_replaced(content, tmp_path):
     with pytest.raises(ConformalError, match="exists and is not a saved regressor"):
         saving.save_regressor(None, path)
     assert path.is_dir() or path.read_bytes() == content
+
+
+def test_a_regressor_of_an_earlier_format_is_replaced(tmp_path):
+    (tmp_path / "reg.cm").write_bytes(skops.dumps({"format": "conformodal-table-1"}))
+    fitted(estimator=FOREST, n_bins=4).save(tmp_path / "reg.cm")
+    assert ConformalRegressor.load(tmp_path / "reg.cm").n_bins == 4
 
 
 def test_another_version_of_scikit_learn_is_a_warning(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from datetime import date
 from decimal import Decimal
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from sklearn.preprocessing import FunctionTransformer, OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal, QuantileBins
+from conformodal.conformal import ConformalError, ConformalRegressor, MondrianConformal, QuantileBins, region_scorers
 from conformodal.conformal.learning.tables import TableEncoder, as_column
 
 N = 240
@@ -176,7 +177,7 @@ def test_targets_in_another_order_are_refused():
     np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
     turned = both[["days", "dose"]]
     calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
-        reg.conformalize, reg.diagnose, reg.score)))  # fmt: skip
+        reg.conformalize, reg.diagnose, reg.score, partial(region_scorers()["neg_length"], reg))))  # fmt: skip
     for call in calls:
         with pytest.raises(ConformalError, match="y has its columns in another order"):
             call(turned)
@@ -201,6 +202,32 @@ def test_dates_as_values_are_refused_in_series_too(unit):
     for y in (dates, dates.to_frame("d")):
         with pytest.raises(ConformalError, match="numeric, found dates or times"):
             tree().fit(np.zeros((3, 1)), y)
+
+
+def test_values_of_a_tensor_with_a_gradient_are_those_of_its_array():
+    torch = pytest.importorskip("torch")
+    X, y = frame()
+    found = tree().fit(X[["age"]], torch.tensor(y.to_numpy(), requires_grad=True)).predict(X[["age"]])
+    np.testing.assert_array_equal(found, tree().fit(X[["age"]], y).predict(X[["age"]]))
+
+
+def test_columns_that_only_the_estimator_reads_are_left_out_of_a_diagnosis():
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    model = make_pipeline(FunctionTransformer(lambda X: np.stack(X["e"].to_numpy())), tree().estimator)
+    listed = pd.DataFrame({"e": list(numbers.to_numpy())})
+    reg = ConformalRegressor(model, n_bins=8, random_state=0)
+    found, plain = (str(reg.fit(its, y).diagnose(its, y)) for reg, its in ((reg, listed), (tree(), numbers)))
+    assert ("worst slab" in plain, "worst slab" in found) == (True, False)
+    assert "size" in found
+
+
+@pytest.mark.parametrize(("form", "name"), [(lambda y: y, "dose"), (lambda y: y.rename(None), "y"),
+                                            (pd.Series.to_frame, "dose")])  # fmt: skip
+def test_an_infinite_value_is_told_by_column_and_row(form, name):
+    X, y = frame()
+    with pytest.raises(ConformalError, match=f"column {name} must be finite or missing, found inf in row 3"):
+        tree().fit(X[["age"]], form(y.where(np.arange(N) != 3, np.inf)))
 
 
 def test_an_infinite_number_is_told_by_column_and_row():
@@ -254,7 +281,11 @@ def test_sparse_columns_stay_sparse():
         ConformalRegressor().fit(wide, y)
 
 
-@pytest.mark.parametrize("form", [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list])
+@pytest.mark.parametrize(
+    "form",
+    [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list, lambda y: y.astype(object).to_list(),
+     lambda y: y.astype(object).where(y.notna(), None).to_list()],
+)  # fmt: skip
 def test_rows_without_a_label_are_told(form):
     X, y = frame()
     y = y.where(~y.index.isin([3, 17]))

@@ -10,7 +10,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_predict, cross_val_score, cross_validate
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import OneHotEncoder, StandardScaler
+from sklearn.preprocessing import FunctionTransformer, OneHotEncoder, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import (
@@ -181,6 +181,12 @@ def test_scorers_name_an_estimator_without_regions(model):
         region_scorers()["coverage"](model.fit(X, Y), X, Y)
     with pytest.raises(NotFittedError):
         region_scorers()["coverage"](tree(), X, Y)
+
+
+def test_scorers_pass_on_what_a_step_before_the_regressor_raises():
+    pipeline = make_pipeline(FunctionTransformer(lambda X: X if len(X) > 50 else X.lost), tree()).fit(X, Y)
+    with pytest.raises(AttributeError, match="no attribute 'lost'"):
+        region_scorers()["coverage"](pipeline, X[:50], Y[:50])
 
 
 def test_the_interval_score_is_that_of_one_interval():

@@ -93,12 +93,13 @@ def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
         list(open_stream(path))
 
 
-def test_a_transport_stream_with_a_gap_is_read_to_its_end(tmp_path):
-    path = tmp_path / "v.ts"
-    content = mp4(path, codec="MPEG")
-    packets = [content[k : k + 188] for k in range(0, len(content), 188)]
+@pytest.mark.parametrize(("name", "before"), [("v.ts", b""), ("v.m2ts", b"\0\0\0\0")])  # times go before packets
+def test_a_transport_stream_with_a_gap_is_read_to_its_end(name, before, tmp_path):
+    content = mp4(tmp_path / "v.ts", codec="MPEG")
+    packets = [before + content[k : k + 188] for k in range(0, len(content), 188)]
+    path = tmp_path / name
     path.write_bytes(b"".join(packets[:12] + packets[-12:]))
-    with pytest.warns(DatasetWarning, match=r"v\.ts: ends after \d+ of \d+ frames"):
+    with pytest.warns(DatasetWarning, match=rf"{name}: ends after \d+ of \d+ frames"):
         frames = list(open_stream(path))
     assert open_stream(path).n_frames > len(frames) + 5
     assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
@@ -668,6 +669,10 @@ def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
         open_stream(cut)
     with pytest.raises(SourceError, match=r"as a ROS recording.*; rename it to CUT\.mcap"):
         open_stream(cut.rename(tmp_path / "CUT.MCAP"))
+    folder = path.parent.rename(tmp_path / "run.A")  # whose name ends in nothing that is at fault
+    (folder / path.name).write_bytes(b"")
+    with pytest.raises(SourceError, match=r"run\.A: cannot be opened as a ROS recording(?!.*rename)"):
+        open_stream(folder)
 
 
 def test_a_recording_without_images_is_named_with_its_topics(tmp_path):

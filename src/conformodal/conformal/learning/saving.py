@@ -15,7 +15,8 @@ from conformodal.conformal.errors import ConformalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 
-_FORMAT = "conformodal-table-1"
+_KIND = "conformodal-table-"
+_FORMAT = f"{_KIND}2"  # 1 had categories of numbers by other labels
 _OWN = (
     "bins.QuantileBins", "calibration.joint.JointRule", "calibration.mondrian.MondrianConformal",
     "calibration.split.SplitConformal", "intervals.MaxIntervals", "learning.forest.LeafForest",
@@ -25,10 +26,11 @@ _OWN = (
     "learning.stacked._oob_mean", "learning.tables.TableEncoder", "scores.Aps",
     "scores.Density", "scores.Lac", "scores.LinearDensity",
 )  # fmt: skip
-# what skops does not trust by itself: dates as labels, exact rates, compiled trees, kernels, and sparse arrays, of
+# what skops does not trust by itself: labels of groups, exact rates, compiled trees, kernels, and sparse arrays, of
 # which it knows matrices
 _FOREIGN = (
-    "datetime.datetime", "decimal.Decimal", "fractions.Fraction",
+    *(f"datetime.{name}" for name in ("datetime", "time", "timedelta", "timezone")), "decimal.Decimal",
+    "fractions.Fraction", "pandas.Interval", "uuid.UUID",
     "scipy.sparse._csr.csr_array", "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     *(f"sklearn.gaussian_process.kernels.{name}" for name in ("ConstantKernel", "Matern", "Product", "Sum")),
     "sklearn.gaussian_process.kernels.WhiteKernel", "sklearn.metrics._dist_metrics.EuclideanDistance64",
@@ -43,7 +45,7 @@ def check_replaceable(path: str | Path) -> None:
     path = Path(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            free = _FORMAT.encode() in archive.read("schema.json")
+            free = _KIND.encode() in archive.read("schema.json")
     except FileNotFoundError:
         free = True
     except Exception:  # whatever another file leads to
@@ -90,7 +92,7 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
         record = skops.io.loads(content, trusted=[*_TRUSTED, *trusted])
         found, version = record["regressor"], record["scikit-learn"]
         if record["format"] != _FORMAT:
-            raise ValueError(record["format"])
+            raise ValueError(f"found {brief(record['format'])}, fit and save it again")
     except Exception as exc:  # whatever a damaged file leads to
         raise ConformalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {reason(exc)}") from exc
     if version != sklearn.__version__:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets, brief, reason
+from conformodal.conformal.checks import Alpha, as_alpha, as_choice, as_targets, brief, column_names, reason
 from conformodal.conformal.errors import ConformalTypeError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray
@@ -44,10 +44,12 @@ class RegionScorer:
         try:
             regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
         except (TypeError, AttributeError) as exc:  # of a regressor without regions, or around one with them
-            if isinstance(exc, ValueError):  # its own, as of one that is not fitted
+            end = getattr(estimator, "steps", [("", estimator)])[-1][1]
+            if hasattr(end, "predict_region") or isinstance(exc, ValueError):  # of a step before, or of one not fitted
                 raise
             wanted = "a ConformalRegressor or a pipeline that ends with one"
             raise ConformalTypeError(f"estimator must be {wanted}, got {brief(estimator)}: {reason(exc)}") from exc
+        column_names(y, "y", regions.bins.names)
         values = as_targets(y)
         if self.name == "coverage":
             found = regions.contains(values).astype(np.float64).reshape(len(values), -1)

@@ -88,20 +88,22 @@ def _label(value: Any) -> str:
 
 
 def named_targets(y: Any, learnt: list[str] | None) -> tuple[Any, list[str] | None]:
-    """Values to predict, those of a frame or series as float64, and their names; none may be missing."""
+    """Values to predict as an array, of a frame or series as float64, and their names; none may be missing."""
     names = None
     if is_frame(y):
         names = column_names(y, "y", learnt)
         columns = [_target(column_of(y, j), name) for j, name in enumerate(names)]
-        y = np.column_stack([np.empty((y.shape[0], 0)), *columns])
+        values: npt.NDArray[Any] = np.column_stack([np.empty((y.shape[0], 0)), *columns])
     elif hasattr(y, "to_frame"):  # a series
-        names, y = [str(y.name)] if y.name else None, _target(y, y.name)
-    values = as_array(y, "y")
+        names, values = [str(y.name)] if y.name else None, _target(y, y.name)
+    else:
+        values = as_array(y, "y")
+        values = _target(values, None) if values.dtype.kind == "O" and values.ndim == 1 else values
     if values.dtype.kind == "f" and values.ndim and np.isnan(values).any():
         gaps = np.flatnonzero(np.isnan(values.reshape(len(values), -1)).any(axis=1))
         first = ", ".join(map(str, gaps[:10].tolist())) + (", ..." if gaps.size > 10 else "")
         raise ConformalError(f"y has no value in {counted(gaps.size, 'row')} ({first}): leave them out")
-    return y, names
+    return values if values.ndim else y, names  # without an axis it is None or a single value
 
 
 def _target(column: Any, name: object) -> FloatArray:
@@ -110,7 +112,7 @@ def _target(column: Any, name: object) -> FloatArray:
     arr = as_array(column, what)
     if arr.dtype.kind in "mM" or (arr.dtype.kind == "O" and any(isinstance(v, (date, timedelta)) for v in arr)):
         raise ConformalError(f"{what} must be numeric, found dates or times: give days since a date, say")
-    return as_doubles(as_column(column, name) if arr.dtype.kind == "O" else arr, what)
+    return as_doubles(as_column(arr, name or "y"), what)
 
 
 def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, npt.NDArray[Any]]]:
@@ -128,7 +130,7 @@ class TableEncoder:
 
     Numbers stay, dates count days. A missing number becomes the median of its column, and an own column marks it if
     any was missing in training. Text and categories become one column per label, for up to 20 labels that occur in two
-    two or more; other labels are zero in all of them. A column without any value in training is zero, whatever comes.
+    rows or more; other labels are zero in all of them. A column without any value in training is zero, whatever comes.
     """
 
     def fit(self, X: Any) -> Self:
@@ -166,5 +168,8 @@ class TableEncoder:
 
 
 def dense_inputs(X: Any) -> FloatArray | None:
-    """Inputs (n, q) as numbers, or None if they are sparse."""
-    return None if issparse(X) else TableEncoder().fit(X).transform(X)
+    """Inputs (n, q) as numbers; None if they are sparse or hold what only the estimator can read, such as lists."""
+    try:
+        return None if issparse(X) else TableEncoder().fit(X).transform(X)
+    except ConformalError:
+        return None

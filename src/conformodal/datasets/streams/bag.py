@@ -232,7 +232,7 @@ def _reader(path: Path) -> Iterator[Any]:
         reader.open()
     except Exception as exc:  # as above
         hint = _REPAIRS.get(path.suffix, "") if path.stat().st_size else ""
-        if path.suffix != path.suffix.lower():
+        if path.is_file() and path.suffix != path.suffix.lower():  # not a folder, such as run.A
             hint = f"; rename it to {path.stem}{path.suffix.lower()}"
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{hint}") from exc
     with closing(reader):

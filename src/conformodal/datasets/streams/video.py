@@ -25,7 +25,7 @@ from .frames import Frame, SourceError, check_size
 
 # Containers count frames roughly; fewer than this share of them is a file that was cut off.
 _WHOLE = 0.98
-_PACKET = 188  # bytes, of a transport stream
+_PACKETS = ((0, 188), (4, 192))  # of a transport stream: where the first starts, and bytes; times go before some
 _ROUGH = (".mkv", ".webm", ".ts", ".mts", ".m2ts")  # count frames by what lasts longest
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
@@ -43,7 +43,7 @@ def _is_whole(path: Path) -> bool:
     with path.open("rb") as file:
         end, at = file.seek(0, 2), 0
         file.seek(0)
-        head = file.read(12)
+        head = file.read(200)
         if head[:4] == b"RIFF":
             return int.from_bytes(head[4:8], "little") + 8 <= end
         if head[:4] == b"\x1aE\xdf\xa3":
@@ -54,9 +54,7 @@ def _is_whole(path: Path) -> bool:
             file.seek(at)
             size, large = int.from_bytes(file.read(4)), int.from_bytes(file.read(12)[4:])
             at += max({0: end - at, 1: large}.get(size, size), 8)  # to the end of the file, or in 64 bits
-        file.seek(_PACKET)
-        packets = head[:1] == b"G" == file.read(1)  # of a transport stream
-    return at == end or packets
+    return at == end or any(head[k : k + 1] == b"G" == head[k + n : k + n + 1] for k, n in _PACKETS)
 
 
 def _size(file: BinaryIO) -> int:
