@@ -79,7 +79,7 @@ def camera_beside(
 ) -> PinholeCamera:
     """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    The default must be of the images' size, and is told. Without either, the focal length is `focal_px`, or what EXIF
+    The default must be of the images' size, and is noted. Without either, the focal length is `focal_px`, or what EXIF
     says in the first of `images`, with a note.
     """
     path = folder / "camera-intrinsics.txt"

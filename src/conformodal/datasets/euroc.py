@@ -40,7 +40,7 @@ def read_euroc_mav(folder: Path | str, *, require_poses: bool = True, follow_out
     ----------
     folder
         ``mav0``, whatever its name, or the folder that holds it. The calibration is ``cam0/sensor.yaml``, Kalibr's
-        ``camchain.yaml`` (in the folder or in ``dso``), or ``camera-intrinsics.txt``. One that says no mounting leaves
+        ``camchain.yaml`` (in the folder or in ``dso``), or ``camera-intrinsics.txt``. One without a mounting leaves
         the body's poses as the camera's.
     require_poses
         True leaves out images without a pose by time: ground truth starts later than the camera. False keeps all

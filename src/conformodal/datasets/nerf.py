@@ -102,7 +102,7 @@ def transforms_file(folder: Path) -> Path | None:
 
 
 def _stated(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
-    """What is said of a frame's camera; its own focal length or angle is none that completes those on top."""
+    """The camera of a frame: its values replace those on top, and one focal length or angle replaces all of them."""
     own = {k: frame[k] for k in _OWN_CAMERA if k in frame}
     replaced = _FOCAL if any(own.get(k) is not None for k in _FOCAL) else ()
     stated = {k: v for k, v in content.items() if k not in replaced} | own

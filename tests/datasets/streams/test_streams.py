@@ -121,20 +121,26 @@ def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
     np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
 
 
-def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
-    path = tmp_path / "v.mp4"
+def timed(path, runs, length_ms):
+    """An MP4 file of runs of frames, each with the number of frames and the steps of 0.1 s between them."""
     content = mp4(path)
     at = content.find(b"stts") - 4
     step = int.from_bytes(content[at + 20 : at + 24])
-    entries = [5, 10, step, 1, 20 * step, 1, 0, 1, step, 17, step]  # two seconds later, two frames at once
+    entries = [len(runs), *(int(v) for count, steps in runs for v in (count, steps * step))]
     box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
     for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
         k = content.find(name) - 4
         content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
     content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
     k = content.find(b"elst") + 12
-    content[k : k + 4] = (9000).to_bytes(4)
+    content[k : k + 4] = length_ms.to_bytes(4)
     path.write_bytes(content)
+
+
+def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
+    path = tmp_path / "v.mp4"
+    # after two seconds, two frames at once
+    timed(path, [(10, 1), (1, 20), (1, 0), (1, 1), (17, 1)], length_ms=9000)
     times = [f.timestamp_s for f in open_stream(path)]
     assert len(times) == 30
     assert (np.diff(times) > 0).all()
@@ -154,18 +160,7 @@ def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path
 
 def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
     path = tmp_path / "v.mp4"
-    content = mp4(path)
-    at = content.find(b"stts") - 4
-    step = int.from_bytes(content[at + 20 : at + 24])
-    entries = [3, 10, step, 10, 2 * step, 10, step // 2]  # ten frames each of 0.1, 0.2 and 0.05 s
-    box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
-    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
-        k = content.find(name) - 4
-        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
-    content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
-    k = content.find(b"elst") + 12
-    content[k : k + 4] = (3500).to_bytes(4)
-    path.write_bytes(content)
+    timed(path, [(10, 1), (10, 2), (10, 0.5)], length_ms=3500)  # ten frames each of 0.1, 0.2 and 0.05 s
     frames = list(open_stream(path))
     times = np.cumsum(np.repeat([0.1, 0.2, 0.05], 10))
     np.testing.assert_allclose([f.timestamp_s for f in frames], [0, *times[:-1]], atol=2e-3)

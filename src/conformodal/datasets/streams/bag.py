@@ -104,7 +104,7 @@ class BagStream:
             if self.camera is None and (lens := self._info(reader, size, notes)) is not None:
                 object.__setattr__(self, "camera", lens.pinhole if isinstance(lens, Fisheye) else lens)
                 object.__setattr__(self, "first_lens", lens)
-        object.__setattr__(self, "notes", tuple(dict.fromkeys((*notes, *self.notes))))  # that none is known, too
+        object.__setattr__(self, "notes", tuple(dict.fromkeys((*notes, *self.notes))))  # replace() keeps earlier ones
 
     @property
     def name(self) -> str:
@@ -197,7 +197,7 @@ class BagStream:
         return size
 
     def _info(self, reader: Any, size: Size | None, notes: list[Note]) -> AnyCamera | None:
-        """The camera of the first CameraInfo in the images' name space that is none of zeros."""
+        """The camera of the first calibrated CameraInfo in the images' name space."""
         space = str(self.topic).removesuffix("/compressed").rpartition("/")[0]
         infos = [c for c in reader.connections if c.msgtype == INFO and c.topic.rpartition("/")[0] == space]
         named = sorted({c.topic for c in infos}, key=partial(_unlike, str(self.topic)))[:1]
