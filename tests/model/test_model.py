@@ -132,7 +132,7 @@ def flip_a_bit(folder):
     [
         (flip_a_bit, r"weights\.safetensors.*digest differs"),
         (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-17'"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-18'"),
         (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
         (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
         (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),

@@ -27,7 +27,7 @@ class LocalFeatures(NamedTuple):
 
     pixels: FloatArray  # (n, 2) undistorted corners
     descriptors: npt.NDArray[np.uint8]  # (n, 32)
-    global_descriptor: npt.NDArray[np.float32]  # (768,), see conformodal.datasets.thumbnail
+    global_descriptor: npt.NDArray[np.float32]  # at unit length: thumbnail or network's map
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
     flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.motion.flow
 

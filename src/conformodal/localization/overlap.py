@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -79,15 +80,21 @@ def measure_overlap(known: Sequence, new: Sequence, depth_m: float) -> Overlap:
     if not np.isfinite(depth_m):
         return Overlap(_share_near(poses, views))
     mapped = _spread(len(views), OVERLAP.keyframes)
-    landmarks = build_map(_features(known, known.posed[mapped]), views[mapped].poses_se3, known.camera, depth_m)
-    return overlap_with(landmarks, views, new)
+    images, others = partial(_features, known), partial(_features, new)
+    landmarks = build_map(images(known.posed[mapped]), views[mapped].poses_se3, known.camera, depth_m)
+    return overlap_with(landmarks, views, new, others)
 
 
-def overlap_with(landmarks: LandmarkMap, views: Trajectory, new: Sequence) -> Overlap:
-    """As :func:`measure_overlap`, with a map of a recording and the poses of its frames."""
+def overlap_with(
+    landmarks: LandmarkMap, views: Trajectory, new: Sequence, features: Callable[[IntArray], list[LocalFeatures]]
+) -> Overlap:
+    """As :func:`measure_overlap`, with a map of a recording and the poses of its frames.
+
+    `features` are those of frames of `new`, with global descriptors like the map's.
+    """
     poses, depth_m = new.poses or new.require_truth(), landmarks.depth_m
     near, asked = _share_near(poses, views), _spread(len(poses), OVERLAP.images)
-    found = [_best(landmarks.localize(image)) for image in _features(new, new.posed[asked])]
+    found = [_best(landmarks.localize(image)) for image in features(new.posed[asked])]
     localized = [(one, i) for one, i in zip(found, asked.tolist(), strict=True) if one is not None]
     if len(localized) < OVERLAP.least:
         return Overlap(near, len(asked), len(localized))

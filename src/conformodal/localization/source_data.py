@@ -16,7 +16,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.ranges import as_member
 from conformodal.datasets import Sequence, SplitKind, held_out_together
-from conformodal.vision.backbone import feature_views
+from conformodal.vision.backbone import feature_views, global_descriptors
 from conformodal.vision.projection import Projection, fit_projection
 from conformodal.vision.settings import TrainingConfig
 
@@ -43,6 +43,8 @@ class SourceData:
         How frames are held out, which decides what is left out together to learn the sizes of errors.
     depth_m
         Median depth of what the camera sees; NaN where it is not known.
+    grid
+        Rows and columns of the network's map, which retrieves places; None retrieves them by thumbnails.
     n_bins, margin, sigma_bins
         Of the bins, and of the order-aware labels.
     training
@@ -59,6 +61,7 @@ class SourceData:
     sign_reference: FloatArray
     split: SplitKind = SplitKind.INTERLEAVED
     depth_m: float = math.nan
+    grid: tuple[int, int] | None = None
     n_bins: int = 50
     margin: float = 0.02
     sigma_bins: float = 0.7
@@ -102,5 +105,8 @@ class SourceData:
         with self._extracting:  # sources that learn at the same time share them
             missing = [i for i in frames.tolist() if i not in self._local_features]
             found = in_threads(partial(frame_features, self.sequence), missing, report)
+            if missing and self.grid is not None:
+                maps = global_descriptors(self.features[missing], self.grid)
+                found = [its._replace(global_descriptor=row) for its, row in zip(found, maps, strict=True)]
             self._local_features.update(zip(missing, found, strict=True))
         return [self._local_features[i] for i in frames.tolist()]

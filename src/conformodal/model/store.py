@@ -41,7 +41,7 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-17"
+_FORMAT = "conformodal-model-18"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2

@@ -76,8 +76,6 @@ def extend_model(
     model.check_camera(sequence.camera)
     new = identify(sequence, model.known_frames)
     _check_new(model, sequence, new)
-    if check_world and model.landmarks is not None:
-        _check_world(model, model.landmarks, sequence)
     n_blocks = _n_blocks(model, sequence)
     split = _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None)
     cache, stage = cache or FeatureCache(None), stage_of(progress, "features")
@@ -89,8 +87,11 @@ def extend_model(
         model.sign_reference,
         split.kind,
         margin=config.margin,
+        grid=model.novelty.grid,
         progress=progress,
     )
+    if check_world and model.landmarks is not None:
+        _check_world(model, model.landmarks, data)
     folds = make_added_folds(sequence, split, model, n_blocks)
     # where frames calibrate, the sources of the only fold are the model's own
     parts = [] if folds.units is None else [fold.train for fold in folds.folds]
@@ -154,7 +155,7 @@ def _check_new(model: PoseModel, sequence: Sequence, new: FrameIdentities) -> No
         )
 
 
-def _check_world(model: PoseModel, landmarks: LandmarkSource, sequence: Sequence) -> None:
+def _check_world(model: PoseModel, landmarks: LandmarkSource, data: SourceData) -> None:
     """Refuse poses in another world frame.
 
     Raises
@@ -164,9 +165,9 @@ def _check_world(model: PoseModel, landmarks: LandmarkSource, sequence: Sequence
     """
     poses = model.known_frames.poses[landmarks.frames]
     views = Trajectory(np.arange(len(poses), dtype=np.float64), poses[:, :3], poses[:, 3:])
-    overlap = overlap_with(landmarks.map, views, sequence)
+    overlap = overlap_with(landmarks.map, views, data.sequence, data.local_features)
     if overlap.moved:
-        raise OdometryError(overlap.describe("the model's recordings", sequence.name))
+        raise OdometryError(overlap.describe("the model's recordings", data.sequence.name))
 
 
 def _split(sequence: Sequence, config: ModelConfig, n_blocks: int, *, frames_calibrate: bool) -> Split:

@@ -35,7 +35,8 @@ class TrainingData:
     _shared: SourceData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        data = SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind)
+        grid = self.backbone.config.grid
+        data = SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind, grid=grid)
         object.__setattr__(self, "_shared", data)
 
     @cached_property

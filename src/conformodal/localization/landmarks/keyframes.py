@@ -33,7 +33,7 @@ class LandmarkMap:
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
     shutter: FloatArray  # (2,), see conformodal.motion.flow.at_pose_time
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
-    global_descriptors: npt.NDArray[np.float16]  # (n, 768)
+    global_descriptors: npt.NDArray[np.float16]  # (n, G)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
     points_xyz: npt.NDArray[np.float32]  # (N, 3) metres, world
     descriptors: npt.NDArray[np.uint8]  # (N, 32)

@@ -19,6 +19,7 @@ from conformodal.localization.settings import ERROR_MODEL, MAPPING, PNP
 from conformodal.localization.source import SourceAnswer, SourceState, register_source
 from conformodal.localization.source_data import SourceData
 from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
+from conformodal.vision.backbone import global_descriptors
 
 from .camera_fit import Mounted
 from .keyframes import LandmarkMap
@@ -39,6 +40,7 @@ class LandmarkSource:
     map: LandmarkMap
     frames: IntArray
     errors: ErrorModel
+    grid: tuple[int, int] | None = None  # of the network's map, which retrieves places; None: thumbnails do
 
     @property
     def summary(self) -> dict[str, float]:
@@ -56,7 +58,7 @@ class LandmarkSource:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         chosen = _spread(frames)
-        return cls.of(
+        own = cls.of(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen],
             (pieces[chosen], data.stretches[chosen]),
@@ -66,6 +68,7 @@ class LandmarkSource:
             stage_of(data.progress, "landmarks"),
             data.matcher,
         )
+        return None if own is None else replace(own, grid=data.grid)
 
     @classmethod
     def of(
@@ -114,9 +117,11 @@ class LandmarkSource:
         """One estimate per retrieval cluster; none for images without local features."""
         if not evidence.local_features:
             return SourceAnswer(measurements=[[] for _ in evidence.features])
-        return SourceAnswer(
-            measurements=in_threads(lambda f: [] if f is None else self.localize(f), evidence.local_features)
-        )
+        images = evidence.local_features
+        if self.grid is not None:
+            rows = zip(images, global_descriptors(evidence.features, self.grid), strict=True)
+            images = [None if f is None else f._replace(global_descriptor=row) for f, row in rows]
+        return SourceAnswer(measurements=in_threads(lambda f: [] if f is None else self.localize(f), images))
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
@@ -127,6 +132,7 @@ class LandmarkSource:
         """The map's arrays and camera, and the errors."""
         arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
         settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
+        settings["grid"] = self.grid
         return SourceState(arrays, settings)
 
     @classmethod
@@ -136,7 +142,8 @@ class LandmarkSource:
         camera = PinholeCamera(**{**settings["camera"], "distortion": tuple(settings["camera"]["distortion"])})
         its = {k: state.arrays[k] for k in _ARRAYS}
         own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
-        return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]))
+        grid = None if settings["grid"] is None else tuple(settings["grid"])
+        return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
 
 
 def _spread(frames: IntArray) -> IntArray:
