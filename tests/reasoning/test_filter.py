@@ -11,7 +11,15 @@ from scipy.stats import multivariate_normal
 from conformodal.poses import angle_between_quats
 from conformodal.reasoning.candidates import Candidates
 from conformodal.reasoning.errors import ReasoningError
-from conformodal.reasoning.filter import PoseFilter, Posterior, filter_posteriors, hindsight_posteriors, predict, update
+from conformodal.reasoning.filter import (
+    PoseFilter,
+    Posterior,
+    filter_posteriors,
+    hindsight_posteriors,
+    predict,
+    tempered,
+    update,
+)
 from conformodal.reasoning.observations import Observations
 from conformodal.reasoning.places import choose_places, find_places
 from conformodal.reasoning.settings import FILTER
@@ -116,6 +124,21 @@ def test_many_vague_hypotheses_of_a_place_outweigh_a_sharp_one_elsewhere():
     assert [round(p.probability, 6) for p in places] == [0.6, 0.2]  # and 0.2 elsewhere
     np.testing.assert_allclose(places[0].position_xyz, 0, atol=1e-12)
     assert places[0].position_spreads[0] > 0.2 > places[1].position_spreads[0]
+
+
+@pytest.mark.parametrize("n", [1, 10, 40])
+def test_tempering_does_not_favour_a_place_that_is_told_in_many_hypotheses(n):
+    rng = np.random.default_rng(0)
+    x = np.concatenate(([0.0], 5 + 0.05 * PRIOR.place_m * rng.normal(size=n)))
+    found = tempered(hypotheses(x, np.append(0.98, np.full(n, 0.02 / n))), 0.5, PRIOR)
+    mass = np.exp(found.log_mass)
+    expected = np.sqrt(0.98) / (np.sqrt(0.98) + np.sqrt(0.02))
+    assert mass.sum() == pytest.approx(1)
+    assert mass[0] == pytest.approx(expected, abs=0.002)
+    whole = tempered(found, 1.0, PRIOR)
+    np.testing.assert_allclose(whole.log_mass, found.log_mass)
+    turned = hypotheses([0.0, 0.0], [0.8, 0.2], quats=np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]]))
+    assert np.exp(np.diff(tempered(turned, 0.5, PRIOR).log_mass)) == pytest.approx(0.5)  # opposite views are two places
 
 
 @pytest.mark.parametrize("vague_m", [1.0, 3.0, 100.0])

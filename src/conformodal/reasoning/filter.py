@@ -139,10 +139,11 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     wrong
         Probability that the evidence says nothing of the pose.
     tempering
-        Power to which masses of the evidence are raised, and with a factor normalisers; distances count in full.
+        Power to which masses of the evidence's places are raised, see :func:`tempered`, and with a factor normalisers;
+        distances count in full.
     """
     own = ahead.hypotheses.normalised()
-    seen = replace(evidence, log_mass=evidence.log_mass * tempering).normalised()
+    seen = tempered(evidence, tempering, prior)
     own_v, seen_v = own.position_spreads**2, seen.position_spreads**2
     own_a, seen_a = own.orientation_spreads_rad**2, seen.orientation_spreads_rad**2
     step = seen.positions_xyz[None] - own.positions_xyz[:, None]
@@ -197,9 +198,24 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     return Posterior(kept, min(max(elsewhere, FILTER.least_mass), 1 - FILTER.least_mass))
 
 
-def start(evidence: Candidates, *, known: bool) -> Posterior:
+def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidates:
+    """Hypotheses with the probabilities of their places raised to a power.
+
+    Raising the hypotheses one by one would favour places that have many: 50 of mass 0.0004 would weigh as much as one
+    of 0.98. What counts is the mass around each, by a kernel as wide as a place.
+    """
+    its = evidence.normalised()
+    if power == 1:
+        return its
+    off2 = ((its.positions_xyz[:, None] - its.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
+    turns = 2 * np.arccos(np.minimum(np.abs(its.orientations_quat_wxyz @ its.orientations_quat_wxyz.T), 1))
+    around = np.exp(-0.5 * (off2 + (turns / FILTER.place_rad) ** 2)) @ np.exp(its.log_mass)
+    return replace(its, log_mass=its.log_mass + (power - 1) * np.log(around)).normalised()
+
+
+def start(evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
     """The posterior of a frame from its image alone, which shows a known place or does not."""
-    hypotheses = replace(evidence, log_mass=evidence.log_mass * FILTER.tempering).normalised()
+    hypotheses = tempered(evidence, FILTER.tempering, prior)
     return Posterior(hypotheses, FILTER.wrong if known else FILTER.wrong_if_unknown)
 
 
@@ -346,7 +362,7 @@ class PoseFilter:
             Whether the image shows a known place. Where it does not, its hypotheses count less.
         """
         if not self._steps:
-            posterior = start(evidence, known=known)
+            posterior = start(evidence, self.prior, known=known)
         else:
             before = self._steps[-1]
             step_s = timestamp_s - before.timestamp_s
@@ -403,7 +419,7 @@ def hindsight_posteriors(
 
 def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:
     """What all later frames predict of each frame, from the last but one to the first."""
-    later = start(seen.candidates[-1], known=bool(seen.is_known[-1]))  # from this frame on
+    later = start(seen.candidates[-1], prior, known=bool(seen.is_known[-1]))  # from this frame on
     for t in range(len(seen.candidates) - 2, -1, -1):
         step_s = float(seen.timestamps_s[t + 1] - seen.timestamps_s[t])
         ahead = predict(later, seen.motions[t + 1], step_s, prior, back=True)

@@ -77,11 +77,7 @@ def same_place(
     """(m,) whether each of m poses is of the place of one pose, (3,) and (4,), or of its own, (m, 3) and (m, 4)."""
     off = np.linalg.norm(poses.positions_xyz - positions_xyz, axis=1)
     turned = angle_between_quats(poses.orientations_quat_wxyz, quats_wxyz)
-    return np.asarray((off <= FILTER.place * _depth_m(prior)) & (turned <= FILTER.place_rad))
-
-
-def _depth_m(prior: MotionPrior) -> float:
-    return prior.depth_m if np.isfinite(prior.depth_m) else 1.0
+    return np.asarray((off <= prior.place_m) & (turned <= FILTER.place_rad))
 
 
 def summarise(its: Candidates, box: FloatArray | None = None) -> Place:
@@ -135,6 +131,6 @@ def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> Po
             positions[t], spreads[t] = its.positions_xyz[best], its.position_spreads[best]
             quats[t], turns[t] = its.orientations_quat_wxyz[best], its.orientation_spreads_rad[best]
     unknown = ~seen.is_known
-    spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * _depth_m(prior))
+    spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * prior.scale_m)
     turns[unknown] = np.maximum(turns[unknown], FILTER.unknown_spread_rad)
     return PosePath(path.timestamps_s, positions, spreads, quats, turns)

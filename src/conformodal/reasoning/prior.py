@@ -61,6 +61,16 @@ class MotionPrior:
             volume_m3=volume_m3,
         )
 
+    @property
+    def place_m(self) -> float:
+        """Distance within which poses are of one place: a share of the depth, or of a metre where it is not known."""
+        return FILTER.place * self.scale_m
+
+    @property
+    def scale_m(self) -> float:
+        """The depth; one metre where it is not known."""
+        return self.depth_m if math.isfinite(self.depth_m) else 1.0
+
     def reach_m(self, step_s: float) -> float:
         """How far the camera can get within a time step, in metres."""
         return step_s * float(np.interp(step_s, self.intervals_s, self.top_speed_mps))
