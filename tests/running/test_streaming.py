@@ -134,6 +134,33 @@ def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_th
     assert its[2].path_region is None  # calibrated for another lag
 
 
+def test_a_stream_that_is_matched_seldom_has_regions_that_such_streams_calibrated(world):
+    sequence, model = world
+    frames, truth = model.split.calibration, sequence.truth
+
+    def answered(match_every):
+        odometry, regions = VisualOdometry(model, match_every=match_every), []
+        for frame in SequenceStream(sequence, frames):
+            if frame.answer:
+                regions.append(odometry.step(frame.image, frame.timestamp_s).path_region)
+            else:
+                odometry.track_only(frame.image, frame.timestamp_s)
+        return odometry, regions
+
+    odometry, regions = answered(FILTER.seldom)
+    rule, online = model.path_rules["seldom"], model.path_rules["online"]
+    assert rule.thresholds_[0] != online.thresholds_[0]
+    targets = pose_targets(truth[frames], model.sign_reference)
+    held = np.array([one.contains(t[None], joint=True)[0] for one, t in zip(regions, targets, strict=True)])
+    lost = np.array([one.unbounded.all() for one in regions])
+    expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
+    assert len(expected) == (~lost).sum()
+    assert np.mean(held[~lost] == expected) > 0.97
+    assert odometry.lagged().path_region is None  # calibrated where all are matched
+    _, regions = answered(FILTER.seldom + 1)
+    assert regions == [None] * len(frames)  # no stream so sparse was calibrated
+
+
 def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):
     sequence, model = world
     frames, run = batch

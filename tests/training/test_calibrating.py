@@ -149,6 +149,10 @@ class ToldBeliefs:
     def part(self, rows):
         return ToldBeliefs(self.rows[rows])
 
+    def mixed(self, chosen, others):
+        others.chosen = chosen  # tells where not the others count
+        return self
+
     def after(self, posteriors):
         assert len(posteriors) == len(self.rows)
         return self
@@ -186,10 +190,15 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
     groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
     rules = SimpleNamespace(
-        overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS), known_with_local=every, recognised=every
+        overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS),
+        known_with_local=every,
+        recognised=every,
+        known_p=np.ones(n),
+        level=0.1,
     )
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
-    its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
+    own, without_local = ToldBeliefs(np.arange(n)), ToldBeliefs(np.arange(n))
+    its = SimpleNamespace(rules=rules, beliefs=[own], without_local=[without_local])
     motions = dict.fromkeys(range(n))
     paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
     rule, lag = paths["lagged"], FILTER.lag
@@ -206,4 +215,9 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     else:
         assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
         assert rule.groups_ is None
-    assert len(paths["online"].scores_) == n
+    assert len(paths["online"].scores_) == len(paths["seldom"].scores_) == n
+    matched = np.concatenate([np.arange(length) % FILTER.seldom == 0 for length in lengths])
+    np.testing.assert_array_equal(without_local.chosen, matched)  # from the first frame of each stream
+    its.without_local = its.beliefs  # of a model without local features
+    paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
+    assert "seldom" not in paths

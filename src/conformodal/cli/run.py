@@ -26,6 +26,7 @@ from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
+from conformodal.reasoning.settings import FILTER
 from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
@@ -46,7 +47,7 @@ from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
-MATCH_EVERY_LIVE = 6
+MATCH_EVERY_LIVE = FILTER.seldom
 
 
 @report_errors

@@ -35,9 +35,9 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import EvidenceType, RegionRules
 
-# What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
-# its recording (hindsight).
-PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
+# What posteriors rest on: the frames up to each (online; seldom: local features are matched in one of a few), also as
+# many after it as the lag (lagged), or all frames of its recording (hindsight).
+PATHS = ONLINE, SELDOM, LAGGED, HINDSIGHT = "online", "seldom", "lagged", "hindsight"
 
 
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:

@@ -20,7 +20,7 @@ from conformodal.localization.motions import MotionRecord, measure_motions
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, Localization, PoseModel
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, SELDOM, Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.motion.flow import affine_flow
@@ -49,8 +49,8 @@ class VisualOdometry(Odometry):
         Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
     match_every
         Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
-        Regions of the others are wider. Those after motion (``path_region``) are calibrated for 1, and miss more often
-        with more. :meth:`run` matches them in all.
+        Regions of the others are wider. Those after motion (``path_region``) have two calibrations: for 1, and for 6,
+        which 2 to 5 use too; they are None with more. :meth:`run` matches them in all.
 
     Raises
     ------
@@ -100,7 +100,8 @@ class VisualOdometry(Odometry):
             local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
-        now = self._push(self._filter, found, motion, timestamp_s)
+        path = SELDOM if self._seldom else ONLINE
+        now = self._push(self._filter, found, motion, timestamp_s, path if self.match_every <= FILTER.seldom else "")
         now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
         self._last.append(now)
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
@@ -109,24 +110,29 @@ class VisualOdometry(Odometry):
         """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
 
         None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
-        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames:
-        None for another one, and where the model has no such calibration. `reliable` asks for the same probability as
-        online.
+        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames
+        whose local features are matched: None for others, and where the model has no such calibration. `reliable` asks
+        for the same probability as online.
         """
         if len(self._last) <= self.lag:
             return None
         then, posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        path = LAGGED if self.lag == FILTER.lag else ""
+        path = LAGGED if self.lag == FILTER.lag and not self._seldom else ""
         now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
         return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(
-        self, pose_filter: PoseFilter, found: Localization, motion: RelativeMotion | None, timestamp_s: float
+        self,
+        pose_filter: PoseFilter,
+        found: Localization,
+        motion: RelativeMotion | None,
+        timestamp_s: float,
+        path: str = ONLINE,
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, ONLINE)
+        return self._estimate(found, motion, timestamp_s, posterior, path)
 
     def _estimate(
         self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
@@ -158,6 +164,11 @@ class VisualOdometry(Odometry):
             posterior=posterior,
             places=places,
         )
+
+    @property
+    def _seldom(self) -> bool:
+        """Whether local features are matched in some frames alone."""
+        return self.match_every > 1 and self.model.looks_at_local_features
 
     def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0

@@ -276,9 +276,10 @@ class StreamRunner:
         later = hindsight_posteriors(seen, model.prior, [p.posterior for p in pending])
         for name, trajectory in whole_paths(later, seen, model.prior).items():
             self.writer.poses(name, trajectory[wanted])
+        path = HINDSIGHT if self.odometry.match_every == 1 else ""  # what it is calibrated for
         for p, posterior in zip(pending[wanted], later[wanted], strict=True):
             if p.truth is not None:
-                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], HINDSIGHT), p.truth)
+                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], path), p.truth)
         release_freed_memory()
 
     def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:

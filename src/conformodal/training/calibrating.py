@@ -30,7 +30,7 @@ from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, PATHS, path_rule
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, PATHS, SELDOM, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.model.region_rules import EvidenceType, RegionRules, part_of
 from conformodal.poses import RelativeMotion
@@ -56,11 +56,15 @@ def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold."""
+    """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold.
+
+    Also those without local features, which are the same where no source uses them.
+    """
 
     rules: RegionRules
     novelty: PlaceNovelty | None
     beliefs: list[Beliefs]
+    without_local: list[Beliefs]
 
 
 def calibrate_regions(
@@ -98,6 +102,7 @@ def calibrate_regions(
     overall: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     matched: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
+    without_local: list[Beliefs] = []
     beyond: dict[bool, list[bool]] = {False: [], True: []}  # by whether local features were matched
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
@@ -107,6 +112,7 @@ def calibrate_regions(
         beyond[False] += [its.out_of_range for its in localizer.supports(beliefs)]
         for joint, own in own_rules.items():
             overall[joint].append(score_beliefs(own, localizer, beliefs, targets))
+        without_local.append(beliefs)
         if local:  # in all folds: otherwise beliefs with them cannot be calibrated
             beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
             beyond[True] += [its.out_of_range for its in localizer.supports(beliefs)]
@@ -141,7 +147,7 @@ def calibrate_regions(
 
     rules = calibrated(asked)
     rules = calibrated("max") if len(joints) > 1 and _has_type_for_max_only(rules) else rules
-    return Calibrated(rules, novelty, found)
+    return Calibrated(rules, novelty, found, without_local)
 
 
 def calibrate_disturbed(
@@ -217,8 +223,9 @@ def calibrate_paths(
     as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
     show.
 
-    Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so many
-    follow: as many of each stretch, or in proportion to their number where frames calibrate.
+    Regions of streams whose local features are matched in one of ``FILTER.seldom`` frames are calibrated on such
+    streams. Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so
+    many follow: as many of each stretch, or in proportion to their number where frames calibrate.
 
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
@@ -226,25 +233,31 @@ def calibrate_paths(
     rules = calibrated.rules
     units = sequence.recording if folds.units is None else folds.units
     known = rules.known_with_local | rules.recognised
-    scores: dict[str, list[RealArray]] = {path: [] for path in PATHS}
-    lost: dict[str, list[bool]] = {path: [] for path in PATHS}
-    rows: dict[str, list[IntArray]] = {path: [] for path in PATHS}  # of the held-out frames
+    # by path, of each fold: scores, whether each posterior is lost, and rows among the held-out frames
+    answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]] = {path: [] for path in PATHS}
     truth, n = sequence.require_truth(), len(folds.held_out)
     probability, right = np.empty(n), np.empty(n, dtype=bool)
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
-    for fold, localizer, own in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
+    both = zip(calibrated.beliefs, calibrated.without_local, strict=True)
+    for fold, localizer, (own, without_local) in zip(folds.folds, localizers, both, strict=True):
         rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
+        here = slice(start, start + len(held_out))
+        streams = [np.flatnonzero(units[held_out] == unit) for unit in np.unique(units[held_out])]
+        matched = np.zeros(len(held_out), dtype=bool)
+        matched[np.concatenate([at[:: FILTER.seldom] for at in streams])] = True
+        seldom = own.mixed(matched, without_local)
+        known_seldom = np.where(matched, known[here], rules.known_p[here] > rules.level)
         found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
-        for unit in np.unique(units[held_out]):
-            at = np.flatnonzero(units[held_out] == unit)
-            seen = Observations(
-                [own.mixtures[i].candidates for i in at.tolist()],
-                [motions[frame] for frame in held_out[at].tolist()],
-                sequence.timestamps_s[held_out[at]],
-                known=known[start + at],
+        for at in streams:
+            moved, times = [motions[frame] for frame in held_out[at].tolist()], sequence.timestamps_s[held_out[at]]
+            seen, seen_seldom = (
+                Observations([its.mixtures[i].candidates for i in at.tolist()], moved, times, known=its_known[at])
+                for its, its_known in ((own, known[here]), (seldom, known_seldom))
             )
             forward = filter_posteriors(seen, prior)
+            if own is not without_local:
+                found[SELDOM].update(zip(at.tolist(), filter_posteriors(seen_seldom, prior), strict=True))
             go_on()
             drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
             some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
@@ -260,24 +273,31 @@ def calibrate_paths(
                 continue
             which = np.array(sorted(posteriors))
             its = [posteriors[i] for i in which.tolist()]
-            after = own.part(which).after(its)
+            after = (seldom if path == SELDOM else own).part(which).after(its)
             supports = localizer.supports(after)
-            lost[path] += [one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)]
-            scores[path].append(score_beliefs(rule, localizer, after, targets[held_out[which]]))
-            rows[path].append(start + which)
+            lost = np.array([one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)])
+            scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
+            answered[path].append((scores, lost, start + which))
         start += len(held_out)
-    labels, cells = rules.overall.groups_, rules.overall.bins
-    every, paths = {path: np.concatenate(its) for path, its in scores.items() if its}, {}
-    for path, found_scores in every.items():
-        own_labels = None if labels is None else labels[np.concatenate(rows[path])]
-        rule = path_rule(cells, rules.overall.alpha).calibrate_scores(found_scores, own_labels)
-        paths[path] = part_of(rule, ~np.array(lost[path]))
-    held = (every[ONLINE] <= paths[ONLINE].thresholds_).all(axis=1) | np.array(lost[ONLINE])
-    wrong = np.where(right | held, -np.inf, probability)
-    unit = np.unique(np.arange(n) if labels is None else labels, return_inverse=True)[1]
+    labels, paths = rules.overall.groups_, {}
+    every = {
+        path: [np.concatenate(its) for its in zip(*parts, strict=True)] for path, parts in answered.items() if parts
+    }
+    for path, (scores, lost, rows) in every.items():
+        own_labels = None if labels is None else labels[rows]
+        rule = path_rule(rules.overall.bins, rules.overall.alpha).calibrate_scores(scores, own_labels)
+        paths[path] = part_of(rule, ~lost)
+    scores, lost, _ = every[ONLINE]
+    held = (scores <= paths[ONLINE].thresholds_).all(axis=1) | lost
+    return paths, _reliable_p(np.where(right | held, -np.inf, probability), labels)
+
+
+def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
+    """From the probabilities (n,) of places of held-out frames: of wrong ones whose region misses, -inf of others."""
+    unit = np.unique(np.arange(len(wrong)) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]
     least = grouped_quantile(streams, max(Fraction(FILTER.sure_and_wrong), Fraction(1, len(streams) + 1)))
-    return paths, min(max(FILTER.reliable, float(np.nextafter(least, 2.0))), FILTER.most_reliable)
+    return min(max(FILTER.reliable, float(np.nextafter(least, 2.0))), FILTER.most_reliable)
 
 
 def compare_sources(
