@@ -18,6 +18,7 @@ from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import CameraStream, VideoStream
 from conformodal.poses import PinholeCamera
+from tests.helpers import run_ok
 
 SIZE = (64, 48)
 
@@ -405,11 +406,11 @@ K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
 P_INFO = np.array([70.0, 0, 60, 5, 0, 71, 44, 0, 0, 0, 1, 0])
 
 
-def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0)):
+def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0), k=K_INFO):
     x, y, width, height = roi
     window = SimpleNamespace(x_offset=x, y_offset=y, width=width, height=height, do_rectify=False)
     head = {"width": 128, "height": 96, "binning_x": binning[0], "binning_y": binning[1], "roi": window}
-    return SimpleNamespace(k=K_INFO, p=P_INFO, d=np.array(d), distortion_model=model, **head)
+    return SimpleNamespace(k=k, p=P_INFO, d=np.array(d), distortion_model=model, **head)
 
 
 @pytest.mark.parametrize(
@@ -418,6 +419,7 @@ def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 
         ("/cam/image_raw", {}, (80, 82, 64, 48, 128, 96)),
         ("/cam/image_rect", {}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_rect_color/compressed", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_rect", {"k": np.zeros(9)}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_raw", {"binning": (2, 2)}, (40, 41, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 24, 64, 48)}, (80, 82, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 16, 64, 64), "binning": (2, 4)}, (40, 20.5, 16, 8, 32, 16)),
@@ -431,6 +433,14 @@ def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, e
     rectified = "rect" in topic
     assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
     assert any(("P, for rectified" if rectified else "K and D") in where for _, where in notes)
+
+
+@pytest.mark.parametrize(("model", "d"), [("plumb_bob", ()), ("", ()), ("equidistant", np.zeros(4))])
+def test_p_is_the_camera_where_k_and_d_are_zero(model, d):
+    notes = []
+    camera = camera_of_info(info(k=np.zeros(9), d=d, model=model), "info", "/cam/image", notes=notes)
+    assert camera == PinholeCamera(70, 71, 60, 44, 128, 96)
+    assert ("camera of CameraInfo", "info: P, as K and D are zero, without distortion") in notes
 
 
 @pytest.mark.parametrize("model", ["Plumb_Bob", "PLUMB_BOB ", "Brown Conrady"])
@@ -557,7 +567,7 @@ def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
 @pytest.mark.parametrize(
     ("change", "topic", "match"),
     [
-        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero"),
+        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero, and D, which is not, says that P is of"),
         ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
         ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
         ({"width": 0}, "/cam/image_raw", "0x96 pixels"),
@@ -577,7 +587,6 @@ def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
         ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
         ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 0, 101, 101.5, 102], [0] * 6),
         ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 50, 203, 203.5], [0, 0, 0, 0, 1, 1]),
-        ([0, 100, 100.5, 101, 101.5, 102], [0, 100, 100.5, 101, 101.5, 102], [0] * 6),
     ],
 )
 def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
@@ -586,6 +595,33 @@ def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path
     )
     np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=1e-6)
     assert [frame.recording for frame in frames] == recordings
+
+
+@pytest.mark.parametrize(
+    ("stamps", "astray"),
+    [
+        ([0, 100, 100.5, 101, 101.5, 102], 0),
+        ([1e9, 100, 100.5, 101, 101.5, 102], 0),
+        ([100, 100.5, 1e9, 101, 101.5, 102], 2),
+        ([100, 100.5, 101, 101.5, 102, 1e9], 5),
+    ],
+)
+def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, astray):
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)})
+    frames = list(BagStream(path))
+    assert [frame.image is None for frame in frames] == [i == astray for i in range(6)]
+    assert f"message {astray} of /cam/image_raw: its stamp, {stamps[astray]:.3f} s, is far" in frames[astray].problem
+    assert {frame.recording for frame in frames} == {0}
+    assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
+    assert [f.timestamp_s for f in frames if f.image is not None] == [s for s in stamps if s != stamps[astray]]
+    result = run_ok("data", "convert", path, "--out", tmp_path / "out")
+    assert f"message {astray} of /cam/image_raw: its stamp" in " ".join(result.output.split())
+
+
+def test_a_pause_and_two_frames_are_no_clock_that_was_set(tmp_path):
+    stamps = np.array([50, 100, 100.5, 101, 101.5, 150])
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": stamps})
+    assert [frame.timestamp_s for frame in BagStream(path)] == stamps.tolist()
 
 
 def compressed(image, form, suffix=".png"):
