@@ -168,18 +168,37 @@ def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
     assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
 
 
-def test_a_video_that_is_turned_says_so(tmp_path):
-    path = tmp_path / "v.mp4"
-    content = mp4(path)
-    at = content.find(b"tkhd") + 44
-    turn = [0, 1 << 16, 0, (-1) << 16, 0, 0, SIZE[1] << 16, 0, 1 << 30]  # by a quarter to the right
-    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in turn)
+def shown_by(path, *matrix, header=b"tkhd", at=44):
+    """An MP4 file with the a b c d of a display matrix."""
+    content, (a, b, c, d) = mp4(path), (round(65536 * v) for v in matrix)
+    at += content.find(header)
+    values = [a, b, 0, c, d, 0, 0, 0, 1 << 30]
+    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in values)
     path.write_bytes(content)
+    return path
+
+
+def test_a_video_that_is_turned_says_so(tmp_path):
+    path = shown_by(tmp_path / "v.mp4", 0, 1, -1, 0)  # by a quarter to the right
     stream = open_stream(path)
     assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
     assert any("by 90 degrees" in where for _, where in stream.notes)
     path.write_bytes(mp4(path))
     assert open_stream(path).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "how"),
+    [((-1, 0, 0, 1), "mirrored"), ((0, 1, 1, 0), "mirrored"), ((0.707, 0.707, -0.707, 0.707), "turned by 45 degrees")],
+)
+def test_a_video_that_is_shown_mirrored_or_aslant_is_refused(tmp_path, matrix, how):
+    with pytest.raises(SourceError, match=rf"v\.mp4: its metadata says that pictures are shown {how}, and only"):
+        open_stream(shown_by(tmp_path / "v.mp4", *matrix))
+
+
+def test_a_whole_movie_may_be_shown_mirrored(tmp_path):
+    with pytest.raises(SourceError, match="mirrored"):
+        open_stream(shown_by(tmp_path / "v.mp4", 1, 0, 0, -1, header=b"mvhd", at=40))
 
 
 def test_what_is_no_video_is_named(tmp_path):

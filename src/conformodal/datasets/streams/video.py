@@ -57,6 +57,41 @@ def _is_whole(path: Path) -> bool:
     return at == end or any(head[k : k + 1] == b"G" == head[k + n : k + n + 1] for k, n in _PACKETS)
 
 
+def _parts(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Names of the parts of an MP4 or MOV file, and where their contents start and end."""
+    while start + 8 <= end:
+        file.seek(start)
+        size, name, large = int.from_bytes(file.read(4)), file.read(4), int.from_bytes(file.read(8))
+        after = start + max({0: end - start, 1: large}.get(size, size), 8)
+        yield name, start + (16 if size == 1 else 8), min(after, end)
+        start = after
+
+
+def _is_mirrored(path: Path) -> bool:
+    """Whether an MP4 or MOV file says that its pictures are shown mirrored, which OpenCV does not do."""
+    with path.open("rb") as file:
+
+        def determinant(start: int, at: int) -> int:
+            """Of the display matrix of a header, which is 12 bytes later where times have 64 bits."""
+            file.seek(start)
+            file.seek(start + at + 12 * file.read(1)[0])
+            a, b, _, c, d = (int.from_bytes(file.read(4), signed=True) for _ in range(5))
+            return a * d - b * c
+
+        end = file.seek(0, 2)
+        file.seek(4)
+        if file.read(4) != b"ftyp":
+            return False
+        movie = [part for name, *its in _parts(file, 0, end) if name == b"moov" for part in _parts(file, *its)]
+        whole = [determinant(start, 36) for name, start, _ in movie if name == b"mvhd"]
+        for track in ({name: its for name, *its in _parts(file, *its)} for name, *its in movie if name == b"trak"):
+            media = {name: start for name, start, _ in _parts(file, *track.get(b"mdia", (0, 0)))}
+            file.seek(media.get(b"hdlr", end) + 8)
+            if file.read(4) == b"vide" and b"tkhd" in track:
+                return determinant(track[b"tkhd"][0], 40) * (whole or [1])[0] < 0
+    return False
+
+
 def _size(file: BinaryIO) -> int:
     """Size of a part of a Matroska file, in as many bytes as the first says; 0 where it is not known."""
     first = file.read(1)[0]
@@ -67,7 +102,7 @@ def _size(file: BinaryIO) -> int:
 
 @dataclass(frozen=True)
 class VideoStream:
-    """A video file; a :class:`SourceError` if it is missing or not a video.
+    """A video file; a :class:`SourceError` if it is missing, not a video, or shown mirrored.
 
     Attributes
     ----------
@@ -91,6 +126,12 @@ class VideoStream:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
             rate = capture.get(cv2.CAP_PROP_FPS)
+        if _is_mirrored(self.path) or turned % 90:
+            how = f"turned by {turned:.0f} degrees" if turned % 90 else "mirrored"
+            raise SourceError(
+                f"{self.path}: its metadata says that pictures are shown {how}, and only quarter turns are applied; "
+                "write them as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
+            )
         notes = list[Note]()
         check_size(str(self.path), (int(sides[0]), int(sides[1])) if all(sides) else None, self.camera)
         if turned:
