@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3020,
+    "cli": 3030,
     "conformal": 5800,
     "core": 410,
-    "datasets": 5880,
+    "datasets": 6060,
     "localization": 3300,
     "model": 1460,
     "motion": 1070,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21290
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21470

@@ -75,6 +75,10 @@ _READERS = {
 }
 
 
+_MADE = (
+    "; a recording becomes one by 'conformodal data convert {} --poses POSES --out FOLDER', where POSES is a TUM file "
+    "or a ROS recording's topic"
+)
 _WITHOUT_CAMERA, _TO_BE_FITTED = (Layout.IMAGES, Layout.TUM), 0.0
 _LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
 # Folders of images inside other layouts, which lack something else than a camera.
@@ -92,6 +96,8 @@ def recognise(folder: Path) -> Layout:
     if not readable(str(folder)):
         raise DatasetError(f"{shown(str(folder))}: its name is not UTF-8; rename it")
     try:
+        if folder.is_file():
+            raise DatasetError(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}")
         if not folder.is_dir():
             raise DatasetError(f"{folder}: no such folder")
         found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
@@ -110,6 +116,8 @@ def recognise(folder: Path) -> Layout:
 def _pictures_without_camera(folder: Path) -> str:
     """What a folder of pictures lacks, if it is one or has one in it."""
     with suppress(OSError):
+        if (folder / "metadata.yaml").is_file():
+            return f": it looks like a ROS recording{_MADE.format(folder)}"
         below = sorted(path for path in folder.iterdir() if path.is_dir())
         if named := [shown(str(place)) for place in below if any(its.fits(place) for its in _READERS.values())]:
             return f": name a folder in it, such as {', '.join(named[:3])}"

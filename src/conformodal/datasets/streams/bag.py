@@ -98,7 +98,7 @@ class BagStream:
         if not self.path.exists():
             raise SourceError(f"{self.path}: no such recording")
         notes: list[Note] = []
-        with _reader(self.path) as reader:
+        with bag_reader(self.path) as reader:
             images = [c for c in reader.connections if c.msgtype in (RAW, COMPRESSED)]
             topics = sorted({c.topic for c in images if c.msgcount})
             if not topics:
@@ -125,7 +125,7 @@ class BagStream:
     @property
     def n_frames(self) -> int:
         """Messages of the topic."""
-        with _reader(self.path) as reader:
+        with bag_reader(self.path) as reader:
             return sum(c.msgcount for c in reader.connections if c.topic == self.topic)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -171,7 +171,7 @@ class BagStream:
     def _messages(self) -> Iterator[_Message]:
         """The images as they were sent, and what says that their camera is another."""
         done, known, info = 0, "", None  # what the last CameraInfo says, and the message until it is taken
-        with _reader(self.path) as reader:
+        with bag_reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic == self.topic or c.topic in self.infos]
             messages = iter(reader.messages(connections=wanted))
             while True:
@@ -281,7 +281,7 @@ def _set_on(first: _Message, second: _Message) -> bool:
 
 
 @contextmanager
-def _reader(path: Path) -> Iterator[Any]:
+def bag_reader(path: Path) -> Iterator[Any]:
     """An open reader."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
