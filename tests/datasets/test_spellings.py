@@ -550,7 +550,7 @@ def test_a_fitted_focal_length_lies_in_its_range(real_data, folder, focal):
     sequence = without_lens(read_sequence(real_data(*folder.split("/"))))
     fitted = with_fitted_focal(sequence)
     low, high = map(int, re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED]).groups())
-    assert low < focal < high < 1.5 * low
+    assert low < focal < high < 1.25 * low
     assert fitted.camera.fx == pytest.approx(focal, rel=0.06)
 
 
