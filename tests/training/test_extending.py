@@ -1,9 +1,11 @@
 """Recordings that are added to a trained model."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from conformodal.datasets import read_sequence
 from conformodal.localization.evidence import FrameEvidence
@@ -11,10 +13,11 @@ from conformodal.localization.local_features import frame_features
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
+from conformodal.model.identity import identify
 from conformodal.model.model import PATHS
 from conformodal.model.region_rules import part_of
 from conformodal.model.store import load_model, save_model
-from conformodal.training.extending import _split, extend_model
+from conformodal.training.extending import _split, _warn_of_copies, extend_model
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.settings import TrainingConfig
@@ -134,6 +137,28 @@ def test_another_world_frame_is_refused(by_frames, cache):
     )
     with pytest.raises(OdometryError, match="world frames are likely"):
         extend_model(model, away, cache)
+
+
+def told_of_copies(model, sequence, cache):
+    features = extract_features(sequence.image_paths, model.backbone, cache)
+    with warnings.catch_warnings(record=True) as came:
+        warnings.simplefilter("always")
+        _warn_of_copies(model, model.landmarks, sequence, features)
+    return [str(its.message) for its in came]
+
+
+def test_a_recording_that_was_encoded_again_is_told(by_frames, cache, tmp_path):
+    model, first, second = by_frames
+    paths = tuple(tmp_path / f"{i}.jpg" for i in range(len(first)))
+    for path, old in zip(paths, first.image_paths, strict=True):
+        Image.open(old).convert("RGB").save(path, quality=85)
+    again = replace(first, image_paths=paths)
+    assert not model.known_frames.known(identify(again)).any()
+    (told,) = told_of_copies(model, again, cache)
+    assert "look like frames that the model knows, at the same poses: is it a copy" in told
+    assert told_of_copies(model, second, cache) == []
+    positions = first.truth.positions_xyz + np.array([0.01, 0, 0])
+    assert told_of_copies(model, replace(again, truth=replace(first.truth, positions_xyz=positions)), cache) == []
 
 
 def test_the_command_refuses_the_recording_that_it_knows(small_world, tmp_path):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
-from conformodal.datasets import Sequence, Split, SplitKind, make_split
-from conformodal.localization.landmarks.source import LandmarkSource
+from conformodal.datasets import DatasetWarning, Sequence, Split, SplitKind, make_split
+from conformodal.localization.landmarks.source import LandmarkSource, spread_frames
 from conformodal.localization.motions import measure_motions
 from conformodal.localization.overlap import overlap_with
 from conformodal.localization.parallel import side_by_side
@@ -22,14 +25,17 @@ from conformodal.model.config import Method, ModelConfig, config_of
 from conformodal.model.errors import OdometryError
 from conformodal.model.identity import FrameIdentities, identify
 from conformodal.model.model import PoseModel
-from conformodal.poses import Trajectory
+from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning.prior import fit_motion_prior
+from conformodal.vision.backbone import feature_views
 from conformodal.vision.features import FeatureCache, extract_features
 
 from .calibrating import Calibrated, calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources
 from .folds import make_added_folds
 
 _LEAST_BLOCKS = 5
+_SAME_M, _SAME_RAD, _ALIKE = 1e-3, 2e-3, 0.99  # one pose, and pictures of one image: their correlation
+_LEAST_COPIED, _COPIED, _NEARLY_ALL = 10, 0.1, 0.9  # poses; shares of the frames, and of those at these poses
 
 
 def extend_model(
@@ -82,6 +88,8 @@ def extend_model(
     split = _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None)
     cache, stage = cache or FeatureCache(None), stage_of(progress, "features")
     features = extract_features(sequence.image_paths, model.backbone, cache, stage, sequence.noise)
+    if model.landmarks is not None:
+        _warn_of_copies(model, model.landmarks, sequence, features)
     data = SourceData(
         sequence,
         features,
@@ -151,6 +159,33 @@ def _check_new(model: PoseModel, sequence: Sequence, new: FrameIdentities) -> No
         raise OdometryError(
             f"{sequence.image_paths[int(again.argmax())]}: has the pixels of a frame that the model knows, and so have "
             f"{again.sum()} of {counted(len(again), 'frame')}; add recordings that it does not know"
+        )
+
+
+def _warn_of_copies(
+    model: PoseModel, landmarks: LandmarkSource, sequence: Sequence, features: npt.NDArray[np.float32]
+) -> None:
+    """Warn if frames at the poses of keyframes look like these: a recording that was encoded again is not new."""
+    keyframes, its = landmarks.frames, landmarks.map
+    if len(keyframes) != len(its.poses_se3):
+        keyframes = spread_frames(keyframes)
+    if len(keyframes) != len(its.poses_se3):  # of a model that was extended by many frames
+        return
+    truth, known = sequence.require_truth(), model.known_frames.poses[keyframes]
+    apart_m, nearest = cKDTree(known[:, :3]).query(truth.positions_xyz)
+    at = np.asarray(nearest, dtype=np.int64)
+    turned = angle_between_quats(truth.orientations_quat_wxyz, known[at, 3:])
+    frames = np.flatnonzero((apart_m < _SAME_M) & (turned < _SAME_RAD))
+    pictures = features[frames][:, feature_views(features.shape[1]).thumbnail]
+    pictures /= np.maximum(np.linalg.norm(pictures, axis=1, keepdims=True), 1e-6)
+    alike = np.einsum("ij,ij->i", pictures, its.global_descriptors[at[frames]].astype(np.float32)) > _ALIKE
+    several = len(np.unique(at[frames])) >= _LEAST_COPIED and len(frames) >= _COPIED * len(sequence)
+    if several and alike.mean() >= _NEARLY_ALL:
+        warnings.warn(
+            f"{sequence.name}: {alike.sum()} of {counted(len(sequence), 'frame')} look like frames that the model "
+            "knows, at the same poses: is it a copy, encoded again? Coverage is guaranteed with new recordings only",
+            DatasetWarning,
+            stacklevel=3,
         )
 
 

@@ -55,7 +55,7 @@ class LandmarkSource:
         if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
-        chosen = _spread(frames)
+        chosen = spread_frames(frames)
         return cls.of(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen],
@@ -98,7 +98,7 @@ class LandmarkSource:
         """With a map of new frames beside the old one, in its camera; the error model stays."""
         if len(frames) < ERROR_MODEL.least_estimates:
             return self
-        chosen, its = _spread(frames), self.map
+        chosen, its = spread_frames(frames), self.map
         added = build_map(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen].poses_se3,
@@ -139,7 +139,8 @@ class LandmarkSource:
         return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]))
 
 
-def _spread(frames: IntArray) -> IntArray:
+def spread_frames(frames: IntArray) -> IntArray:
+    """The frames that become keyframes: all, or as many as a map holds, evenly spread."""
     most = min(len(frames), MAPPING.max_keyframes)
     return np.asarray(frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))])
 
