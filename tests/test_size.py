@@ -10,12 +10,12 @@ BUDGET = {
     "cli": 3040,
     "conformal": 5800,
     "core": 410,
-    "datasets": 6060,
+    "datasets": 6120,
     "localization": 3300,
     "model": 1460,
     "motion": 1070,
     "networks": 730,
-    "poses": 1080,
+    "poses": 1100,
     "quality": 810,
     "reasoning": 1530,
     "report": 870,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21500
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21610

@@ -264,6 +264,7 @@ def paired_by_time(
         for t in np.unique(rows[twice, 0]):
             notes.append(Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}"))
             rows[rows[:, 0] == t, 1:] = np.nan
+        told = [note for note in notes if note.what == "pose cannot be used"]
         sound = np.isfinite(rows).all(axis=1)
         truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
     except TrajectoryFileError:
@@ -279,7 +280,8 @@ def paired_by_time(
         found[asked[np.abs(lost[nearest_in_time(lost, times[asked])] - times[asked]) < 1e-3]] = np.nan
     if not np.isfinite(found).any():
         hint = clock_hint(times[asked], truth.timestamps_s) if len(asked) and len(truth) else ""
-        raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}")
+        some = f"; {counted(int((~sound).sum()), 'pose')} cannot be used: {told[0].where}" if told else ""
+        raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}{some}")
     bridged = gaps[np.isfinite(found[asked]).all(axis=1)]
     if bridged.max() > 0:
         count = counted(int((bridged > 0).sum()), "pose")

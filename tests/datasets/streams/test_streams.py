@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from conformodal.datasets import DatasetError, DatasetWarning, read_sequence
 from conformodal.datasets.streams.bag import BagStream
@@ -120,6 +121,27 @@ def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
     stream = open_stream(path)
     assert next(where for what, where in stream.notes if what == "no times").startswith(f"{path}: 25 frames per second")
     np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
+
+
+def test_pixels_that_are_not_square_are_told(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    box = (16).to_bytes(4) + b"pasp" + (4).to_bytes(4) + (3).to_bytes(4)
+    entry = content.rfind(b"mp4v") - 4  # the first names the file's kind
+    end = entry + int.from_bytes(content[entry : entry + 4])
+    content[end:end] = box
+    sizes = [content.find(name) - 4 for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd")]
+    for k in (*sizes, entry):
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box)).to_bytes(4)
+    path.write_bytes(content)
+    assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
+
+
+def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
+    frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
+    frames[0].save(tmp_path / "v.webp", save_all=True, append_images=frames[1:])
+    with pytest.raises(SourceError, match=r"v\.webp: holds no frame that can be decoded"):
+        list(open_stream(tmp_path / "v.webp"))
 
 
 def timed(path, runs, length_ms):

@@ -111,7 +111,7 @@ class VideoStream:
     camera
         Intrinsics; None where they are known elsewhere.
     notes
-        Whether its images are turned, and whether it has no times.
+        Whether its images are turned, its pixels not square, and whether it has no times.
     """
 
     path: Path
@@ -126,6 +126,7 @@ class VideoStream:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
             rate = capture.get(cv2.CAP_PROP_FPS)
+            shape = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
         if _is_mirrored(self.path) or turned % 90:
             how = f"turned by {turned:.0f} degrees" if turned % 90 else "mirrored"
             raise SourceError(
@@ -137,6 +138,11 @@ class VideoStream:
         if turned:
             where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
             notes.append(Note(TURNED, where))
+        if all(shape) and shape[0] != shape[1]:
+            where = (
+                f"{self.path}: {shape[0]:.0f}:{shape[1]:.0f}; intrinsics must be those of the pixels as they are stored"
+            )
+            notes.append(Note("pixels are not square", where))
         if self.path.suffix.lower() in _UNTIMED:
             where = f"{self.path}: {rate:g} frames per second are assumed; a container, such as MP4, has their times"
             notes.append(Note("no times", where))
@@ -178,6 +184,8 @@ class VideoStream:
                 done += 1
         if done >= max(_WHOLE * claimed - 1, 1):
             return
+        if claimed <= 0:
+            raise SourceError(f"{self.path}: holds no frame that can be decoded as a video")
         ends = f"{self.path}: ends after {done} of {claimed:.0f} frames"
         if done == 0 or not _is_whole(self.path):
             raise SourceError(f"{ends}; the file was cut off")
