@@ -251,6 +251,43 @@ def numbered(root, names):
     return root
 
 
+def test_a_narrow_part_of_16_bits_is_told(tmp_path):
+    """As of thermal cameras."""
+    ramp = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+    for scale, flat in ((7, False), (1, True)):
+        for i in range(3):
+            cv2.imwrite(str(tmp_path / f"{i}.png"), (8000 * flat + scale * (ramp // 4)).astype(np.uint16))
+        (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
+        notes = dict(read_image_folder(tmp_path, require_poses=False).notes)
+        assert ("images have little contrast" in notes) is flat
+    assert "lie between 8003 and 8764 of 16383" in notes["images have little contrast"]
+
+
+def test_poses_that_are_not_beside_the_images_say_where_they_go(tmp_path):
+    (tmp_path / "images").mkdir()
+    numbered(tmp_path / "images", ["1.png", "2.png"])
+    (tmp_path / "images" / "camera-intrinsics.txt").rename(tmp_path / "camera-intrinsics.txt")
+    (tmp_path / "poses.tum").write_text("0 0 0 0 0 0 0 1\n")
+    with pytest.raises(DatasetError, match=r"put poses\.tum and camera-intrinsics\.txt into .*images, which holds"):
+        read_sequence(tmp_path)
+
+
+def test_of_two_files_of_poses_the_one_that_is_read_is_told(tmp_path):
+    folder = without_camera(tmp_path)
+    (folder / "camera-intrinsics.txt").write_text("40 40 32 24")
+    (folder / "groundtruth.txt").write_text((folder / "poses.tum").read_text())
+    notes = dict(read_sequence(folder).notes)
+    assert notes["other poses are not read"].endswith("poses.tum is read, not groundtruth.txt")
+
+
+def test_poses_that_are_far_apart_say_what_bridges_them(tmp_path):
+    folder = without_camera(tmp_path)
+    (folder / "camera-intrinsics.txt").write_text("40 40 32 24")
+    (folder / "poses.tum").write_text("".join(f"{t - 0.5} {t} 0 0 0 0 0 1\n" for t in range(4)))
+    with pytest.raises(DatasetError, match=r"its poses are 1 s apart: write a longer gap into max-gap\.txt"):
+        read_sequence(folder)
+
+
 @pytest.mark.parametrize(
     "names",
     [

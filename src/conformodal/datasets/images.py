@@ -65,6 +65,9 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
 def _poses(
     folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, notes: list[Note]
 ) -> npt.NDArray[np.float64] | None:
+    there = [name for name in POSE_FILES if (folder / name).is_file()]
+    if len(there) > 1:
+        notes.append(Note("other poses are not read", f"{folder}: {there[0]} is read, not {', '.join(there[1:])}"))
     for name in _TUM:
         if (folder / name).is_file():
             rows, why = paired_by_time(tum_table, folder / name, times, notes)

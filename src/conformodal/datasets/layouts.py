@@ -125,6 +125,10 @@ def _pictures_without_camera(folder: Path) -> str:
             if place.name not in _INSIDE_LAYOUTS and (pictures := image_files(place)):
                 where = f"{shown(str(place))} holds {counted(len(pictures), 'picture')}"
                 return f": {where}; put camera-intrinsics.txt beside them"
+        beside = [name for name in (*POSE_FILES, "camera-intrinsics.txt") if (folder / name).is_file()]
+        for place in below:
+            if beside and image_files(place):
+                return f": put {' and '.join(beside)} into {shown(str(place))}, which holds the images"
         kinds = Counter(path.suffix for path in folder.iterdir() if path.is_file() and path.suffix)
         if kinds:
             kind, n = kinds.most_common(1)[0]
