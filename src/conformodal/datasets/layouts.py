@@ -101,6 +101,8 @@ def recognise(folder: Path) -> Layout:
         if not folder.is_dir():
             raise DatasetError(f"{folder}: no such folder")
         found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
+        if not found and (folder / "metadata.yaml").is_file():
+            raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be read: {exc}") from exc
     if len(found) == 1:
@@ -116,8 +118,6 @@ def recognise(folder: Path) -> Layout:
 def _pictures_without_camera(folder: Path) -> str:
     """What a folder of pictures lacks, if it is one or has one in it."""
     with suppress(OSError):
-        if (folder / "metadata.yaml").is_file():
-            return f": it looks like a ROS recording{_MADE.format(folder)}"
         below = sorted(path for path in folder.iterdir() if path.is_dir())
         if named := [shown(str(place)) for place in below if any(its.fits(place) for its in _READERS.values())]:
             return f": name a folder in it, such as {', '.join(named[:3])}"

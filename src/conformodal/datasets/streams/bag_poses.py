@@ -68,12 +68,13 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     """
     place = f"{bag.path}: {topic}"
     with bag_reader(bag.path) as reader:
-        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and _is_posed(c.msgtype)}
+        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and _is_posed(c)}
         if topic not in kinds:
-            raise SourceError(f"{bag.path}: holds no poses on {topic}; there are {', '.join(sorted(kinds)) or 'none'}")
+            named = ", ".join(sorted(kinds)) or "none"
+            raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
         camera = _camera_frame(reader, str(bag.topic))
         moving, static, n_bad = _Tree(), _Tree(), 0
-        wanted = [c for c in reader.connections if c.topic == topic or c.topic.rpartition("/")[2] == _STATIC]
+        wanted = [c for c in reader.connections if c.topic == topic or _is_static(c)]
         try:
             for connection, received_ns, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
@@ -104,8 +105,12 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
 
 
-def _is_posed(kind: str) -> bool:
-    return kind in _WITHIN or kind in _TRANSFORMS
+def _is_posed(connection: Any) -> bool:
+    return connection.msgtype in (*_WITHIN, *_TRANSFORMS) and not _is_static(connection)
+
+
+def _is_static(connection: Any) -> bool:
+    return str(connection.topic).rpartition("/")[2] == _STATIC
 
 
 def _camera_frame(reader: Any, topic: str) -> str:
