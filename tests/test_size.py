@@ -10,7 +10,7 @@ BUDGET = {
     "cli": 3040,
     "conformal": 5800,
     "core": 410,
-    "datasets": 6140,
+    "datasets": 6150,
     "localization": 3300,
     "model": 1460,
     "motion": 1070,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21650
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21660

@@ -137,6 +137,14 @@ def test_pixels_that_are_not_square_are_told(tmp_path):
     assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
 
 
+@pytest.mark.parametrize("head", ["ffconcat version 1.0\nfile 'v.mp4'\n", "v=0\nm=video 5004 RTP/AVP 96\n"])
+def test_a_list_of_other_files_is_no_video(tmp_path, head):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "list").write_text(head)
+    with pytest.raises(SourceError, match="list: is a list of other files"):
+        open_stream(tmp_path / "list")
+
+
 def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
     frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
     frames[0].save(tmp_path / "v.webp", save_all=True, append_images=frames[1:])
@@ -676,6 +684,9 @@ def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
     mosaic = in_encoding(RED, "bayer_rggb8").squeeze()
     found = image_of(compressed(mosaic, "bayer_rggb8; png compressed "), COMPRESSED)
     np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+    swapped = image_of(compressed(RED, "rgb8; png compressed rgb8"), COMPRESSED)
+    np.testing.assert_array_equal(swapped, RED)
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), COMPRESSED), RED)
     done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
     np.testing.assert_array_equal(done, RED)
 

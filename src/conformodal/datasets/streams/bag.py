@@ -205,6 +205,10 @@ class BagStream:
                 break
             if connection.msgtype == RAW:
                 check_encoding(message.encoding, place)
+            elif "compressed rgb" in message.format.lower():
+                notes.append(
+                    Note("red and blue are swapped", f"{place}: as image_transport does for {message.format!r}")
+                )
             stamps.append(stamp_s(message))
             try:
                 white = max(white, white_of(message))

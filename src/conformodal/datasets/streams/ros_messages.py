@@ -95,6 +95,8 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
     if kind == COMPRESSED:
         image = decode(bytes(message.data), f"{message.format!r} data", white=white)
         mosaic, _, target = message.format.lower().partition(";")
+        if "compressed rgb" in target:  # image_transport takes such a file's red for blue
+            return np.ascontiguousarray(image[..., ::-1])
         known = _ENCODINGS.get(f"{mosaic.strip().rstrip('16').rstrip('8')}8")
         if not mosaic.startswith("bayer") or known is None or "8" in target.partition("compressed")[2]:
             return image

@@ -27,6 +27,7 @@ from .frames import Frame, SourceError, check_size
 _WHOLE = 0.98
 _PACKETS = ((0, 188), (4, 192))  # of a transport stream: where the first starts, and bytes; times go before some
 _ROUGH = (".mkv", ".webm", ".ts", ".mts", ".m2ts")  # count frames by what lasts longest
+_LISTS = (b"ffconcat", b"#EXTM3U", b"v=0", b"<?xml", b"<MPD")  # which lead to other files, or onto a network
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
 
@@ -122,6 +123,9 @@ class VideoStream:
     def __post_init__(self) -> None:
         if not self.path.is_file():
             raise SourceError(f"{self.path}: no such video")
+        with self.path.open("rb") as file:
+            if (head := file.read(8)).startswith(_LISTS):
+                raise SourceError(f"{self.path}: is a list of other files ({head.decode()}...), expected a video")
         with self._open() as capture:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
