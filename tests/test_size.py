@@ -7,22 +7,22 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3020,
+    "cli": 3040,
     "conformal": 5800,
     "core": 410,
-    "datasets": 5770,
-    "localization": 3300,
+    "datasets": 6150,
+    "localization": 3330,
     "model": 1460,
     "motion": 1070,
     "networks": 730,
-    "poses": 1080,
+    "poses": 1100,
     "quality": 810,
-    "reasoning": 1530,
+    "reasoning": 1550,
     "report": 870,
     "ros": 710,
-    "running": 2340,
-    "training": 1100,
-    "vision": 480,
+    "running": 2360,
+    "training": 1140,
+    "vision": 490,
 }
 
 
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7270
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7520
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21240
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21750

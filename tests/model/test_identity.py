@@ -123,6 +123,16 @@ def test_frames_that_look_the_same_are_told_apart_by_their_poses(tmp_path):
     assert (twice.moved == -1).all()
 
 
+def test_images_of_one_colour_make_no_recording_known(tmp_path):
+    """As those before a camera starts: two recordings have them."""
+    one, other = frames(tmp_path / "a", [1, 2, 3]), frames(tmp_path / "b", [4, 5, 3])
+    for sequence, k in ((one, 0), (other, 1)):
+        Image.new("RGB", (8, 6), (0, 0, 0)).save(sequence.image_paths[k])
+    known = identify(one)
+    assert known.known(identify(other)).tolist() == [False, False, True]
+    assert known.find(identify(one)).at.tolist() == [0, 1, 2]  # one's own, also by its pose
+
+
 def test_the_digest_of_a_data_set_knows_what_results_rest_on(tmp_path):
     own = frames(tmp_path / "a", range(4))
     assert data_digest(own) == data_digest(frames(tmp_path / "b", range(4)))

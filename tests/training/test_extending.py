@@ -1,5 +1,6 @@
 """Recordings that are added to a trained model."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from conformodal.model.errors import OdometryError
 from conformodal.model.model import PATHS
 from conformodal.model.region_rules import part_of
 from conformodal.model.store import load_model, save_model
-from conformodal.training.extending import _split, extend_model
+from conformodal.training.extending import _split, _warn_of_copies, extend_model
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.features import FeatureCache, extract_features
 from conformodal.vision.settings import TrainingConfig
@@ -134,6 +135,28 @@ def test_another_world_frame_is_refused(by_frames, cache):
     )
     with pytest.raises(OdometryError, match="world frames are likely"):
         extend_model(model, away, cache)
+
+
+def test_a_recording_that_was_encoded_again_is_told(by_frames):
+    model, first, second = by_frames
+
+    def told(positions_xyz, sequence=first):
+        moved = replace(sequence, truth=replace(sequence.truth, positions_xyz=positions_xyz))
+        with warnings.catch_warnings(record=True) as came:
+            warnings.simplefilter("always")
+            _warn_of_copies(model, moved)
+        return [str(its.message) for its in came]
+
+    positions, n = first.truth.positions_xyz, len(first)
+    rounded = positions.round(4)  # as a file has them
+    rounded[: n // 20] += 1  # some frames are new
+    assert told(rounded) == [
+        f"{first.name}: {n - n // 20} of {n} frames have poses of frames that the model knows: is it a copy, encoded "
+        "again? Coverage is guaranteed with new recordings only"
+    ]
+    assert told(positions + np.array([0.01, 0, 0])) == []
+    assert told(np.repeat(positions[:5], n, axis=0)[:n]) == []  # a camera that stands still
+    assert told(second.truth.positions_xyz, second) == []
 
 
 def test_the_command_refuses_the_recording_that_it_knows(small_world, tmp_path):

@@ -133,7 +133,10 @@ def convert(
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
     to: Annotated[Layout, typer.Option(help=f"Layout to write: {', '.join(WRITABLE)}.")] = Layout.IMAGES,
     layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
-    poses: Annotated[Path | None, typer.Option(help="TUM file of camera poses, interpolated by time.")] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(help="TUM file of camera poses, or a topic of poses in a ROS recording, interpolated by time."),
+    ] = None,
     camera: Annotated[
         Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
     ] = None,
@@ -147,7 +150,7 @@ def convert(
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
-    truth = own if poses is None else read_poses(poses, time_offset)
+    truth = own if poses is None else read_poses(poses, time_offset, stream, max_gap)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or _camera(camera, stream)

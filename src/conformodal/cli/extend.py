@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ from typing import Annotated
 import typer
 
 from conformodal.core.words import counted
-from conformodal.datasets import Layout
+from conformodal.datasets import DatasetWarning, Layout
 from conformodal.model.store import load_model, model_digest, save_model
 from conformodal.quality.advice import describe_guarantee
 from conformodal.quality.guarantee import guarantees
@@ -45,8 +46,14 @@ def extend(
     with lock_output(out, "train", apart=data):
         known, features = load_model(model), FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, require_poses=True, follow_outside=follow_outside)
-        with progress_bars(out) as report:
+        with warnings.catch_warnings(record=True) as came, progress_bars(out) as report:
+            warnings.simplefilter("always", DatasetWarning)
             extended = extend_model(known, sequence, features, report, check_world=check_world)
+        for its in came:
+            if issubclass(its.category, DatasetWarning):
+                report_strongly(str(its.message))
+            else:
+                warnings.showwarning(its.message, its.category, its.filename, its.lineno)
         before = model_digest(model)
         save_model(extended, out)
         first, split, comparison = len(known.known_frames), extended.split, extended.comparison

@@ -19,10 +19,12 @@ from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence,
 from conformodal.datasets.joining import join_sequences
 from conformodal.datasets.reading import Note
 from conformodal.datasets.streams.bag import BagStream
+from conformodal.datasets.streams.bag_poses import read_bag_poses
 from conformodal.datasets.streams.frames import FrameStream
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
+from conformodal.poses.metrics import MAX_GAP_S
 
 from .console import report_line
 from .options import OptionError
@@ -110,8 +112,16 @@ def open_sequences(
     return whole
 
 
-def read_poses(path: Path, offset_s: float = 0.0) -> Trajectory:
-    """The poses of a TUM file, moved in time; says what is wrong with some of them."""
+def read_poses(
+    source: Path | str, offset_s: float = 0.0, stream: FrameStream | None = None, max_gap_s: float = MAX_GAP_S
+) -> Trajectory:
+    """The poses of a TUM file, or of a ROS recording's topic, moved in time; says what is wrong with some."""
+    path = Path(source)
+    if isinstance(stream, BagStream) and not path.exists():
+        notes = list[Note]()
+        poses = read_bag_poses(stream, str(source), notes, max_gap_s)
+        _report_warnings(notes)
+        return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
     with warnings.catch_warnings(record=True) as came:
         warnings.simplefilter("always")
         poses = read_tum(path)

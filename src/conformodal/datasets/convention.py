@@ -20,13 +20,14 @@ AS_GIVEN = "camera-to-world, OpenCV axes"
 FITTED = "the focal length is an estimate"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _Y_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
-_PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
+_PAIRS, _PAIRS_FOR_FOCAL, _STEPS, _CORNERS, _LEAST_MATCHES = 32, 128, (1, 2, 4, 8), 300, 200
 _FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
 _BETTER, _EQUAL = 0.1, 0.02  # share of the matches
 _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
 _USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
-_NOT_MODELLED, _TURN_DEG = 0.05, 0.1  # standard errors: of lens and principal point, as a share; of turns, by poses
+# Standard errors beside those of the draw: of a lens with k1 = 0.1 and a principal point 2 % off, as a share; of turns.
+_NOT_MODELLED, _TURN_DEG = 0.03, 0.05
 
 
 def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
@@ -87,7 +88,7 @@ def with_fitted_focal(sequence: Sequence) -> Sequence:
     camera, poses = sequence.camera, sequence.truth.poses_se3
     focals = _FOCALS * max(camera.width, camera.height)
     costs, near, turns_deg, n_matches = [], [], [], 0
-    for first, second, a, b in _pairs(sequence, _FLOW_FOR_FOCAL_PX):
+    for first, second, a, b in _pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL):
         motion, centre = np.linalg.inv(poses[second]) @ poses[first], (camera.cx, camera.cy)
         turns_deg.append(np.degrees(np.arccos(np.clip(np.trace(motion[:3, :3]) / 2 - 0.5, -1, 1))))
         errors = np.array([_epipolar_px(motion, (a - centre) / f, (b - centre) / f, f) for f in focals])
@@ -122,9 +123,11 @@ def _rolled(poses: FloatArray, by: int) -> FloatArray:
     return Trajectory(times, rows[:, :3], np.roll(rows[:, 3:], by, axis=1)).poses_se3
 
 
-def _pairs(sequence: Sequence, least_flow_px: float) -> list[tuple[int, int, FloatArray, FloatArray]]:
+def _pairs(
+    sequence: Sequence, least_flow_px: float, most: int = _PAIRS
+) -> list[tuple[int, int, FloatArray, FloatArray]]:
     """Frames, evenly spread, with a later one, and corners of both in pixels."""
-    firsts = np.unique(np.linspace(0, len(sequence) - 2, _PAIRS).astype(int)).tolist()
+    firsts = np.unique(np.linspace(0, len(sequence) - 2, most).astype(int)).tolist()
     return [pair for first in firsts if first >= 0 and (pair := _matches(sequence, first, least_flow_px)) is not None]
 
 

@@ -28,7 +28,7 @@ _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION, _PHOTOMETRIC = 0x0112, 0x0106
 _WHITES = (1023, 4095, 16383, 65535)
 WIDEST = _WHITES[-1]
-TURNED, SCALED_BITS = "images are turned", "images use fewer than 16 bits"
+TURNED, SCALED_BITS, FLAT = "images are turned", "images use fewer than 16 bits", "images have little contrast"
 SIDEWAYS = 5
 _EXIF, _FOCAL_MM, _FOCAL_35_MM = 0x8769, 0x920A, 0xA405
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
@@ -67,15 +67,20 @@ def orientation(path: Path) -> tuple[int, tuple[int, int]]:
     return 1, (0, 0)
 
 
-def looked_at(paths: list[Path]) -> tuple[int | None, list[str]]:
-    """White level of a few evenly spread images, None for 8 bits; and names of those that are to be turned."""
-    white, turned = None, []
+def looked_at(paths: list[Path]) -> tuple[int | None, tuple[float, float], list[str]]:
+    """White level of a few evenly spread images, None for 8 bits; what nearly all of their numbers lie between; turned.
+
+    The last are the names of those that are to be turned.
+    """
+    white, low, high, turned = None, np.inf, -np.inf, []
     for i in sorted({round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}):
         with suppress(Exception), _opened(paths[i], "") as image:  # images that cannot be read are told elsewhere
             turned += [str(paths[i])] if _orientation(image) != 1 else []
             if (wide := _wide(image, paths[i])) is not None:
                 white = max(white or 0, white_level(wide[..., :3]))
-    return white, turned
+                its = np.percentile(wide[..., :3], (0.5, 99.5))
+                low, high = min(low, float(its[0])), max(high, float(its[1]))
+    return white, (low, high), turned
 
 
 def white_in(content: bytes) -> int:

@@ -94,6 +94,8 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         content: Any = yaml.safe_load(text)
         kalibr = path is not sensor
         content = content["cam0"] if kalibr else content
+        if (kind := content.get("camera_model", "pinhole")) != "pinhole":
+            raise DatasetError(f"{path}: has camera model {kind}, expected pinhole: {UNDISTORT}")
         pixels = _numbers(content["intrinsics"], 4)
         lens = _numbers(content.get("distortion_coeffs" if kalibr else "distortion_coefficients") or (), None)
         name, shift_s = "T_cam_imu" if kalibr else "T_BS", 0.0
@@ -103,18 +105,19 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         rows = found["data"] if isinstance(found, dict) else found
         rows = [v for row in rows for v in row] if isinstance(rows[0], list) else rows
         mounting = np.array(_numbers(rows, 16)).reshape(4, 4)
-        models = content.get("camera_model", "pinhole"), content.get("distortion_model") or _RADIAL[0]
+        model = content.get("distortion_model") or _RADIAL[0]
         if kalibr and content.get("timeshift_cam_imu"):
             (shift_s,) = _numbers([content["timeshift_cam_imu"]], 1)
             notes.append(Note(SHIFTED, f"{path}: timeshift_cam_imu, {shift_s:g} s, is added to the images' for poses"))
         stated = _numbers(content["resolution"], 2) if "resolution" in content else None
+    except DatasetError:
+        raise
     except (yaml.YAMLError, *MALFORMED) as exc:
         raise DatasetError(f"{path}: is no EuRoC camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    lensless = models[1] == _NO_LENS and not any(lens)
-    known = models[0] == "pinhole" and (models[1] in (*_RADIAL, _FISHEYE) or lensless)
-    if not known or (models[1] == _FISHEYE and len(lens) != 4):
+    known = model in (*_RADIAL, _FISHEYE) or (model == _NO_LENS and not any(lens))
+    if not known or (model == _FISHEYE and len(lens) != 4):
         raise DatasetError(
-            f"{path}: has camera model {models[0]}, {models[1]}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
+            f"{path}: has camera model pinhole, {model}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
             f"numbers: {UNDISTORT}"
         )
     faults = matrix_faults(mounting[None])
@@ -122,7 +125,7 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> tuple[AnyCamera, 
         raise DatasetError(f"{path}: {name} {faults[0]}")
     whole = None if stated is None else (int(stated[0]), int(stated[1]))
     source = f"{path}: intrinsics"
-    if models[1] == _FISHEYE:
+    if model == _FISHEYE:
         camera: AnyCamera = fisheye_of(source, pixels, size, lens, stated=whole, notes=notes)
     else:
         camera = camera_of(source, pixels, size, lens if any(lens) else (), stated=whole, notes=notes)

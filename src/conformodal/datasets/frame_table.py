@@ -22,7 +22,7 @@ from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFi
 from conformodal.poses.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
 from conformodal.poses.text import is_header
 
-from .decoding import SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
+from .decoding import FLAT, SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
 from .lenses import AnyCamera, Fisheye, brought
 from .reading import BETWEEN_RECORDINGS_S, Note, read_lines, read_numbers, readable, shown
@@ -35,6 +35,7 @@ INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seco
 DOUBTFUL = "poses are doubtful"
 _USUAL_STEP_S, _FASTEST_MPS = (5e-4, 5.0), 150.0
 _LEFT_OUT = "left out, "
+_LEAST_CONTRAST = 1 / 8
 
 
 @dataclass(eq=False)
@@ -121,13 +122,16 @@ class FrameTable:
         """The camera of most frames; images of others, of a fisheye lens or of 16 bits become its."""
         (most, _), *others = Counter(cameras).most_common()
         camera = most.pinhole if isinstance(most, Fisheye) else most
-        white, turned = looked_at(self.images)
+        white, (low, high), turned = looked_at(self.images)
         if turned:
             self.notes.append(
                 Note(TURNED, f"{turned[0]}: as its EXIF orientation says; intrinsics must be those after")
             )
         if white is not None and white < WIDEST:
             self.notes.append(Note(SCALED_BITS, f"{self.images[0]}: {white} of {WIDEST} is shown as white"))
+        if white is not None and high - low < _LEAST_CONTRAST * white:
+            where = f"{self.images[0]}: 99 % of the numbers lie between {low:.0f} and {high:.0f} of {white}"
+            self.notes.append(Note(FLAT, f"{where}; stretch them to 8 bits, all images alike"))
         if others or most != camera or white is not None:
             self.images = brought(self.images, cameras, camera, white, self.notes)
         return camera
@@ -264,6 +268,7 @@ def paired_by_time(
         for t in np.unique(rows[twice, 0]):
             notes.append(Note("pose cannot be used", f"{path}: holds two poses for time {t:.9g}"))
             rows[rows[:, 0] == t, 1:] = np.nan
+        told = [note for note in notes if note.what == "pose cannot be used"]
         sound = np.isfinite(rows).all(axis=1)
         truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
     except TrajectoryFileError:
@@ -279,7 +284,11 @@ def paired_by_time(
         found[asked[np.abs(lost[nearest_in_time(lost, times[asked])] - times[asked]) < 1e-3]] = np.nan
     if not np.isfinite(found).any():
         hint = clock_hint(times[asked], truth.timestamps_s) if len(asked) and len(truth) else ""
-        raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}")
+        step_s = float(np.median(np.diff(truth.timestamps_s))) if len(truth) > 1 else 0.0
+        if not hint and step_s > max_gap_s:
+            hint = f"; its poses are {step_s:.3g} s apart: write a longer gap into {limit.name}"
+        some = f"; {counted(int((~sound).sum()), 'pose')} cannot be used: {told[0].where}" if told else ""
+        raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}{some}")
     bridged = gaps[np.isfinite(found[asked]).all(axis=1)]
     if bridged.max() > 0:
         count = counted(int((bridged > 0).sum()), "pose")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.words import counted
 from conformodal.poses import TrajectoryFileError
 from conformodal.poses.formats import kitti_table, tum_table
 from conformodal.poses.text import fractions_of, number
@@ -21,6 +22,8 @@ from .sequence import Sequence
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
 POSE_FILES = (*_TUM, *_KITTI)
+_FEW = 3
+_NUMBERS, _NUMBERED = re.compile(r"[0-9]+"), re.compile(r"(\D*)([0-9]{1,9})(\D*)")
 _SINCE_1970_S = 1e9  # more than the number of any image
 _DATE = re.compile(r"20[0-9]{2}(0[1-9]|1[0-2])([0-2][0-9]|3[01])([01][0-9]|2[0-3])[0-5][0-9][0-5][0-9]")  # no number
 
@@ -34,8 +37,8 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
     folder
         With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
         or the names of the files where all of these are numbers with a fraction or since 1970, no dates, or else even
-        (``frame-rate.txt`` in Hz, or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or
-        ``poses.kitti`` (or ``poses.txt``), a line an image.
+        (``frame-rate.txt`` in Hz, or 30), with gaps where names skip numbers. Poses: ``poses.tum`` (or
+        ``groundtruth.txt``), interpolated by time; or ``poses.kitti`` (or ``poses.txt``), a line an image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
     focal_px
@@ -48,7 +51,8 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
     images = image_files(folder, notes)
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
-    images, times = _times(folder, images)
+    _refuse_kinds(folder, images)
+    images, times = _times(folder, images, notes)
     camera = camera_beside(folder, common_size(images), None, notes, focal_px=focal_px, images=images)
     damaged: Damaged = {}
     poses = _poses(folder, times, damaged, notes)
@@ -61,6 +65,9 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
 def _poses(
     folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, notes: list[Note]
 ) -> npt.NDArray[np.float64] | None:
+    there = [name for name in POSE_FILES if (folder / name).is_file()]
+    if len(there) > 1:
+        notes.append(Note("other poses are not read", f"{folder}: {there[0]} is read, not {', '.join(there[1:])}"))
     for name in _TUM:
         if (folder / name).is_file():
             rows, why = paired_by_time(tum_table, folder / name, times, notes)
@@ -79,7 +86,41 @@ def _poses(
     return None
 
 
-def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np.float64]]:
+def _refuse_kinds(folder: Path, images: list[Path]) -> None:
+    """Refuse images of several kinds or cameras: names that differ in letters, and have their numbers in common."""
+    kinds: dict[str, dict[tuple[str, ...], str]] = {}
+    for image in images:
+        kinds.setdefault(_NUMBERS.sub("#", image.stem), {})[tuple(_NUMBERS.findall(image.stem))] = image.name
+    first, *others = sorted(kinds.values(), key=len, reverse=True)
+    for other in others:
+        both = first.keys() & other.keys()
+        if len(both) >= max(_FEW, len(other) / 2) and 2 * len(other) >= len(first):
+            names = f"{first[min(both)]} and {other[min(both)]}"
+            raise DatasetError(
+                f"{folder}: holds images of two kinds, such as {names}, which {counted(len(both), 'number')} have in "
+                "common; expected those of one camera"
+            )
+
+
+def _numbered_times(folder: Path, images: list[Path], notes: list[Note]) -> npt.NDArray[np.float64]:
+    """Even times, with gaps where the names skip numbers."""
+    even = even_times(folder, len(images))
+    parts = [_NUMBERED.fullmatch(image.stem) for image in images]
+    alike = {(match[1], match[3]) for match in parts if match is not None}
+    if len(alike) != 1 or None in parts:
+        return even
+    numbers = np.array([int(match[2]) for match in parts if match is not None], dtype=np.float64)
+    steps = np.diff(numbers)
+    if len(images) < _FEW or steps.min() < 1 or steps.max() == 1:
+        return even
+    wide = int(np.argmax(steps))
+    told = "times are even" if steps.min() == steps.max() else "times have gaps where numbers have"
+    where = f"{images[wide].name} is followed by {images[wide + 1].name}; {told}. Write others into times.txt"
+    notes.append(Note("names skip numbers", f"{folder}: {where}"))
+    return np.asarray(even[0] + (numbers - numbers[0]) / steps.min() * (even[1] - even[0]))
+
+
+def _times(folder: Path, images: list[Path], notes: list[Note]) -> tuple[list[Path], npt.NDArray[np.float64]]:
     """Times of images, and the images in their order where their names are times."""
     if (folder / "times.txt").is_file():
         return images, frame_times(folder, len(images))
@@ -90,8 +131,8 @@ def _times(folder: Path, images: list[Path]) -> tuple[list[Path], npt.NDArray[np
     except ValueError:
         named = np.array([np.nan])
     if not np.isfinite(named).all() or all(_DATE.match(image.stem) for image in images):
-        return images, even_times(folder, len(images))
+        return images, _numbered_times(folder, images, notes)
     if not (named > _SINCE_1970_S).all() and not all("." in image.stem for image in images):
-        return images, even_times(folder, len(images))
+        return images, _numbered_times(folder, images, notes)
     order = np.argsort(named, kind="stable")
     return [images[i] for i in order], named[order]

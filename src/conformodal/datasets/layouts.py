@@ -75,6 +75,10 @@ _READERS = {
 }
 
 
+_MADE = (
+    "; a recording becomes one by 'conformodal data convert {} --poses POSES --out FOLDER', where POSES is a TUM file "
+    "or a ROS recording's topic"
+)
 _WITHOUT_CAMERA, _TO_BE_FITTED = (Layout.IMAGES, Layout.TUM), 0.0
 _LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
 # Folders of images inside other layouts, which lack something else than a camera.
@@ -92,9 +96,13 @@ def recognise(folder: Path) -> Layout:
     if not readable(str(folder)):
         raise DatasetError(f"{shown(str(folder))}: its name is not UTF-8; rename it")
     try:
+        if folder.is_file():
+            raise DatasetError(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}")
         if not folder.is_dir():
             raise DatasetError(f"{folder}: no such folder")
         found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
+        if not found and (folder / "metadata.yaml").is_file():
+            raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be read: {exc}") from exc
     if len(found) == 1:
@@ -117,6 +125,10 @@ def _pictures_without_camera(folder: Path) -> str:
             if place.name not in _INSIDE_LAYOUTS and (pictures := image_files(place)):
                 where = f"{shown(str(place))} holds {counted(len(pictures), 'picture')}"
                 return f": {where}; put camera-intrinsics.txt beside them"
+        beside = [name for name in (*POSE_FILES, "camera-intrinsics.txt") if (folder / name).is_file()]
+        for place in below:
+            if beside and image_files(place):
+                return f": put {' and '.join(beside)} into {shown(str(place))}, which holds the images"
         kinds = Counter(path.suffix for path in folder.iterdir() if path.is_file() and path.suffix)
         if kinds:
             kind, n = kinds.most_common(1)[0]

@@ -139,6 +139,7 @@ class _Frames:
         self.counts: Counter[int] = Counter()  # frames by recording
         self.unreadable: list[str] = []
         self.without_time: list[str] = []
+        self.problem = ""  # of the first that cannot be read
 
     def take(self, frame: Frame, stream: FrameStream, camera: PinholeCamera) -> None:
         """Write a frame's image, or take up why it is left out."""
@@ -146,6 +147,7 @@ class _Frames:
             raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
         if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
             self.unreadable.append(frame.name)
+            self.problem = self.problem or frame.problem
         elif not np.isfinite(frame.timestamp_s) or (self.rows and frame.timestamp_s <= self.rows[-1][2]):
             self.without_time.append(frame.name)
         else:
@@ -184,6 +186,7 @@ class _Frames:
             "kept {} without a pose": [sources[i] for i in np.flatnonzero(~posed) if truth is not None],
         }
         told = [_listed(why, frames) for why, frames in left.items() if frames]
+        told += [self.problem] if self.problem else []
         counts = int(posed.sum()), len(self.unreadable), len(self.without_time)
         return ConversionReport(len(names), *counts, told + notes)
 

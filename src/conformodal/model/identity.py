@@ -17,6 +17,7 @@ from conformodal.poses import angle_between_quats
 
 _BYTES = 16  # of a digest
 _NOTHING = bytes(_BYTES)
+_BLANK = bytes(_BYTES // 2)  # that digests of images of one colour begin with
 # Poses that went through the text of another layout lose their last digits: to 1e-9, relative in some.
 _TOLERANCE_M, _TOLERANCE_RAD = 1e-6, 1e-6
 # Digests of pixels by digests of files: a process that trains many models on a data set decodes it once for them.
@@ -53,9 +54,10 @@ class FrameIdentities:
         return FrameIdentities(*(np.concatenate((getattr(self, name), getattr(others, name))) for name in names))
 
     def known(self, others: FrameIdentities) -> BoolArray:
-        """(m,) which of the `others` have the pixels of one of these frames."""
+        """(m,) which of the `others` have the pixels of one of these frames; images of one colour tell nothing."""
         mine = {row.tobytes() for row in self.pixels} - {_NOTHING}
-        return np.array([row.tobytes() in mine for row in others.pixels], dtype=bool)
+        rows = [row.tobytes() for row in others.pixels]
+        return np.array([row in mine and not row.startswith(_BLANK) for row in rows], dtype=bool)
 
     def find(self, others: FrameIdentities) -> FrameMatches:
         """Find each of these frames among the `others`: by its pixels, and by its pose where both have one.
@@ -125,7 +127,7 @@ def _digests(path: Path, decoded: dict[bytes, bytes]) -> tuple[bytes, bytes]:
             image = read_image(path)
             digest = hashlib.blake2b(str(image.shape).encode(), digest_size=_BYTES)
             digest.update(image.tobytes())
-            of_pixels = digest.digest()
+            of_pixels = digest.digest() if np.ptp(image, axis=(0, 1)).any() else _BLANK + digest.digest()[len(_BLANK) :]
             if len(_DECODED) >= _MOST_DECODED:
                 _DECODED.clear()
             _DECODED[of_file] = of_pixels

@@ -19,6 +19,7 @@ from .text import (
     drop_faults,
     fractions_of,
     length_doubt,
+    lost_faults,
     matrix_faults,
     nanoseconds,
     number,
@@ -101,7 +102,9 @@ def _checked(
     if named != order:
         found.append(f"{path}: its quaternions are read as {named}, as its head names them; usual is {order}")
     rows = rows[:, [0, 1, 2, 3, *(4 + named.index(letter) for letter in "wxyz")]]
-    drop_faults(rows[:, 1:], pose_faults(rows[:, 1:4], rows[:, 4:]), path, damaged)
+    faults = pose_faults(rows[:, 1:4], rows[:, 4:])
+    faults |= lost_faults(rows[:, 1:4], (rows[:, 1:] == (0, 0, 0, 1, 0, 0, 0)).all(axis=1))
+    drop_faults(rows[:, 1:], faults, path, damaged)
     if doubts is not None:
         doubts += found
     else:

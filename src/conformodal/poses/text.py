@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 
 from .rotations import PoseError, rotation_faults
 from .trajectory import Trajectory
@@ -22,6 +22,7 @@ from .trajectory import Trajectory
 _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
+_LOST_STEPS = 10  # usual ones, from the identity to the poses around it
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 _FRACTION = re.compile(r"(.*?)([0-9]{1,20})\.([0-9]{1,20})(?:\.[a-z]+)?", re.IGNORECASE)
 _CLEAR = 1.5
@@ -206,6 +207,19 @@ def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
     return faults
 
 
+def lost_faults(positions: FloatArray, identity: BoolArray) -> dict[int, str]:
+    """Faults of poses that are exactly the identity and far from those around: as of a lost camera."""
+    at, others = np.flatnonzero(identity), np.flatnonzero(~identity & (np.abs(positions) <= _MOST_M).all(axis=1))
+    steps = np.linalg.norm(np.diff(positions[others], axis=0), axis=1)
+    if not at.size or not (steps > 0).any():
+        return {}
+    away = np.concatenate(([np.inf], np.linalg.norm(positions[others], axis=1), [np.inf]))
+    after = np.searchsorted(others, at)
+    lost = np.minimum(away[after], away[after + 1]) > _LOST_STEPS * np.median(steps[steps > 0])
+    why = "is the identity, and those around it are far away: was the camera lost?"
+    return dict.fromkeys(at[lost].tolist(), why)
+
+
 def matrix_faults(poses: FloatArray) -> dict[int, str]:
     """Faults of poses (n, 4, 4), by row; rows of NaN are left out."""
     n = len(poses)
@@ -214,8 +228,9 @@ def matrix_faults(poses: FloatArray) -> dict[int, str]:
     found = rotation_faults(poses[known, :3, :3])
     faults |= {int(known[i]): f"is {why}" for i, why in found.items()}
     for i in known[np.abs(poses[known, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-6].tolist():
-        faults[i] = f"its last row is {poses[i, 3].tolist()}, expected [0.0, 0.0, 0.0, 1.0]"
-    return faults
+        hint = "; is it transposed?" if np.allclose(poses[i, :, 3], (0, 0, 0, 1), atol=1e-6) else ""
+        faults[i] = f"its last row is {poses[i, 3].tolist()}, expected [0.0, 0.0, 0.0, 1.0]{hint}"
+    return faults | lost_faults(poses[:, :3, 3], (poses == np.eye(4)).all(axis=(1, 2)))
 
 
 def table_of(poses: FloatArray) -> FloatArray:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
-from conformodal.datasets import Sequence, Split, SplitKind, make_split
+from conformodal.datasets import DatasetWarning, Sequence, Split, SplitKind, make_split
 from conformodal.localization.landmarks.source import LandmarkSource
 from conformodal.localization.motions import measure_motions
 from conformodal.localization.overlap import overlap_with
@@ -22,7 +24,7 @@ from conformodal.model.config import Method, ModelConfig, config_of
 from conformodal.model.errors import OdometryError
 from conformodal.model.identity import FrameIdentities, identify
 from conformodal.model.model import PoseModel
-from conformodal.poses import Trajectory
+from conformodal.poses import Trajectory, angle_between_quats
 from conformodal.reasoning.prior import fit_motion_prior
 from conformodal.vision.features import FeatureCache, extract_features
 
@@ -30,6 +32,8 @@ from .calibrating import Calibrated, calibrate_disturbed, calibrate_paths, calib
 from .folds import make_added_folds
 
 _LEAST_BLOCKS = 5
+_SAME_M, _SAME_RAD = 1e-3, 2e-3  # of one pose
+_LEAST_COPIED, _NEARLY_ALL = 10, 0.9  # different poses, and the share of the frames, that make a copy
 
 
 def extend_model(
@@ -76,6 +80,7 @@ def extend_model(
     model.check_camera(sequence.camera)
     new = identify(sequence, model.known_frames)
     _check_new(model, sequence, new)
+    _warn_of_copies(model, sequence)
     n_blocks = _n_blocks(model, sequence)
     split = _split(sequence, config, n_blocks, frames_calibrate=model.calibration.groups_ is None)
     cache, stage = cache or FeatureCache(None), stage_of(progress, "features")
@@ -152,6 +157,21 @@ def _check_new(model: PoseModel, sequence: Sequence, new: FrameIdentities) -> No
         raise OdometryError(
             f"{sequence.image_paths[int(again.argmax())]}: has the pixels of a frame that the model knows, and so have "
             f"{again.sum()} of {counted(len(again), 'frame')}; add recordings that it does not know"
+        )
+
+
+def _warn_of_copies(model: PoseModel, sequence: Sequence) -> None:
+    """Warn if nearly all frames have poses of known ones: a recording that was encoded again is not new."""
+    truth, known = sequence.require_truth(), model.known_frames.poses
+    apart_m, nearest = cKDTree(known[:, :3]).query(truth.positions_xyz)
+    at = np.asarray(nearest, dtype=np.int64)
+    same = (apart_m < _SAME_M) & (angle_between_quats(truth.orientations_quat_wxyz, known[at, 3:]) < _SAME_RAD)
+    if same.mean() >= _NEARLY_ALL and len(np.unique(at[same])) >= _LEAST_COPIED:
+        warnings.warn(
+            f"{sequence.name}: {same.sum()} of {counted(len(sequence), 'frame')} have poses of frames that the model "
+            "knows: is it a copy, encoded again? Coverage is guaranteed with new recordings only",
+            DatasetWarning,
+            stacklevel=3,
         )
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from conformodal.datasets import DatasetError, DatasetWarning, read_sequence
 from conformodal.datasets.streams.bag import BagStream
@@ -18,6 +19,7 @@ from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import CameraStream, VideoStream
 from conformodal.poses import PinholeCamera
+from tests.helpers import run_ok
 
 SIZE = (64, 48)
 
@@ -121,6 +123,35 @@ def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
     np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
 
 
+def test_pixels_that_are_not_square_are_told(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    box = (16).to_bytes(4) + b"pasp" + (4).to_bytes(4) + (3).to_bytes(4)
+    entry = content.rfind(b"mp4v") - 4  # the first names the file's kind
+    end = entry + int.from_bytes(content[entry : entry + 4])
+    content[end:end] = box
+    sizes = [content.find(name) - 4 for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd")]
+    for k in (*sizes, entry):
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box)).to_bytes(4)
+    path.write_bytes(content)
+    assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
+
+
+@pytest.mark.parametrize("head", ["ffconcat version 1.0\nfile 'v.mp4'\n", "v=0\nm=video 5004 RTP/AVP 96\n"])
+def test_a_list_of_other_files_is_no_video(tmp_path, head):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "list").write_text(head)
+    with pytest.raises(SourceError, match="list: is a list of other files"):
+        open_stream(tmp_path / "list")
+
+
+def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
+    frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
+    frames[0].save(tmp_path / "v.webp", save_all=True, append_images=frames[1:])
+    with pytest.raises(SourceError, match=r"v\.webp: holds no frame that can be decoded"):
+        list(open_stream(tmp_path / "v.webp"))
+
+
 def timed(path, runs, length_ms):
     """An MP4 file of runs of frames, each with the number of frames and the steps of 0.1 s between them."""
     content = mp4(path)
@@ -167,18 +198,37 @@ def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
     assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
 
 
-def test_a_video_that_is_turned_says_so(tmp_path):
-    path = tmp_path / "v.mp4"
-    content = mp4(path)
-    at = content.find(b"tkhd") + 44
-    turn = [0, 1 << 16, 0, (-1) << 16, 0, 0, SIZE[1] << 16, 0, 1 << 30]  # by a quarter to the right
-    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in turn)
+def shown_by(path, *matrix, header=b"tkhd", at=44):
+    """An MP4 file with the a b c d of a display matrix."""
+    content, (a, b, c, d) = mp4(path), (round(65536 * v) for v in matrix)
+    at += content.find(header)
+    values = [a, b, 0, c, d, 0, 0, 0, 1 << 30]
+    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in values)
     path.write_bytes(content)
+    return path
+
+
+def test_a_video_that_is_turned_says_so(tmp_path):
+    path = shown_by(tmp_path / "v.mp4", 0, 1, -1, 0)  # by a quarter to the right
     stream = open_stream(path)
     assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
     assert any("by 90 degrees" in where for _, where in stream.notes)
     path.write_bytes(mp4(path))
     assert open_stream(path).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "how"),
+    [((-1, 0, 0, 1), "mirrored"), ((0, 1, 1, 0), "mirrored"), ((0.707, 0.707, -0.707, 0.707), "turned by 45 degrees")],
+)
+def test_a_video_that_is_shown_mirrored_or_aslant_is_refused(tmp_path, matrix, how):
+    with pytest.raises(SourceError, match=rf"v\.mp4: its metadata says that pictures are shown {how}, and only"):
+        open_stream(shown_by(tmp_path / "v.mp4", *matrix))
+
+
+def test_a_whole_movie_may_be_shown_mirrored(tmp_path):
+    with pytest.raises(SourceError, match="mirrored"):
+        open_stream(shown_by(tmp_path / "v.mp4", 1, 0, 0, -1, header=b"mvhd", at=40))
 
 
 def test_what_is_no_video_is_named(tmp_path):
@@ -405,11 +455,11 @@ K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
 P_INFO = np.array([70.0, 0, 60, 5, 0, 71, 44, 0, 0, 0, 1, 0])
 
 
-def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0)):
+def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0), k=K_INFO):
     x, y, width, height = roi
     window = SimpleNamespace(x_offset=x, y_offset=y, width=width, height=height, do_rectify=False)
     head = {"width": 128, "height": 96, "binning_x": binning[0], "binning_y": binning[1], "roi": window}
-    return SimpleNamespace(k=K_INFO, p=P_INFO, d=np.array(d), distortion_model=model, **head)
+    return SimpleNamespace(k=k, p=P_INFO, d=np.array(d), distortion_model=model, **head)
 
 
 @pytest.mark.parametrize(
@@ -418,6 +468,7 @@ def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 
         ("/cam/image_raw", {}, (80, 82, 64, 48, 128, 96)),
         ("/cam/image_rect", {}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_rect_color/compressed", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_rect", {"k": np.zeros(9)}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_raw", {"binning": (2, 2)}, (40, 41, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 24, 64, 48)}, (80, 82, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 16, 64, 64), "binning": (2, 4)}, (40, 20.5, 16, 8, 32, 16)),
@@ -431,6 +482,14 @@ def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, e
     rectified = "rect" in topic
     assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
     assert any(("P, for rectified" if rectified else "K and D") in where for _, where in notes)
+
+
+@pytest.mark.parametrize(("model", "d"), [("plumb_bob", ()), ("", ()), ("equidistant", np.zeros(4))])
+def test_p_is_the_camera_where_k_and_d_are_zero(model, d):
+    notes = []
+    camera = camera_of_info(info(k=np.zeros(9), d=d, model=model), "info", "/cam/image", notes=notes)
+    assert camera == PinholeCamera(70, 71, 60, 44, 128, 96)
+    assert ("camera of CameraInfo", "info: P, as K and D are zero, without distortion") in notes
 
 
 @pytest.mark.parametrize("model", ["Plumb_Bob", "PLUMB_BOB ", "Brown Conrady"])
@@ -557,7 +616,7 @@ def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
 @pytest.mark.parametrize(
     ("change", "topic", "match"),
     [
-        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero"),
+        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero, and D, which is not, says that P is of"),
         ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
         ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
         ({"width": 0}, "/cam/image_raw", "0x96 pixels"),
@@ -577,7 +636,6 @@ def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
         ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
         ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 0, 101, 101.5, 102], [0] * 6),
         ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 50, 203, 203.5], [0, 0, 0, 0, 1, 1]),
-        ([0, 100, 100.5, 101, 101.5, 102], [0, 100, 100.5, 101, 101.5, 102], [0] * 6),
     ],
 )
 def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
@@ -586,6 +644,33 @@ def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path
     )
     np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=1e-6)
     assert [frame.recording for frame in frames] == recordings
+
+
+@pytest.mark.parametrize(
+    ("stamps", "astray"),
+    [
+        ([0, 100, 100.5, 101, 101.5, 102], 0),
+        ([1e9, 100, 100.5, 101, 101.5, 102], 0),
+        ([100, 100.5, 1e9, 101, 101.5, 102], 2),
+        ([100, 100.5, 101, 101.5, 102, 1e9], 5),
+    ],
+)
+def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, astray):
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)})
+    frames = list(BagStream(path))
+    assert [frame.image is None for frame in frames] == [i == astray for i in range(6)]
+    assert f"message {astray} of /cam/image_raw: its stamp, {stamps[astray]:.3f} s, is far" in frames[astray].problem
+    assert {frame.recording for frame in frames} == {0}
+    assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
+    assert [f.timestamp_s for f in frames if f.image is not None] == [s for s in stamps if s != stamps[astray]]
+    result = run_ok("data", "convert", path, "--out", tmp_path / "out")
+    assert f"message {astray} of /cam/image_raw: its stamp" in " ".join(result.output.split())
+
+
+def test_a_pause_and_two_frames_are_no_clock_that_was_set(tmp_path):
+    stamps = np.array([50, 100, 100.5, 101, 101.5, 150])
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": stamps})
+    assert [frame.timestamp_s for frame in BagStream(path)] == stamps.tolist()
 
 
 def compressed(image, form, suffix=".png"):
@@ -599,6 +684,9 @@ def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
     mosaic = in_encoding(RED, "bayer_rggb8").squeeze()
     found = image_of(compressed(mosaic, "bayer_rggb8; png compressed "), COMPRESSED)
     np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+    swapped = image_of(compressed(RED, "rgb8; png compressed rgb8"), COMPRESSED)
+    np.testing.assert_array_equal(swapped, RED)
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), COMPRESSED), RED)
     done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
     np.testing.assert_array_equal(done, RED)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from conformodal.datasets.cameras import Size
 from conformodal.datasets.lenses import AnyCamera, Fisheye, seen_by
@@ -38,11 +38,22 @@ _REPAIRS = {
 }
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _LOOKED_AT, _SET_BACK_S = 12, 1.0  # messages; a clock that goes back by more was set
+_SET_ON_S, _LONGEST_PAUSE_S = 60.0, 3600.0  # so was one that goes on by more than was waited, or than anybody waits
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a ROS recording: a bag file, or a folder with ``metadata.yaml``."""
     return path.name.lower().endswith(SUFFIXES) or (path.is_dir() and (path / "metadata.yaml").is_file())
+
+
+class _Message(NamedTuple):
+    """An image as it was sent; `info` is the CameraInfo where that changes."""
+
+    content: Any
+    kind: str
+    stamp_s: float
+    received_s: float
+    info: Any
 
 
 @dataclass(frozen=True)
@@ -87,7 +98,7 @@ class BagStream:
         if not self.path.exists():
             raise SourceError(f"{self.path}: no such recording")
         notes: list[Note] = []
-        with _reader(self.path) as reader:
+        with bag_reader(self.path) as reader:
             images = [c for c in reader.connections if c.msgtype in (RAW, COMPRESSED)]
             topics = sorted({c.topic for c in images if c.msgcount})
             if not topics:
@@ -114,20 +125,53 @@ class BagStream:
     @property
     def n_frames(self) -> int:
         """Messages of the topic."""
-        with _reader(self.path) as reader:
+        with bag_reader(self.path) as reader:
             return sum(c.msgcount for c in reader.connections if c.topic == self.topic)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Decode message after message; one that cannot be decoded comes without an image.
+        """Decode message after message; one that cannot be decoded, or whose time is astray, comes without an image.
 
         A clock that is set back, for two messages or more, begins a new recording, whose times follow those before.
         """
-        done, white, recording, shift_s = 0, 0, 0, 0.0
-        last: tuple[float, float] | None = None  # time and reception of the last frame in order
-        back: float | None = None  # header stamp of the frame before, if it was far back
-        known, info = "", None  # what the last CameraInfo says, and the message until it is used
+        white, recording, shift_s = 0, 0, 0.0
+        before: _Message | None = None  # the last message in order
+        last_s: float | None = None  # its time
+        back: float | None = None  # header stamp of the message before, if it was far back
         lens = self.first_lens
-        with _reader(self.path) as reader:
+        for number, (this, after) in enumerate(_with_next(self._messages())):
+            name = f"{self.path.stem}-{number:06d}"
+            place = f"{self.path}, message {number} of {self.topic}"
+            astray = _astray(before, this, after)
+            if astray is not None:
+                problem = f"{place}: its stamp, {this.stamp_s:.3f} s, is far from those of its neighbours"
+                yield Frame(name, astray + shift_s, None, problem, recording)
+                continue
+            time_s = this.stamp_s + shift_s
+            if before is not None and last_s is not None and time_s < last_s - _SET_BACK_S:
+                if back is not None and this.stamp_s > back:
+                    recording += 1
+                    shift_s = last_s + max(this.received_s - before.received_s, 1e-3) - this.stamp_s
+                    time_s = this.stamp_s + shift_s
+                back = this.stamp_s
+            if last_s is None or time_s > last_s:
+                before, last_s, back = this, time_s, None
+            image, problem = None, ""
+            try:
+                white = max(white, white_of(this.content))
+                image = image_of(this.content, this.kind, white)
+                if this.info is not None:
+                    size = image.shape[1], image.shape[0]
+                    lens = camera_of_info(this.info, self.infos[0], str(self.topic), size)
+                if self.camera is not None and lens is not None:
+                    image = seen_by(image, lens, self.camera)
+            except ValueError as exc:
+                image, problem = None, f"{place}: {exc}"
+            yield Frame(name, time_s, image, problem, recording)
+
+    def _messages(self) -> Iterator[_Message]:
+        """The images as they were sent, and what says that their camera is another."""
+        done, known, info = 0, "", None  # what the last CameraInfo says, and the message until it is taken
+        with bag_reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic == self.topic or c.topic in self.infos]
             messages = iter(reader.messages(connections=wanted))
             while True:
@@ -143,27 +187,8 @@ class BagStream:
                     stamp = received_s if self.received else stamp_s(message)
                 except Exception as exc:  # damaged bytes lead a decoder to any error
                     raise SourceError(f"{self.path}: breaks off after {done} images: {exc}") from exc
-                time_s = stamp + shift_s
-                if last is not None and time_s < last[0] - _SET_BACK_S:
-                    if back is not None and stamp > back:
-                        recording, shift_s = recording + 1, last[0] + max(received_s - last[1], 1e-3) - stamp
-                        time_s = stamp + shift_s
-                    back = stamp
-                if last is None or time_s > last[0]:
-                    last, back = (time_s, received_s), None
-                image, problem = None, ""
-                try:
-                    white = max(white, white_of(message))
-                    image = image_of(message, item[0].msgtype, white)
-                    if info is not None:
-                        size = image.shape[1], image.shape[0]
-                        lens, info = camera_of_info(info, self.infos[0], str(self.topic), size), None
-                    if self.camera is not None and lens is not None:
-                        image = seen_by(image, lens, self.camera)
-                except ValueError as exc:
-                    image, problem = None, f"{self.path}, message {done} of {self.topic}: {exc}"
-                yield Frame(f"{self.path.stem}-{done:06d}", time_s, image, problem, recording)
-                done += 1
+                yield _Message(message, item[0].msgtype, stamp, received_s, info)
+                done, info = done + 1, None
 
     def _look_at_first(self, reader: Any, connections: list[Any], notes: list[Note]) -> Size | None:
         """Refuse an encoding that cannot be decoded; choose the times. The size of the images, if it is known."""
@@ -180,6 +205,10 @@ class BagStream:
                 break
             if connection.msgtype == RAW:
                 check_encoding(message.encoding, place)
+            elif "compressed rgb" in message.format.lower():
+                notes.append(
+                    Note("red and blue are swapped", f"{place}: as image_transport does for {message.format!r}")
+                )
             stamps.append(stamp_s(message))
             try:
                 white = max(white, white_of(message))
@@ -219,8 +248,44 @@ class BagStream:
         return None
 
 
+def _with_next(messages: Iterator[_Message]) -> Iterator[tuple[_Message, _Message | None]]:
+    """Each message with the one after it; an error comes after the messages before it."""
+    held: _Message | None = None
+    try:
+        for message in messages:
+            if held is not None:
+                yield held, message
+            held = message
+    except SourceError:
+        if held is not None:
+            yield held, None
+        raise
+    if held is not None:
+        yield held, None
+
+
+def _astray(before: _Message | None, this: _Message, after: _Message | None) -> float | None:
+    """A time, seconds, for a message whose stamp is far from those of its neighbours; None where it is not.
+
+    It is ahead of the next, which follows the one before; or the first or last, and a clock was set beside it.
+    """
+    if after is None:
+        return before.stamp_s + 1e-3 if before is not None and _set_on(before, this) else None
+    if before is None:
+        ahead = this.stamp_s > after.stamp_s + _SET_BACK_S
+        return after.stamp_s - 1e-3 if ahead or _set_on(this, after) else None
+    ahead = this.stamp_s > after.stamp_s + _SET_BACK_S and after.stamp_s > before.stamp_s
+    return (before.stamp_s + after.stamp_s) / 2 if ahead else None
+
+
+def _set_on(first: _Message, second: _Message) -> bool:
+    """Whether the clock was set between two messages, to a later time."""
+    waited = min(max(second.received_s - first.received_s, 0.0), _LONGEST_PAUSE_S)
+    return second.stamp_s - first.stamp_s > waited + _SET_ON_S
+
+
 @contextmanager
-def _reader(path: Path) -> Iterator[Any]:
+def bag_reader(path: Path) -> Iterator[Any]:
     """An open reader."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra

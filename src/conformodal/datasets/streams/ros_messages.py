@@ -95,6 +95,8 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
     if kind == COMPRESSED:
         image = decode(bytes(message.data), f"{message.format!r} data", white=white)
         mosaic, _, target = message.format.lower().partition(";")
+        if "compressed rgb" in target:  # image_transport takes such a file's red for blue
+            return np.ascontiguousarray(image[..., ::-1])
         known = _ENCODINGS.get(f"{mosaic.strip().rstrip('16').rstrip('8')}8")
         if not mosaic.startswith("bayer") or known is None or "8" in target.partition("compressed")[2]:
             return image
@@ -146,8 +148,8 @@ def camera_of_info(
     place
         Where it comes from, for messages.
     topic
-        Of the images: for rectified ones P is the camera, without distortion; for others K and D, unless D says the
-        same by zeros.
+        Of the images: for rectified ones P is the camera, without distortion, as for others whose K and D are zero;
+        else K and D.
     size
         Of the images; the camera is scaled to it.
     notes
@@ -164,11 +166,14 @@ def camera_of_info(
     rectified, model = is_rectified(topic), message.distortion_model.strip().lower().replace(" ", "_")
     if rectified and not P.any() and any(lens):
         raise SourceError(f"{place}: P is zero, and {topic} has rectified images, whose camera K and D are not")
-    by_p = rectified and P.any()
-    k = P if by_p else np.array(_field(message, "K"), dtype=np.float64).reshape(3, 3)
+    k = np.array(_field(message, "K"), dtype=np.float64).reshape(3, 3)
+    only_p = bool(P.any()) and not k.any() and not any(lens)
+    by_p = only_p or (rectified and P.any())
+    k = P if by_p else k
     if not k.any():
-        raise SourceError(f"{place}: the camera is not calibrated: {'P' if by_p else 'K'} is zero")
-    fisheye = model in _FISHEYES and not rectified
+        lost = ", and D, which is not, says that P is of other images" if P.any() else ""
+        raise SourceError(f"{place}: the camera is not calibrated: K is zero{lost}")
+    fisheye = model in _FISHEYES and not by_p
     lens = () if rectified or not (any(lens) or fisheye) else lens
     bad = len(lens) > 4 if fisheye else any(lens[5:]) or bool(lens and model not in _LENSES)
     if bad:
@@ -198,7 +203,8 @@ def camera_of_info(
     if notes is not None:
         cut = "" if stated == whole else f", window {window[0]}x{window[1]}, binning {binning[0]}x{binning[1]}"
         zero = "" if lens else ", which is zero"
-        how = "P, for rectified images, without distortion" if by_p else f"K and D{zero}"
+        why = "as K and D are zero" if only_p else "for rectified images"
+        how = f"P, {why}, without distortion" if by_p else f"K and D{zero}"
         notes += [*found, Note("camera of CameraInfo", f"{place}: {how}{cut}")]
     return camera
 

@@ -27,6 +27,7 @@ from .frames import Frame, SourceError, check_size
 _WHOLE = 0.98
 _PACKETS = ((0, 188), (4, 192))  # of a transport stream: where the first starts, and bytes; times go before some
 _ROUGH = (".mkv", ".webm", ".ts", ".mts", ".m2ts")  # count frames by what lasts longest
+_LISTS = (b"ffconcat", b"#EXTM3U", b"v=0", b"<?xml", b"<MPD")  # which lead to other files, or onto a network
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
 
@@ -57,6 +58,41 @@ def _is_whole(path: Path) -> bool:
     return at == end or any(head[k : k + 1] == b"G" == head[k + n : k + n + 1] for k, n in _PACKETS)
 
 
+def _parts(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Names of the parts of an MP4 or MOV file, and where their contents start and end."""
+    while start + 8 <= end:
+        file.seek(start)
+        size, name, large = int.from_bytes(file.read(4)), file.read(4), int.from_bytes(file.read(8))
+        after = start + max({0: end - start, 1: large}.get(size, size), 8)
+        yield name, start + (16 if size == 1 else 8), min(after, end)
+        start = after
+
+
+def _is_mirrored(path: Path) -> bool:
+    """Whether an MP4 or MOV file says that its pictures are shown mirrored, which OpenCV does not do."""
+    with path.open("rb") as file:
+
+        def determinant(start: int, at: int) -> int:
+            """Of the display matrix of a header, which is 12 bytes later where times have 64 bits."""
+            file.seek(start)
+            file.seek(start + at + 12 * file.read(1)[0])
+            a, b, _, c, d = (int.from_bytes(file.read(4), signed=True) for _ in range(5))
+            return a * d - b * c
+
+        end = file.seek(0, 2)
+        file.seek(4)
+        if file.read(4) != b"ftyp":
+            return False
+        movie = [part for name, *its in _parts(file, 0, end) if name == b"moov" for part in _parts(file, *its)]
+        whole = [determinant(start, 36) for name, start, _ in movie if name == b"mvhd"]
+        for track in ({name: its for name, *its in _parts(file, *its)} for name, *its in movie if name == b"trak"):
+            media = {name: start for name, start, _ in _parts(file, *track.get(b"mdia", (0, 0)))}
+            file.seek(media.get(b"hdlr", end) + 8)
+            if file.read(4) == b"vide" and b"tkhd" in track:
+                return determinant(track[b"tkhd"][0], 40) * (whole or [1])[0] < 0
+    return False
+
+
 def _size(file: BinaryIO) -> int:
     """Size of a part of a Matroska file, in as many bytes as the first says; 0 where it is not known."""
     first = file.read(1)[0]
@@ -67,7 +103,7 @@ def _size(file: BinaryIO) -> int:
 
 @dataclass(frozen=True)
 class VideoStream:
-    """A video file; a :class:`SourceError` if it is missing or not a video.
+    """A video file; a :class:`SourceError` if it is missing, not a video, or shown mirrored.
 
     Attributes
     ----------
@@ -76,7 +112,7 @@ class VideoStream:
     camera
         Intrinsics; None where they are known elsewhere.
     notes
-        Whether its images are turned, and whether it has no times.
+        Whether its images are turned, its pixels not square, and whether it has no times.
     """
 
     path: Path
@@ -87,15 +123,30 @@ class VideoStream:
     def __post_init__(self) -> None:
         if not self.path.is_file():
             raise SourceError(f"{self.path}: no such video")
+        with self.path.open("rb") as file:
+            if (head := file.read(8)).startswith(_LISTS):
+                raise SourceError(f"{self.path}: is a list of other files ({head.decode()}...), expected a video")
         with self._open() as capture:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
             rate = capture.get(cv2.CAP_PROP_FPS)
+            shape = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
+        if _is_mirrored(self.path) or turned % 90:
+            how = f"turned by {turned:.0f} degrees" if turned % 90 else "mirrored"
+            raise SourceError(
+                f"{self.path}: its metadata says that pictures are shown {how}, and only quarter turns are applied; "
+                "write them as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
+            )
         notes = list[Note]()
         check_size(str(self.path), (int(sides[0]), int(sides[1])) if all(sides) else None, self.camera)
         if turned:
             where = f"{self.path}: by {turned:.0f} degrees, as its metadata says; intrinsics must be those after"
             notes.append(Note(TURNED, where))
+        if all(shape) and shape[0] != shape[1]:
+            where = (
+                f"{self.path}: {shape[0]:.0f}:{shape[1]:.0f}; intrinsics must be those of the pixels as they are stored"
+            )
+            notes.append(Note("pixels are not square", where))
         if self.path.suffix.lower() in _UNTIMED:
             where = f"{self.path}: {rate:g} frames per second are assumed; a container, such as MP4, has their times"
             notes.append(Note("no times", where))
@@ -137,6 +188,8 @@ class VideoStream:
                 done += 1
         if done >= max(_WHOLE * claimed - 1, 1):
             return
+        if claimed <= 0:
+            raise SourceError(f"{self.path}: holds no frame that can be decoded as a video")
         ends = f"{self.path}: ends after {done} of {claimed:.0f} frames"
         if done == 0 or not _is_whole(self.path):
             raise SourceError(f"{ends}; the file was cut off")

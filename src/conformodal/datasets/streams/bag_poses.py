@@ -1,0 +1,183 @@
+"""Poses of the camera in a ROS recording, from a topic of poses or from transforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import FloatArray
+from conformodal.core.words import counted
+from conformodal.datasets.reading import Note
+from conformodal.poses import Trajectory, poses_at
+from conformodal.poses.metrics import MAX_GAP_S
+from conformodal.poses.text import pose_faults
+
+from .bag import BagStream, bag_reader
+from .frames import SourceError
+from .ros_messages import stamp_s
+
+_TRANSFORM, _TRANSFORMS = "geometry_msgs/msg/TransformStamped", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_WITHIN = {  # where a message has its pose
+    "nav_msgs/msg/Odometry": "pose.pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
+    "geometry_msgs/msg/PoseStamped": "pose",
+    _TRANSFORM: "transform",
+}
+_STATIC = "tf_static"
+_BY_HAND = "if these are the camera's poses, give them as a TUM file"
+
+
+@dataclass
+class _Edge:
+    """Poses of a frame in its parent; of a static one, one."""
+
+    parent: str
+    rows: list[list[float]] = field(default_factory=list)  # time x y z qw qx qy qz
+
+    def path(self) -> Trajectory:
+        rows = np.array(self.rows)
+        return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+
+
+_Tree = dict[str, _Edge]
+
+
+def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: float = MAX_GAP_S) -> Trajectory:
+    """Poses ``T_world_cam`` of a recording, on the clock of its images.
+
+    Parameters
+    ----------
+    bag
+        The recording and the topic of its images, whose ``frame_id`` is the camera's frame.
+    topic
+        Of Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; or of transforms, as ``/tf``, which
+        lead from the camera's frame to the root of their tree. Poses of another frame are moved to the camera by
+        ``/tf_static``; a message that does not name the frame is taken as the camera's.
+    notes
+        Takes up whose poses they are, and what was left out.
+    max_gap_s
+        Longest time between two transforms that one is interpolated from, where several lead to the camera.
+
+    Raises
+    ------
+    SourceError
+        If there are no poses on the topic, or nothing leads from their frame to the camera's.
+    """
+    place = f"{bag.path}: {topic}"
+    with bag_reader(bag.path) as reader:
+        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and _is_posed(c)}
+        if topic not in kinds:
+            named = ", ".join(sorted(kinds)) or "none"
+            raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
+        camera = _camera_frame(reader, str(bag.topic))
+        moving, static, n_bad = _Tree(), _Tree(), 0
+        wanted = [c for c in reader.connections if c.topic == topic or _is_static(c)]
+        try:
+            for connection, received_ns, raw in reader.messages(connections=wanted):
+                message = reader.deserialize(raw, connection.msgtype)
+                tree = moving if connection.topic == topic else static
+                n_bad += _take(tree, message, connection.msgtype, received_ns / 1e9 if bag.received else None)
+        except Exception as exc:  # damaged bytes lead a decoder to any error
+            raise SourceError(f"{place}: cannot be read: {exc}") from exc
+    if n_bad:
+        notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_bad, 'pose')}"))
+    if not moving:
+        raise SourceError(f"{place}: holds no pose that can be used")
+    if kinds[topic] in _TRANSFORMS:
+        return _along(moving, static, camera, place, notes, max_gap_s)
+    if len(moving) > 1:
+        raise SourceError(f"{place}: has poses of several frames ({', '.join(moving)}), expected one")
+    ((frame, edge),) = moving.items()
+    told = f"{place}: of {frame or 'a frame without a name, taken as the camera'} in {edge.parent or 'the world'}"
+    if frame in ("", camera):
+        notes.append(Note("poses", told))
+        return edge.path()
+    (root, T_root_frame), (other, T_root_cam) = _to_root(static, frame), _to_root(static, camera)
+    if root != other:
+        lost = "" if static else f", and there is no /{_STATIC}"
+        apart = f"and the images are of {camera!r}: no static transform connects them{lost}"
+        raise SourceError(f"{told}, {apart}; {_BY_HAND}")
+    notes.append(Note("poses", f"{told}, moved to {camera} by /{_STATIC}"))
+    path = edge.path()
+    return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
+
+
+def _is_posed(connection: Any) -> bool:
+    return connection.msgtype in (*_WITHIN, *_TRANSFORMS) and not _is_static(connection)
+
+
+def _is_static(connection: Any) -> bool:
+    return str(connection.topic).rpartition("/")[2] == _STATIC
+
+
+def _camera_frame(reader: Any, topic: str) -> str:
+    connections = [c for c in reader.connections if c.topic == topic]
+    connection, _, raw = next(reader.messages(connections=connections))
+    return _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
+
+
+def _frame(name: str) -> str:
+    return name.strip().lstrip("/")  # as early ROS 1 wrote it
+
+
+def _take(tree: _Tree, message: Any, kind: str, received_s: float | None) -> int:
+    """Add the poses of a message; how many cannot be used."""
+    if kind in _TRANSFORMS:
+        return sum(_take(tree, its, _TRANSFORM, received_s) for its in message.transforms)
+    pose = message
+    for name in _WITHIN[kind].split("."):
+        pose = getattr(pose, name)
+    at, turn = (pose.translation, pose.rotation) if kind == _TRANSFORM else (pose.position, pose.orientation)
+    row = [received_s or stamp_s(message), at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
+    values = np.array([row])
+    if not np.isfinite(values).all() or pose_faults(values[:, 1:4], values[:, 4:]):
+        return 1
+    frame, parent = _frame(getattr(message, "child_frame_id", "")), _frame(message.header.frame_id)
+    edge = tree.setdefault(frame, _Edge(parent))
+    if edge.parent != parent:  # a frame has one parent; another tree's is not mixed in
+        return 1
+    edge.rows.append(row)
+    return 0
+
+
+def _to_root(static: _Tree, frame: str) -> tuple[str, FloatArray]:
+    """The root above a frame in the tree of static transforms, and ``T_root_frame``."""
+    pose, seen = np.eye(4), {frame}
+    while (edge := static.get(frame)) is not None and edge.parent not in seen:
+        pose, frame = edge.path()[-1:].poses_se3[0] @ pose, edge.parent
+        seen.add(frame)
+    return frame, pose
+
+
+def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float) -> Trajectory:
+    """Poses of the camera's frame in the root of all transforms, at the times of the one that is sent most often."""
+    chain, frame = list[str](), camera
+    while frame not in chain and (frame in moving or frame in static):
+        chain.append(frame)
+        frame = (moving.get(frame) or static[frame]).parent
+    driven = [its for its in chain if its in moving]
+    if not driven:
+        known = ", ".join(f"{its.parent} to {child}" for child, its in moving.items())
+        raise SourceError(f"{place}: leads from {known}, and not to {camera!r}, which the images are of; {_BY_HAND}")
+    leader = max(driven, key=lambda its: len(moving[its].rows))
+    times = np.unique(moving[leader].path().timestamps_s)
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    there = np.ones(len(times), dtype=bool)
+    for its in chain:
+        edge = np.tile(np.eye(4), (len(times), 1, 1))
+        if its in moving:
+            rows, _ = poses_at(moving[its].path(), times, max_gap_s)
+            found = np.isfinite(rows).all(axis=1)
+            edge[found, :3, :3] = Rotation.from_quat(rows[found, 3:], scalar_first=True).as_matrix()
+            edge[:, :3, 3], there = rows[:, :3], there & found
+        else:
+            edge[:] = static[its].path()[-1:].poses_se3
+        poses = edge @ poses
+    if not there.any():
+        raise SourceError(f"{place}: {' and '.join(driven)} are never within {max_gap_s:g} s of each other")
+    through = f", through {', '.join(reversed(chain[1:]))}" if chain[1:] else ""
+    notes.append(Note("poses", f"{place}: of {camera} in {frame}{through}"))
+    return Trajectory.from_poses_se3(times[there], poses[there])
