@@ -29,7 +29,8 @@ PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
 # By the settings' object and attribute: other values than the present one.
 OTHERS = {
     ("CANDIDATES", "least_mass"): (1e-4, 1e-5),
-    ("FILTER", "tempering"): (0.25, 1.0),
+    ("FILTER", "alike"): (0.0, 0.5, 0.95),
+    ("FILTER", "alike_s"): (0.1, 1.0),
     ("FILTER", "wrong_if_unknown"): (0.1, 0.99),
     ("FILTER", "rotation_sigma_factor"): (1.0, 4.0, 8.0),
     ("BELIEF", "alone"): (0.01, 0.2),

@@ -95,7 +95,7 @@ def transition(before, after, step_s):
 
 def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
     # sharp hypotheses, out of each other's reach within a place but for steps that take long
-    for name, value in {"tempering": 1.0, "sharpness": 1.0, "wrong": 1e-12, "jump": 1e-12}.items():
+    for name, value in {"alike": 0.0, "sharpness": 1.0, "wrong": 1e-12, "jump": 1e-12}.items():
         monkeypatch.setitem(FILTER.__dict__, name, value)
     rng = np.random.default_rng(0)
     frames = [hypotheses(np.array([0.0, 3.0, 7.0]) + rng.normal(size=3), m, 1e-3) for m in rng.dirichlet(np.ones(3), 3)]
@@ -139,6 +139,20 @@ def test_tempering_does_not_favour_a_place_that_is_told_in_many_hypotheses(n):
     np.testing.assert_allclose(whole.log_mass, found.log_mass)
     turned = hypotheses([0.0, 0.0], [0.8, 0.2], quats=np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]]))
     assert np.exp(np.diff(tempered(turned, 0.5, PRIOR).log_mass)) == pytest.approx(0.5)  # opposite views are two places
+
+
+def test_images_that_follow_each_other_closely_say_less_together():
+    """Ten images that speak for one of two places, 3 to 2: within a second, and within ten minutes."""
+    told = hypotheses([0.0, 5.0], [0.6, 0.4])
+    odds = {}
+    for step_s in (1e-4, 0.1, 60.0):
+        seen = Observations([told] * 10, [None] * 10, np.arange(10) * step_s)
+        last = find_places(filter_posteriors(seen, replace(PRIOR, top_speed_mps=(0.0, 0.0)))[-1], PRIOR)
+        odds[step_s] = last[0].probability / last[1].probability
+    share = 1 - FILTER.alike
+    assert odds[1e-4] == pytest.approx(1.5 ** (1 + 9 * share), rel=0.05)
+    assert odds[1e-4] < 0.6 * odds[0.1] < odds[0.1] < 0.5 * odds[60.0]
+    assert odds[60.0] == pytest.approx(1.5**10, rel=0.05)
 
 
 @pytest.mark.parametrize("vague_m", [1.0, 3.0, 100.0])

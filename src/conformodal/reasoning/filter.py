@@ -69,6 +69,7 @@ class Prediction:
     measured: bool  # whether there is a measured rotation
     elsewhere: float  # probability that the camera is anywhere, as after a cut
     unseen_s: float  # seconds since an image showed a known place
+    tempering: float  # what an image says that the neighbour's has not said, see :func:`tempered`
 
 
 def predict(
@@ -119,7 +120,8 @@ def predict(
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
     elsewhere = min(max(elsewhere, jump), 1 - FILTER.least_mass)
-    return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
+    tempering = 1 - FILTER.alike * float(np.exp(-step_s / FILTER.alike_s))
+    return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s, tempering)
 
 
 def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
@@ -213,10 +215,9 @@ def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidat
     return replace(its, log_mass=its.log_mass + (power - 1) * np.log(around)).normalised()
 
 
-def start(evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
+def start(evidence: Candidates, *, known: bool) -> Posterior:
     """The posterior of a frame from its image alone, which shows a known place or does not."""
-    hypotheses = tempered(evidence, FILTER.tempering, prior)
-    return Posterior(hypotheses, FILTER.wrong if known else FILTER.wrong_if_unknown)
+    return Posterior(evidence.normalised(), FILTER.wrong if known else FILTER.wrong_if_unknown)
 
 
 def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
@@ -362,7 +363,7 @@ class PoseFilter:
             Whether the image shows a known place. Where it does not, its hypotheses count less.
         """
         if not self._steps:
-            posterior = start(evidence, self.prior, known=known)
+            posterior = start(evidence, known=known)
         else:
             before = self._steps[-1]
             step_s = timestamp_s - before.timestamp_s
@@ -388,7 +389,7 @@ class PoseFilter:
 def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
     """The posterior of a frame from its prediction and its image, which shows a known place or does not."""
     wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
-    found = update(ahead, evidence, prior, wrong=wrong, tempering=FILTER.tempering)
+    found = update(ahead, evidence, prior, wrong=wrong, tempering=ahead.tempering)
     return replace(found, unseen_s=0.0 if known else ahead.unseen_s)
 
 
@@ -419,7 +420,7 @@ def hindsight_posteriors(
 
 def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:
     """What all later frames predict of each frame, from the last but one to the first."""
-    later = start(seen.candidates[-1], prior, known=bool(seen.is_known[-1]))  # from this frame on
+    later = start(seen.candidates[-1], known=bool(seen.is_known[-1]))  # from this frame on
     for t in range(len(seen.candidates) - 2, -1, -1):
         step_s = float(seen.timestamps_s[t + 1] - seen.timestamps_s[t])
         ahead = predict(later, seen.motions[t + 1], step_s, prior, back=True)
