@@ -8,6 +8,7 @@ from conformodal.datasets import ImageError, read_sequence
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.localization.targets import pose_targets
+from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.reasoning.filter import filter_posteriors
 from conformodal.reasoning.places import choose_places, same_place
@@ -159,6 +160,21 @@ def test_a_stream_that_is_matched_seldom_has_regions_that_such_streams_calibrate
     assert odometry.lagged().path_region is None  # calibrated where all are matched
     _, regions = answered(FILTER.seldom + 1)
     assert regions == [None] * len(frames)  # no stream so sparse was calibrated
+
+
+def test_the_look_alone_makes_no_pose_unreliable_where_a_place_was_just_recognised(small_world):
+    sequence, model = read_sequence(small_world.folder), load_model(small_world.model)
+    model.set_novelty_level(0.5)  # half of the images look novel
+    odometry, told = VisualOdometry(model, match_every=3), {}
+    for i in range(60):
+        now = odometry.step(sequence.image(i), sequence.timestamps_s[i])
+        novel = now.evidence is EvidenceType.UNKNOWN
+        if now.matched:
+            seen = not novel
+        if novel:
+            told.setdefault((now.matched, seen), set()).add("like no place that is known" in now.problem)
+    assert told.pop((False, False), {True}) == {True}
+    assert told == {(True, False): {True}, (False, True): {False}}
 
 
 def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):

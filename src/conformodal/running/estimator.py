@@ -69,7 +69,7 @@ class VisualOdometry(Odometry):
         self.lag = lag
         self.match_every = match_every
         self._filter = PoseFilter(model.prior, lag)
-        self._last: deque[Estimate] = deque(maxlen=lag + 1)
+        self._last: deque[tuple[Estimate, bool]] = deque(maxlen=lag + 1)  # with whether a known place was just seen
         self.reset()
 
     @classmethod
@@ -90,6 +90,7 @@ class VisualOdometry(Odometry):
         self._last.clear()
         self._seen_s = self._shown_s = None
         self._n_steps = 0
+        self._just_seen = False
 
     def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
@@ -100,10 +101,12 @@ class VisualOdometry(Odometry):
             local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
-        path = SELDOM if self._seldom else ONLINE
-        now = self._push(self._filter, found, motion, timestamp_s, path if self.match_every <= FILTER.seldom else "")
+        if local is not None or not self._seldom:
+            self._just_seen = bool(found.kinds[0] != EvidenceType.UNKNOWN)
+        path = ONLINE if not self._seldom else SELDOM if self.match_every <= FILTER.seldom else ""
+        now = self._push(self._filter, found, motion, timestamp_s, path, just_seen=self._just_seen)
         now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
-        self._last.append(now)
+        self._last.append((now, self._just_seen))
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
@@ -116,10 +119,12 @@ class VisualOdometry(Odometry):
         """
         if len(self._last) <= self.lag:
             return None
-        then, posterior = self._last[0], self._filter.window().first(self.model.prior)
+        (then, just_seen), posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
         path = LAGGED if self.lag == FILTER.lag and not self._seldom else ""
-        now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
+        now = self._estimate(
+            then.localization, then.relative_motion, then.timestamp_s, posterior, path, just_seen=just_seen
+        )
         return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(
@@ -129,20 +134,33 @@ class VisualOdometry(Odometry):
         motion: RelativeMotion | None,
         timestamp_s: float,
         path: str = ONLINE,
+        *,
+        just_seen: bool = False,
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, path)
+        return self._estimate(found, motion, timestamp_s, posterior, path, just_seen=just_seen)
 
     def _estimate(
-        self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
+        self,
+        found: Localization,
+        motion: RelativeMotion | None,
+        timestamp_s: float,
+        posterior: Posterior,
+        path: str,
+        *,
+        just_seen: bool,
     ) -> Estimate:
-        """The estimate of a frame from its posterior; `path` says which frames this rests on."""
+        """The estimate of a frame from its posterior; `path` says which frames this rests on.
+
+        `just_seen` is whether the last image whose local features were matched, this or one of the few before it,
+        showed a known place: then the look of this one alone makes no pose unreliable.
+        """
         places = find_places(posterior, self.model.prior)
         best = places[0]
         kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
-        if kind is EvidenceType.UNKNOWN:
+        if kind is EvidenceType.UNKNOWN and not just_seen:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
         if best.probability < self.model.reliable_p:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
