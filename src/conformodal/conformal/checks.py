@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 
-from conformodal.core.arrays import BoolArray, FloatArray, RealArray
+from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, RealArray
 from conformodal.core.words import counted
 
 from .errors import ConformalError
@@ -116,7 +116,7 @@ def as_random(random_state: Any) -> np.random.RandomState:
         raise ConformalError(f"random_state must be a seed, a RandomState or None, got {brief(random_state)}") from None
 
 
-def as_array(values: Any, name: str) -> npt.NDArray[Any]:
+def as_array(values: Any, name: str) -> AnyArray:
     """Any array-like as an array of any dtype; masked entries, which NumPy would drop, are refused."""
     if issparse(values):
         raise ConformalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
@@ -250,7 +250,7 @@ def _one_per_target(proba: Sequence[Any], n_bins: Sequence[int]) -> bool:
     return not lists or len(set(n_bins)) > 1 or any(len(part) != d for part in proba)
 
 
-def check_block(block: npt.NDArray[Any], name: str, first_row: int) -> None:
+def check_block(block: AnyArray, name: str, first_row: int) -> None:
     """Check that rows (the last axis) are probabilities; the first is row `first_row` of the whole."""
     if block.size == 0:
         return

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import AnyArray, IntArray
 
 from .checks import as_array, brief
 from .errors import ConformalError
 
 
-def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> npt.NDArray[Any]:
+def as_groups(groups: npt.ArrayLike, n: int, name: str = "groups") -> AnyArray:
     """Labels (n,), one per sample.
 
     Strings, numbers, booleans, dates and tuples come in a list, an array or a pandas column, of objects or categories
@@ -71,7 +71,7 @@ def is_missing(value: Any) -> bool:
         return True
 
 
-def factorise(labels: npt.NDArray[Any]) -> tuple[list[Hashable], IntArray]:
+def factorise(labels: AnyArray) -> tuple[list[Hashable], IntArray]:
     """Distinct labels, and for each sample (n,) the index of its own; sorted, or as they come if they cannot be."""
     if labels.dtype.kind != "O":
         values, codes = np.unique(labels, return_inverse=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import AnyArray, FloatArray
 
 from .checks import as_array, as_doubles, as_finite, as_scores
 from .errors import ConformalError
@@ -71,7 +71,7 @@ class NoveltyTest:
         other._rank(np.asarray(own, dtype=np.float64), as_groups(groups, len(own)))
         return other
 
-    def _rank(self, scores: FloatArray, groups: npt.NDArray[Any]) -> None:
+    def _rank(self, scores: FloatArray, groups: AnyArray) -> None:
         self.scores_, self.groups = scores, groups
         group = factorise(groups)[1]
         sizes = np.bincount(group)
@@ -118,7 +118,7 @@ class NoveltyTest:
         return 1 / (self.n_groups + 1)
 
     def _nearest(
-        self, samples: FloatArray, group: npt.NDArray[Any] | None = None, others: npt.NDArray[Any] | None = None
+        self, samples: FloatArray, group: AnyArray | None = None, others: AnyArray | None = None
     ) -> FloatArray:
         found = np.empty(len(samples))
         for start in range(0, len(samples), _ROWS):

@@ -16,8 +16,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageOps, UnidentifiedImageError
+
+from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array
 
 from .errors import ImageError
 
@@ -91,7 +92,7 @@ def white_in(content: bytes) -> int:
     return 255
 
 
-def _wide(image: Image.Image, source: Path | bytes) -> npt.NDArray[Any] | None:
+def _wide(image: Image.Image, source: Path | bytes) -> AnyArray | None:
     """The numbers (height, width, 1, 3 or 4) of an image of 16 bits, not turned; None for one of 8.
 
     Pillow keeps only the upper half of the bits of colours.
@@ -147,7 +148,7 @@ def image_fault(path: Path, size: tuple[int, int]) -> str:
     return ""
 
 
-def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
+def read_image(path: Path, size: tuple[int, int] | None = None) -> UInt8Array:
     """Decode an image whole, as (height, width, 3) RGB.
 
     Grey images become RGB; of 16 bits the 10, 12, 14 or 16 that are used are scaled to 8; what is transparent lies on
@@ -172,7 +173,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> npt.NDArray[n
 
 def decode(
     source: Path | bytes, name: str, size: tuple[int, int] | None = None, white: int | None = None, turn: bool = True
-) -> npt.NDArray[np.uint8]:
+) -> UInt8Array:
     """As :func:`read_image`, of a file or of its content.
 
     `name` is for people; `white` the level of a 16-bit image that becomes 255, by default of the bits that it uses;
@@ -256,7 +257,7 @@ def exif_focal_px(path: Path, size: tuple[int, int]) -> tuple[float | None, str]
     return None, ""
 
 
-def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> npt.NDArray[np.uint8]:
+def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> UInt8Array:
     turned = _orientation(image)
     if (wide := _wide(image, source)) is not None:
         eight = to_eight_bits(wide[..., :3], white or white_level(wide[..., :3]))
@@ -275,13 +276,13 @@ def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> npt.NDA
     return np.asarray((rgba[..., :3].astype(np.uint16) * alpha + 127) // 255, dtype=np.uint8)
 
 
-def white_level(wide: npt.NDArray[Any]) -> int:
+def white_level(wide: AnyArray) -> int:
     """The largest number of the bits that a 16-bit image uses: sensors have 10, 12, 14 or 16."""
     most = int(wide.max(initial=0))
     return next(white for white in _WHITES if most <= white)
 
 
-def to_eight_bits(wide: npt.NDArray[Any], white: int) -> npt.NDArray[np.uint8]:
+def to_eight_bits(wide: AnyArray, white: int) -> UInt8Array:
     """Numbers of a 16-bit image at 8 bits, where `white` becomes 255."""
     return np.asarray((np.minimum(wide.astype(np.int64), white) * 255 + white // 2) // white, dtype=np.uint8)
 
@@ -306,7 +307,7 @@ def ignore_pillow_warnings() -> Iterator[None]:
                 _filters.close()
 
 
-def thumbnail(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+def thumbnail(image: UInt8Array) -> Float32Array:
     """The picture (768,) of an image (height, width[, 3]), RGB or grey: of zero mean and unit length.
 
     Zero for an image without contrast.

@@ -8,8 +8,9 @@ from zlib import crc32
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
+
+from conformodal.core.arrays import UInt8Array
 
 from .sequence import ImageChange, PixelNoise
 
@@ -40,7 +41,7 @@ class Disturbance:
         """Whether images change."""
         return True
 
-    def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+    def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The disturbed image (h, w, 3)."""
         if self.noise is not None:
             image = self.noise.apply(image, name)

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera, PoseError, Trajectory, TrajectoryFileError, poses_at
 from conformodal.poses.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
@@ -69,11 +68,7 @@ class FrameTable:
     notes: list[Note] = field(default_factory=list)
 
     def sequence(
-        self,
-        camera: AnyCamera | list[AnyCamera],
-        *,
-        require_poses: bool,
-        given_test: npt.NDArray[np.bool_] | None = None,
+        self, camera: AnyCamera | list[AnyCamera], *, require_poses: bool, given_test: BoolArray | None = None
     ) -> Sequence:
         """The sequence of the frames that can be used, as the camera of most has them; warns of the others.
 

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
 from conformodal.poses import TrajectoryFileError
 from conformodal.poses.formats import kitti_table, tum_table
@@ -62,9 +62,7 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
     return table.sequence(camera, require_poses=require_poses)
 
 
-def _poses(
-    folder: Path, times: npt.NDArray[np.float64], damaged: Damaged, notes: list[Note]
-) -> npt.NDArray[np.float64] | None:
+def _poses(folder: Path, times: FloatArray, damaged: Damaged, notes: list[Note]) -> FloatArray | None:
     there = [name for name in POSE_FILES if (folder / name).is_file()]
     if len(there) > 1:
         notes.append(Note("other poses are not read", f"{folder}: {there[0]} is read, not {', '.join(there[1:])}"))
@@ -102,7 +100,7 @@ def _refuse_kinds(folder: Path, images: list[Path]) -> None:
             )
 
 
-def _numbered_times(folder: Path, images: list[Path], notes: list[Note]) -> npt.NDArray[np.float64]:
+def _numbered_times(folder: Path, images: list[Path], notes: list[Note]) -> FloatArray:
     """Even times, with gaps where the names skip numbers."""
     even = even_times(folder, len(images))
     parts = [_NUMBERED.fullmatch(image.stem) for image in images]
@@ -120,7 +118,7 @@ def _numbered_times(folder: Path, images: list[Path], notes: list[Note]) -> npt.
     return np.asarray(even[0] + (numbers - numbers[0]) / steps.min() * (even[1] - even[0]))
 
 
-def _times(folder: Path, images: list[Path], notes: list[Note]) -> tuple[list[Path], npt.NDArray[np.float64]]:
+def _times(folder: Path, images: list[Path], notes: list[Note]) -> tuple[list[Path], FloatArray]:
     """Times of images, and the images in their order where their names are times."""
     if (folder / "times.txt").is_file():
         return images, frame_times(folder, len(images))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import Trajectory
 from conformodal.poses.formats import kitti_table
 from conformodal.poses.text import number, table_of
@@ -52,7 +52,7 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     pixels = projection[[0, 1, 0, 1], [0, 1, 2, 2]]
     intrinsics = camera_of(f"{calibration}: {name}", pixels, common_size(images), notes=notes)
     path = folder / "times.txt"
-    times: npt.NDArray[np.float64] | None = None
+    times: FloatArray | None = None
     if path.is_file():
         stamps = read_numbers(path)
         times = stamps[rows_of(images, len(stamps), path, "times for")]
@@ -66,7 +66,7 @@ def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Se
     return table.sequence(intrinsics, require_poses=require_poses)
 
 
-def _projection(path: Path, name: str) -> npt.NDArray[np.float64]:
+def _projection(path: Path, name: str) -> FloatArray:
     for line in read_lines(path):
         if line.startswith(f"{name}:"):
             try:
@@ -84,8 +84,8 @@ def _projection(path: Path, name: str) -> npt.NDArray[np.float64]:
 
 
 def _poses(
-    folder: Path, images: list[Path], offset: npt.NDArray[np.float64], required: bool, damaged: Damaged
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64] | None]:
+    folder: Path, images: list[Path], offset: FloatArray, required: bool, damaged: Damaged
+) -> tuple[IntArray, FloatArray | None]:
     """Numbers of the images, and their poses."""
     places = [
         folder.parent.parent / "poses" / f"{folder.name}.txt",

@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from math import atan, degrees, hypot
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import AnyArray, Float32Array, FloatArray
 from conformodal.core.files import default_cache_dir, write_whole
 from conformodal.core.words import counted
 from conformodal.poses import PinholeCamera
@@ -135,7 +134,7 @@ def on_plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def _maps(source: AnyCamera, target: PinholeCamera) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def _maps(source: AnyCamera, target: PinholeCamera) -> tuple[Float32Array, Float32Array]:
     """Where in an image of a source the pixels of the target are, x and y; -1 where it does not see them."""
     grid = np.indices((target.height, target.width))[::-1].reshape(2, -1).T.astype(np.float64)
     plane, pinhole = on_plane(target, grid), source.pinhole if isinstance(source, Fisheye) else source
@@ -192,7 +191,7 @@ def _brought(image: Path, camera: AnyCamera, *, place: Path, target: PinholeCame
         return image
     own = camera.pinhole if isinstance(camera, Fisheye) else camera
 
-    def make(content: bytes) -> npt.NDArray[Any]:
+    def make(content: bytes) -> AnyArray:
         return seen_by(decode(content, str(image), (own.width, own.height), white), camera, target)
 
     return _cached(image, place, f"{camera} {target} {white} ", (target.width, target.height), make)
@@ -219,7 +218,7 @@ def _as_stored(image: Path, wide: bool | None) -> Path:
     return _cached(image, default_cache_dir() / "undistorted", "as stored ", (width, height), make)
 
 
-def _cached(image: Path, place: Path, key: str, size: Size, make: Callable[[bytes], npt.NDArray[Any]]) -> Path:
+def _cached(image: Path, place: Path, key: str, size: Size, make: Callable[[bytes], AnyArray]) -> Path:
     """A file in the cache with what is made of an image's content; the image itself where it cannot be read."""
     try:
         content = image.read_bytes()
@@ -249,7 +248,7 @@ def describe_change(camera: PinholeCamera, target: PinholeCamera) -> str:
     )
 
 
-def seen_by(pixels: npt.NDArray[Any], camera: AnyCamera, target: PinholeCamera) -> npt.NDArray[Any]:
+def seen_by(pixels: AnyArray, camera: AnyCamera, target: PinholeCamera) -> AnyArray:
     """An image as another camera would have seen it; unchanged if it is not of its own camera's size."""
     own = camera.pinhole if isinstance(camera, Fisheye) else camera
     if camera == target or pixels.shape[:2] != (own.height, own.width):

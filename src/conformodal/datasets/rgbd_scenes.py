@@ -9,8 +9,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import PinholeCamera
 from conformodal.poses.text import drop_faults, number, pose_faults, read_rows
 
@@ -52,7 +52,7 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
         raise DatasetError(f"{folder}: holds no imgs/scene_NN; expected RGB-D Scenes v2")
     recordings = [numbered_frames(scene, _IMAGE, 5, notes) for scene in scenes]
     images, times, recording = joined(recordings, FRAME_RATE_HZ)
-    poses: list[npt.NDArray[np.float64]] = []
+    poses: list[FloatArray] = []
     why: Damaged = {}
     first = missing = 0
     for scene, frames in zip(scenes, recordings, strict=True):
@@ -74,7 +74,7 @@ def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     return table.sequence(camera_beside(folder, common_size(images), CAMERA, notes), require_poses=require_poses)
 
 
-def _poses(path: Path, frames: list[int], why: Damaged, first: int) -> npt.NDArray[np.float64]:
+def _poses(path: Path, frames: list[int], why: Damaged, first: int) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of the frames, the first of which is `first` of all; its number is its line."""
     faults: Damaged = {}
     rows = read_rows(

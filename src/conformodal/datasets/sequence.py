@@ -8,9 +8,8 @@ from typing import Protocol
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from conformodal.core.ranges import check_ranges
 from conformodal.poses import PinholeCamera, PoseError, Trajectory
 
@@ -26,7 +25,7 @@ class ImageChange(Protocol):
     def changes(self) -> bool:
         """Whether images change."""
 
-    def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+    def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The image (h, w, 3), changed; `name` is that of its file."""
 
 
@@ -60,7 +59,7 @@ class PixelNoise:
         """Whether images change."""
         return self.sigma > 0
 
-    def apply(self, image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+    def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
         if not self.changes:
             return image
@@ -102,12 +101,12 @@ class Sequence:
 
     name: str
     image_paths: tuple[Path, ...]
-    timestamps_s: npt.NDArray[np.float64]
+    timestamps_s: FloatArray
     recording: IntArray
     camera: PinholeCamera
     truth: Trajectory | None = None
     noise: ImageChange | None = None
-    given_test: npt.NDArray[np.bool_] | None = None
+    given_test: BoolArray | None = None
     known_poses: Trajectory | None = None
     notes: tuple[Note, ...] = ()
 
@@ -131,7 +130,7 @@ class Sequence:
     def __len__(self) -> int:
         return len(self.image_paths)
 
-    def image(self, i: int) -> npt.NDArray[np.uint8]:
+    def image(self, i: int) -> UInt8Array:
         """Frame `i` as (height, width, 3) RGB.
 
         Raises

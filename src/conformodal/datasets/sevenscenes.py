@@ -14,8 +14,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.poses import PinholeCamera
 from conformodal.poses.text import matrix_faults, table_of
 
@@ -88,7 +88,7 @@ def read_sevenscenes(folder: Path | str, *, require_poses: bool = True) -> Seque
     )
 
 
-def _listed_for_testing(folder: Path, recordings: list[Path]) -> npt.NDArray[np.bool_] | None:
+def _listed_for_testing(folder: Path, recordings: list[Path]) -> BoolArray | None:
     """Which of a scene's recordings are in its list of test recordings; None without lists."""
     lists = [folder / name for name in _LISTS]
     there = [path for path in lists if path.is_file()]
@@ -130,7 +130,7 @@ def pose_path(image: Path) -> Path:
     return image.with_name(_IMAGE.sub(r"frame-\1.pose.txt", image.name))
 
 
-def _poses(images: list[Path], why: Damaged) -> npt.NDArray[np.float64]:
+def _poses(images: list[Path], why: Damaged) -> FloatArray:
     """Poses (n, 7) of frames, NaN where there is none, and why."""
     poses = np.full((len(images), 4, 4), np.nan)
     for i, path in enumerate(pose_path(image) for image in images):
@@ -146,7 +146,7 @@ def _poses(images: list[Path], why: Damaged) -> npt.NDArray[np.float64]:
     return table_of(poses)
 
 
-def _read_matrix(path: Path) -> npt.NDArray[np.float64]:
+def _read_matrix(path: Path) -> FloatArray:
     matrix = read_numbers(path)
     if matrix.size != 16:
         raise DatasetError(f"{path}: holds {matrix.size} numbers, expected 16 (4x4)")

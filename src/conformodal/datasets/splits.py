@@ -14,9 +14,8 @@ from enum import StrEnum
 from math import ceil
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.core.words import counted, noun_for
 
@@ -148,7 +147,7 @@ def held_out_together(
     return piece
 
 
-def frames_to_known(split: Split, recording: IntArray) -> npt.NDArray[np.float64]:
+def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
     """How many frames each test frame lies from the nearest training or calibration frame of its recording.
 
     Parameters

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray
 
 from .errors import LocalizationError
 from .image_quality import NOT_MEASURED
@@ -27,7 +26,7 @@ class FrameEvidence:
         Image by image; None where they were not extracted.
     """
 
-    features: npt.NDArray[np.float32]
+    features: Float32Array
     local_features: Sequence[LocalFeatures | None] = ()
 
     def __post_init__(self) -> None:

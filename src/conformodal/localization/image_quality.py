@@ -7,9 +7,8 @@ from typing import Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray, UInt8Array
 
 QUALITIES = ("brightness", "contrast", "detail")
 NOT_MEASURED: FloatArray = np.full(len(QUALITIES), np.nan)
@@ -18,7 +17,7 @@ _MARGIN = 0.1  # of the range, at each end
 _DETAIL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 
 
-def image_quality(grey: npt.NDArray[np.uint8]) -> FloatArray:
+def image_quality(grey: UInt8Array) -> FloatArray:
     """(3,) :data:`QUALITIES` of a grey image (height, width), in grey levels.
 
     Mean and standard deviation; and the mean response to a mask that edges do not pass (Immerkaer 1996): much of it is

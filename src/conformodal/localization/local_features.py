@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.datasets import Sequence, thumbnail
 from conformodal.motion.flow import NO_FLOW, at_pose_time, flow_of
 from conformodal.motion.tracker import grey_image
@@ -26,8 +25,8 @@ class LocalFeatures(NamedTuple):
     """Corners of an image with their descriptors, and its global descriptor."""
 
     pixels: FloatArray  # (n, 2) undistorted corners
-    descriptors: npt.NDArray[np.uint8]  # (n, 32)
-    global_descriptor: npt.NDArray[np.float32]  # at unit length: thumbnail or network's map
+    descriptors: UInt8Array  # (n, 32)
+    global_descriptor: Float32Array  # at unit length: thumbnail or network's map
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
     flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.motion.flow
 
@@ -41,7 +40,7 @@ class LocalFeatures(NamedTuple):
         return self._replace(pixels=at_pose_time(self.pixels, self.flows, shutter, camera))
 
 
-def extract_local_features(image: npt.NDArray[np.uint8], camera: PinholeCamera) -> LocalFeatures:
+def extract_local_features(image: UInt8Array, camera: PinholeCamera) -> LocalFeatures:
     """Local features and global descriptor of an image (height, width[, 3])."""
     grey = grey_image(image)
     picture, quality = thumbnail(grey), image_quality(grey)
@@ -65,7 +64,7 @@ def frame_features(sequence: Sequence, i: int) -> LocalFeatures:
     return extract_local_features(image, sequence.camera)._replace(flow=flow_of(sequence, i, image))
 
 
-def match(descriptors: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> IntArray:
+def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:
     """Mutually unambiguous matches (m, 2) between rows of two sets of descriptors, by Lowe's ratio test."""
     if len(descriptors) == 0 or len(others) < 2:
         return np.empty((0, 2), np.int64)
@@ -96,6 +95,6 @@ class Matcher:
         return self._cached[key][2]
 
 
-def _halves(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+def _halves(descriptors: UInt8Array) -> Float32Array:
     """Bits as -0.5 and 0.5: a matrix product of such rows counts differing bits faster than a loop."""
     return np.unpackbits(descriptors, axis=1).astype(np.float32) - np.float32(0.5)

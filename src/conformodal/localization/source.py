@@ -12,9 +12,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar, Protocol, Self
 
-import numpy.typing as npt
-
-from conformodal.core.arrays import IntArray, RealArray
+from conformodal.core.arrays import AnyArray, IntArray, RealArray
 
 from .errors import LocalizationError
 from .evidence import FrameEvidence
@@ -42,7 +40,7 @@ class SourceAnswer:
 class SourceState:
     """A source as it is stored: arrays, and settings that are JSON."""
 
-    arrays: dict[str, npt.NDArray[Any]]
+    arrays: dict[str, AnyArray]
     settings: dict[str, Any] = field(default_factory=dict)
 
 

@@ -8,11 +8,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 
-import numpy as np
-import numpy.typing as npt
-
 from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.ranges import as_member
 from conformodal.datasets import Sequence, SplitKind, held_out_together
@@ -56,7 +53,7 @@ class SourceData:
     """
 
     sequence: Sequence
-    features: npt.NDArray[np.float32]
+    features: Float32Array
     targets: FloatArray
     sign_reference: FloatArray
     split: SplitKind = SplitKind.INTERLEAVED

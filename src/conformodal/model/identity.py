@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from conformodal.datasets import ImageError, Sequence, read_image
 from conformodal.poses import angle_between_quats
 
@@ -37,8 +36,8 @@ class FrameMatches:
 class FrameIdentities:
     """Digests and poses by which frames are recognised; digests of files that cannot be read are zeros, no match."""
 
-    files: npt.NDArray[np.uint8]  # (n, 16) digests of the image's file
-    pixels: npt.NDArray[np.uint8]  # (n, 16) digests of its pixels
+    files: UInt8Array  # (n, 16) digests of the image's file
+    pixels: UInt8Array  # (n, 16) digests of its pixels
     poses: FloatArray  # (n, 7) position and orientation wxyz; NaN without a pose
 
     def __len__(self) -> int:

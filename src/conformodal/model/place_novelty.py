@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import NoveltyTest
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.localization.settings import NOVELTY
 from conformodal.vision.backbone import coarse_features
 
@@ -32,13 +32,13 @@ class PlaceNovelty:
     disturbed: NoveltyTest | None = None
 
     @classmethod
-    def fit(cls, features: npt.NDArray[np.float32], pieces: IntArray, grid: tuple[int, int]) -> Self | None:
+    def fit(cls, features: Float32Array, pieces: IntArray, grid: tuple[int, int]) -> Self | None:
         """From features (n, F), and labels (n,) of what is left out together; None for fewer than two labels."""
         if len(np.unique(pieces)) < 2:
             return None
         return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
 
-    def extended(self, features: npt.NDArray[np.float32], pieces: IntArray) -> Self:
+    def extended(self, features: Float32Array, pieces: IntArray) -> Self:
         """With more known frames, of other pieces."""
         references = np.concatenate((self.test.references, _descriptors(features, self.grid)))
         return replace(self, test=NoveltyTest(references, np.concatenate((self.test.groups, pieces))))
@@ -57,7 +57,7 @@ class PlaceNovelty:
         assert self.matched is not None
         return np.asarray(np.where(test.scores_ < 0, test.left_out_p_values(), self.matched.p_values(test.scores_)))
 
-    def distances(self, features: npt.NDArray[np.float32], left_out: IntArray | None = None) -> FloatArray:
+    def distances(self, features: Float32Array, left_out: IntArray | None = None) -> FloatArray:
         """(n,) distances of features (n, F) to those of the most similar known frame.
 
         Known frames of the labels `left_out` (n,) do not count.
@@ -65,10 +65,7 @@ class PlaceNovelty:
         return self.test.scores(_descriptors(features, self.grid), left_out)
 
     def p_values(
-        self,
-        features: npt.NDArray[np.float32],
-        recognition: FloatArray | None = None,
-        disturbed: BoolArray | bool = False,
+        self, features: Float32Array, recognition: FloatArray | None = None, disturbed: BoolArray | bool = False
     ) -> FloatArray:
         """(n,) p-values of features (n, F); a small one indicates an unknown place.
 
@@ -98,6 +95,6 @@ class PlaceNovelty:
         return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, least)
 
 
-def _descriptors(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float16]:
+def _descriptors(features: Float32Array, grid: tuple[int, int]) -> npt.NDArray[np.float16]:
     """Global descriptors of references and new images, rounded alike so that an image equals itself."""
     return coarse_features(features, grid).astype(np.float16)

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
+from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError, require_extra
 from conformodal.core.files import write_whole
 from conformodal.datasets import Split
@@ -65,7 +65,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     """Write a model into a folder, created if missing; an earlier model stays complete until the new one is."""
     rules, localizer = model.rules, model.localizer
     states = {source.name: source.state() for source in localizer.sources}
-    arrays: dict[str, npt.NDArray[Any]] = {
+    arrays: dict[str, AnyArray] = {
         f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
     }
     network = model.backbone.content if isinstance(model.backbone, OnnxBackbone) else None
@@ -111,9 +111,9 @@ def save_model(model: PoseModel, folder: Path) -> None:
             other.unlink(missing_ok=True)
 
 
-def _calibration_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
+def _calibration_arrays(model: PoseModel) -> dict[str, AnyArray]:
     rules = model.rules
-    arrays: dict[str, npt.NDArray[Any]] = {
+    arrays: dict[str, AnyArray] = {
         "calibration.overall": rules.overall.scores_,
         "calibration.known_p": rules.known_p,
         "calibration.recognised": rules.recognised,
@@ -137,7 +137,7 @@ def _calibration_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
     return arrays
 
 
-def _novelty_arrays(model: PoseModel) -> dict[str, npt.NDArray[Any]]:
+def _novelty_arrays(model: PoseModel) -> dict[str, AnyArray]:
     novelty, rules = model.novelty, model.rules
     if novelty is None:
         return {}
@@ -230,9 +230,7 @@ def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Ba
     return backbone
 
 
-def _assemble(
-    record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], network: bytes | None, folder: Path
-) -> PoseModel:
+def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: bytes | None, folder: Path) -> PoseModel:
     backbone = _backbone(record, network, folder)
     bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
     sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
@@ -259,20 +257,20 @@ def _assemble(
     )
 
 
-def _numbered(arrays: dict[str, npt.NDArray[Any]], name: str) -> list[npt.NDArray[Any]]:
+def _numbered(arrays: dict[str, AnyArray], name: str) -> list[AnyArray]:
     """The arrays ``NAME.0``, ``NAME.1``, ..."""
     n = sum(key.startswith(f"{name}.") for key in arrays)
     return [arrays[f"{name}.{j}"] for j in range(n)]
 
 
-def _source(name: str, settings: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> PoseSource:
+def _source(name: str, settings: dict[str, Any], arrays: dict[str, AnyArray]) -> PoseSource:
     start = f"source.{name}."
     its = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
     return find_source(name).from_state(SourceState(its, settings))
 
 
 def _rules(
-    cells: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], novelty: PlaceNovelty | None
+    cells: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray], novelty: PlaceNovelty | None
 ) -> RegionRules:
     matched = None
     if "calibration.matched" in arrays:
@@ -288,9 +286,7 @@ def _rules(
     return replace(rules, disturbed=disturbed, disturbed_p=arrays["calibration.disturbed_p"])
 
 
-def _calibration(
-    bins: QuantileBins, how: dict[str, Any], arrays: dict[str, npt.NDArray[Any]], scores: str
-) -> SplitConformal:
+def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray], scores: str) -> SplitConformal:
     calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
@@ -298,13 +294,13 @@ def _calibration(
     return calibration.calibrate_scores(arrays[scores], groups, batches=batches)
 
 
-def _path_rule(rules: RegionRules, arrays: dict[str, npt.NDArray[Any]], name: str) -> SplitConformal:
+def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], name: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[name][:, None], rule.bins.n_targets, axis=1)
     return rule.calibrate_scores(scores, *(arrays.get(f"{name}_{its}") for its in ("groups", "sizes", "batches")))
 
 
-def _novelty(arrays: dict[str, npt.NDArray[Any]], grid: tuple[int, int]) -> PlaceNovelty | None:
+def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
     test = NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.datasets import ImageError, Sequence
 from conformodal.poses import PinholeCamera
 
@@ -36,7 +36,7 @@ def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArra
     return np.asarray(flow.T / seconds)
 
 
-def flow_of(sequence: Sequence, i: int, image: npt.NDArray[np.uint8]) -> FloatArray:
+def flow_of(sequence: Sequence, i: int, image: UInt8Array) -> FloatArray:
     """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
     for before in range(i - 1, -1, -1):
         seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])

@@ -5,9 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .relative_pose import estimate_relative_motion
@@ -42,11 +41,11 @@ class FrontEnd(ABC):
         """Start a new recording."""
         self.tracker.reset()
 
-    def track_only(self, image: npt.NDArray[np.uint8]) -> None:
+    def track_only(self, image: UInt8Array) -> None:
         """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         self.tracker.advance(grey_image(image))
 
-    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
         """Motion from the frame measured last to this one; None for the first frame of a recording."""
         first = not self.tracker.started
         self.tracker.advance(grey_image(image))
@@ -85,13 +84,13 @@ class MotionFrontEnd(FrontEnd):
         self._accumulated_variance = 0.0
         self._broken = False
 
-    def track_only(self, image: npt.NDArray[np.uint8]) -> None:
+    def track_only(self, image: UInt8Array) -> None:
         """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._accumulate()
 
-    def measure(self, image: npt.NDArray[np.uint8]) -> RelativeMotion | None:
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
         """Motion from the frame measured last to this one.
 
         None for the first frame of a recording, or a motion with status ``TOO_FEW`` if it is blank.

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 
 from .settings import RELATIVE_POSE
@@ -57,7 +56,7 @@ def estimate_relative_motion(
 
 
 def _turning_alone(
-    rays_prev: FloatArray, rays_next: FloatArray, cells: npt.NDArray[np.int64], pixel: float
+    rays_prev: FloatArray, rays_next: FloatArray, cells: IntArray, pixel: float
 ) -> RelativeMotion | None:
     """The motion if a rotation alone explains the pair, which leaves the direction undetermined; or None."""
     rotation, inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
@@ -140,9 +139,7 @@ def plane_motions(
     return found
 
 
-def _rotation_only(
-    rays_prev: FloatArray, rays_next: FloatArray, tolerance_rad: float
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _rotation_only(rays_prev: FloatArray, rays_next: FloatArray, tolerance_rad: float) -> tuple[FloatArray, BoolArray]:
     """Rotation with ``rays_prev = R rays_next`` on most rays: trimmed least squares, started from all of them."""
     keep = np.ones(len(rays_prev), dtype=bool)
     matrix = np.eye(3)

@@ -8,16 +8,15 @@ Zeger 1986), times a factor measured in ``benchmarks/relative_motion.py``.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 from conformodal.poses import PinholeCamera
 
 from .settings import MOTION_ERRORS
 
 
-def image_cells(pixels: FloatArray, camera: PinholeCamera) -> npt.NDArray[np.int64]:
+def image_cells(pixels: FloatArray, camera: PinholeCamera) -> IntArray:
     """Cell (n,) of every pixel (n, 2) in a grid of 4 x 3 over the image."""
     column = np.clip(pixels[:, 0] * MOTION_ERRORS.columns // camera.width, 0, MOTION_ERRORS.columns - 1)
     row = np.clip(pixels[:, 1] * MOTION_ERRORS.rows // camera.height, 0, MOTION_ERRORS.rows - 1)
@@ -29,7 +28,7 @@ def motion_spreads(
     rays_next: FloatArray,
     R_prev_next: FloatArray,
     direction_prev: FloatArray,
-    cells: npt.NDArray[np.int64],
+    cells: IntArray,
     pixel_rad: float,
 ) -> tuple[float, float]:
     """Standard deviations (radians) of a rotation about each axis and of a direction along each orthogonal axis.
@@ -53,11 +52,7 @@ def motion_spreads(
 
 
 def turning_spread(
-    rays_prev: FloatArray,
-    rays_next: FloatArray,
-    R_prev_next: FloatArray,
-    cells: npt.NDArray[np.int64],
-    pixel_rad: float,
+    rays_prev: FloatArray, rays_next: FloatArray, R_prev_next: FloatArray, cells: IntArray, pixel_rad: float
 ) -> float:
     """Standard deviation of a pure rotation about each axis, as :func:`motion_spreads`."""
     turned = rays_next @ R_prev_next.T
@@ -74,7 +69,7 @@ def _residual_size(residual: FloatArray, pixel_rad: float) -> float:
     return max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, MOTION_ERRORS.least_residual_px * pixel_rad)
 
 
-def _clustered(jacobian: FloatArray, cells: npt.NDArray[np.int64], sigma: float) -> FloatArray:
+def _clustered(jacobian: FloatArray, cells: IntArray, sigma: float) -> FloatArray:
     """Covariance of least squares with rows `jacobian` (n, m, p), if each cell has one error of spread `sigma`."""
     p = jacobian.shape[2]
     information = np.einsum("nmi,nmj->ij", jacobian, jacobian)

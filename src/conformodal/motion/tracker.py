@@ -6,17 +6,15 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
+
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 
 from .settings import TRACKER
-
-FloatArray = npt.NDArray[np.float32]
-GreyImage = npt.NDArray[np.uint8]
 
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 
 
-def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
+def grey_image(image: UInt8Array) -> UInt8Array:
     """An image (height, width[, 3]) as the tracker takes it."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return np.ascontiguousarray(grey, dtype=np.uint8)
@@ -25,8 +23,8 @@ def grey_image(image: npt.NDArray[np.uint8]) -> GreyImage:
 class Corners(NamedTuple):
     """The corners of one frame."""
 
-    ids: npt.NDArray[np.int64]  # (n,) a corner keeps its number in all frames; none is reused
-    pixels: FloatArray  # (n, 2)
+    ids: IntArray  # (n,) a corner keeps its number in all frames; none is reused
+    pixels: Float32Array  # (n, 2)
 
 
 class CornerTracker:
@@ -43,7 +41,7 @@ class CornerTracker:
         Corners at the marked frame.
     """
 
-    step: tuple[FloatArray, FloatArray]
+    step: tuple[Float32Array, Float32Array]
 
     def __init__(self) -> None:
         self._n_ever = 0
@@ -51,10 +49,10 @@ class CornerTracker:
 
     def reset(self) -> None:
         """Forget everything, as after a cut."""
-        self._image: GreyImage | None = None
-        self._now: FloatArray = np.empty((0, 2), np.float32)
-        self._marked: FloatArray = np.empty((0, 2), np.float32)
-        self._ids: npt.NDArray[np.int64] = np.empty(0, np.int64)
+        self._image: UInt8Array | None = None
+        self._now: Float32Array = np.empty((0, 2), np.float32)
+        self._marked: Float32Array = np.empty((0, 2), np.float32)
+        self._ids: IntArray = np.empty(0, np.int64)
         self.step = self._now, self._now
         self.n_at_mark = 0
 
@@ -63,7 +61,7 @@ class CornerTracker:
         """Whether a frame has been seen."""
         return self._image is not None
 
-    def advance(self, image: GreyImage) -> None:
+    def advance(self, image: UInt8Array) -> None:
         """Follow the living corners into the next frame, and drop those that do not come back to their start."""
         previous, self._image = self._image, image
         if previous is None or len(self._now) == 0:
@@ -99,7 +97,7 @@ class CornerTracker:
         self._marked = self._now.copy()
         self.n_at_mark = len(self._now)
 
-    def pairs(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def pairs(self) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) at the marked frame and at the current one."""
         return self._marked.astype(np.float64), self._now.astype(np.float64)
 
@@ -107,7 +105,7 @@ class CornerTracker:
         """All living corners of the current frame."""
         return Corners(self._ids.copy(), self._now.copy())
 
-    def _new_corners(self, image: GreyImage, count: int) -> FloatArray:
+    def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
         spacing = max(3.0, TRACKER.spacing_share * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
         for x, y in self._now:

@@ -7,10 +7,9 @@ from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import poselib
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.poses import PinholeCamera
 
 from .settings import RELATIVE_POSE
@@ -21,7 +20,7 @@ class TwoView(NamedTuple):
 
     R_prev_next: FloatArray
     direction_prev: FloatArray
-    inliers: npt.NDArray[np.bool_]  # (n,)
+    inliers: BoolArray  # (n,)
 
 
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
@@ -79,7 +78,7 @@ def solve_opencv(pixels_prev: FloatArray, pixels_next: FloatArray, camera: Pinho
     return None if best is None else _turned_round(best[1], best[2].ravel(), inliers)
 
 
-def _turned_round(R_next_prev: FloatArray, t: FloatArray, inliers: npt.NDArray[np.bool_]) -> TwoView | None:
+def _turned_round(R_next_prev: FloatArray, t: FloatArray, inliers: BoolArray) -> TwoView | None:
     direction = -R_next_prev.T @ t
     length = float(np.linalg.norm(direction))
     if not np.isfinite(length) or length < 1e-9:

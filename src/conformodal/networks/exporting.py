@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from conformodal.core.arrays import UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import Progress
 from conformodal.datasets import read_image
@@ -156,7 +156,7 @@ def _check_same(backbone: TorchBackbone, made: OnnxBackbone) -> None:
         raise VisionError(f"{backbone.config.name} answers otherwise when exported to ONNX")
 
 
-def _quantise(content: bytes, images: Sequence[npt.NDArray[np.uint8]]) -> bytes:
+def _quantise(content: bytes, images: Sequence[UInt8Array]) -> bytes:
     with require_extra("train", "quantisation"):
         from onnxruntime.quantization import (  # noqa: PLC0415 - only here
             CalibrationDataReader,

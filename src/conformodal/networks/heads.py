@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import nn
 
+from conformodal.core.arrays import Float32Array, FloatArray, RealArray
 from conformodal.core.progress import Progress
 from conformodal.vision.head import SoftmaxHead
 from conformodal.vision.keeping import cache_arrays, cached_arrays
@@ -126,8 +126,8 @@ def _same_shape(raw: torch.Tensor, targets: torch.Tensor) -> None:
 
 
 def fit_head(
-    features: npt.NDArray[np.float32],
-    targets: npt.NDArray[np.floating[Any]],
+    features: Float32Array,
+    targets: RealArray,
     outputs: list[int],
     loss: Loss,
     config: TrainingConfig,
@@ -228,7 +228,7 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def predict_values(head: Head, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+def predict_values(head: Head, features: Float32Array) -> FloatArray:
     """Raw outputs (n, d): the classical regressor's standardised predictions."""
     with torch.inference_mode():
         return np.asarray(head(torch.from_numpy(features)).double().numpy())

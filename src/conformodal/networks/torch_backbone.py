@@ -7,11 +7,11 @@ from dataclasses import asdict
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from threadpoolctl import threadpool_limits
 from torch import nn
 
+from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.core.process import set_thread_limit
 from conformodal.datasets import THUMBNAIL
 from conformodal.vision.backbone import Backbone, BackboneConfig
@@ -84,7 +84,7 @@ class TorchBackbone(Backbone, nn.Module):
         digest.update(repr(sorted(asdict(self.config).items())).encode())
         return digest.hexdigest()
 
-    def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def maps(self, images: UInt8Array) -> Float32Array:
         """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
         with torch.inference_mode():
             return np.asarray(self(torch.tensor(images, device=self.device)).cpu().numpy())

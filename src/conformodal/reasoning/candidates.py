@@ -21,13 +21,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, RealArray
 from conformodal.poses import normalise_quat
 
 from .settings import CANDIDATES
 
 LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
-Probabilities: TypeAlias = Sequence[npt.NDArray[np.floating[Any]]]
+Probabilities: TypeAlias = Sequence[RealArray]
 
 
 @dataclass(frozen=True, eq=False)

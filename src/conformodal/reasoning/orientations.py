@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.robust import cauchy
 from conformodal.poses import RelativeMotion, Submap
 
@@ -72,7 +71,7 @@ def smooth_orientations(
 
 def _links(
     motions: Sequence[RelativeMotion | None], unknown_rad: FloatArray, submaps: Sequence[Submap]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], FloatArray, FloatArray]:
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Frames that links lead from and to (m,), rotations (m, 3, 3) and their spreads (m,)."""
     steps = np.arange(len(unknown_rad))
     relative, sigma = np.tile(np.eye(3), (len(steps), 1, 1)), unknown_rad.copy()

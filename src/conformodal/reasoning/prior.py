@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
 
 from .errors import ReasoningError
@@ -86,7 +85,7 @@ def rotation_sigma(motion: RelativeMotion) -> float:
     return FILTER.rotation_sigma_factor * motion.rotation_sigma_rad
 
 
-def fit_motion_prior(truth: Trajectory, recording: npt.NDArray[np.int64]) -> MotionPrior:
+def fit_motion_prior(truth: Trajectory, recording: IntArray) -> MotionPrior:
     """Learn the prior from the training frames, in order of time; gaps between them are allowed."""
     turns: list[FloatArray] = []
     levels: dict[int, list[FloatArray]] = {}

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets.streams.frames import Frame
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.region_rules import EvidenceType
@@ -47,7 +47,7 @@ class LiveView:
                 self._stream.spawn()
         except (OSError, RuntimeError) as exc:
             raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
-        self._path: list[npt.NDArray[np.float64]] = []
+        self._path: list[FloatArray] = []
         self._log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log("about", rerun.TextDocument(f"{_utf8(name)}, alpha = {alpha}"), static=True)
 
@@ -91,7 +91,7 @@ class LiveView:
             self._log("world/truth", rr.Points3D([true], radii=0.03, colors=_TRUTH))
             self._log("plots/error_m", rr.Scalars(float(np.linalg.norm(true - here))))
 
-    def _cuboids(self, region: PoseRegions, here: npt.NDArray[np.float64], colour: tuple[int, int, int]) -> Any:
+    def _cuboids(self, region: PoseRegions, here: FloatArray, colour: tuple[int, int, int]) -> Any:
         around = np.stack((here - _RANGE_M, here + _RANGE_M), axis=1)
         places = region.places(0)[:_MOST_CUBOIDS]
         boxes = [np.clip(one.box[:3], around[:, :1], around[:, 1:]) for one in places if one.box is not None]

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
 from conformodal.model.model import ONLINE
@@ -40,7 +40,7 @@ class Thumbnails:
         self.kept: dict[str, bytes] = {}
         self._stride, self._seen = 1, 0
 
-    def add(self, name: str, image: npt.NDArray[np.uint8]) -> None:
+    def add(self, name: str, image: UInt8Array) -> None:
         """Show it the next frame, (h, w, 3) RGB."""
         if self._seen % self._stride == 0:
             height = max(1, round(image.shape[0] * self.width / image.shape[1]))
@@ -57,7 +57,7 @@ class Thumbnails:
 
 
 def make_viewer(
-    folder: Path, images: Mapping[str, bytes], level: float | None = None, walls: Sequence[npt.NDArray[np.float64]] = ()
+    folder: Path, images: Mapping[str, bytes], level: float | None = None, walls: Sequence[FloatArray] = ()
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.ranges import as_member
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.regions import PoseRegions
@@ -85,7 +84,7 @@ class Estimate:
     reliable: bool
     problem: str = ""
     localization: Localization | None = None
-    tracks: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    tracks: tuple[FloatArray, FloatArray] | None = None
     corners: Corners | None = None
     estimates: list[PoseMeasurement] = field(default_factory=list)
     known_p: float | None = None
@@ -154,7 +153,7 @@ class OdometryRun:
     """
 
     frames: IntArray
-    timestamps_s: npt.NDArray[np.float64]
+    timestamps_s: FloatArray
     localization: Localization
     candidates: list[Candidates]
     motions: list[RelativeMotion | None]
@@ -162,7 +161,7 @@ class OdometryRun:
     trajectories: dict[str, Trajectory]
     unreadable: dict[int, str] = field(default_factory=dict)
     answer: str = METHODS[0]
-    certainty: npt.NDArray[np.float64] | None = None
+    certainty: FloatArray | None = None
     reliable_p: float = FILTER.reliable
     path_regions: dict[str, PoseRegions] = field(default_factory=dict)
 
@@ -172,7 +171,7 @@ class OdometryRun:
         return self.localization.regions
 
     @property
-    def known_p(self) -> npt.NDArray[np.float64]:
+    def known_p(self) -> FloatArray:
         """(m,) p-values of showing a known place; NaN where images are not tested."""
         return self.localization.known_p
 
@@ -187,7 +186,7 @@ class OdometryRun:
         return self.trajectories[self.answer]
 
     @property
-    def reliable(self) -> npt.NDArray[np.bool_]:
+    def reliable(self) -> BoolArray:
         """(m,) whether a frame shows a known place, motion could be used, and no other place was probable by then."""
         moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
         sure = np.ones(len(moving)) if self.certainty is None else self.certainty

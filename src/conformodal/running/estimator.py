@@ -8,9 +8,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Sequence
@@ -92,7 +91,7 @@ class VisualOdometry(Odometry):
         self._n_steps = 0
         self._just_seen = False
 
-    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
         motion = self._front_end.measure(image)
         local = self._local_features(image)
@@ -188,7 +187,7 @@ class VisualOdometry(Odometry):
         """Whether local features are matched in some frames alone."""
         return self.match_every > 1 and self.model.looks_at_local_features
 
-    def _local_features(self, image: npt.NDArray[np.uint8]) -> LocalFeatures | None:
+    def _local_features(self, image: UInt8Array) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0
         self._n_steps += 1
         if not (due and self.model.looks_at_local_features):
@@ -202,7 +201,7 @@ class VisualOdometry(Odometry):
         return measure_motions(sequence, frames, progress)
 
     def _answered(
-        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
+        self, sequence: Sequence, frames: IntArray, features: Float32Array, motions: MotionRecord
     ) -> OdometryRun:
         local = [motions.local_features.get(i) for i in frames.tolist()]
         found = self.model.localize(FrameEvidence(features, local))

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import IntArray, UInt8Array
 from conformodal.model.errors import OdometryError
 from conformodal.poses import PinholeCamera
 
 
-def as_image(image: Any, camera: PinholeCamera) -> npt.NDArray[np.uint8] | str:
+def as_image(image: Any, camera: PinholeCamera) -> UInt8Array | str:
     """An image in the camera's size, contiguous; or, as text, why it is none.
 
     Parameters
@@ -49,7 +50,7 @@ def as_time(timestamp_s: Any, last_s: float | None) -> float:
     return found
 
 
-def as_frames(frames: npt.ArrayLike, n: int) -> npt.NDArray[np.int64]:
+def as_frames(frames: npt.ArrayLike, n: int) -> IntArray:
     """Increasing indices (m,) of some of n frames."""
     found = np.asarray(frames)
     if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
@@ -60,5 +61,5 @@ def as_frames(frames: npt.ArrayLike, n: int) -> npt.NDArray[np.int64]:
     return wanted
 
 
-def _few(values: npt.NDArray[np.int64]) -> str:
+def _few(values: IntArray) -> str:
     return np.array2string(values, threshold=8, edgeitems=3, separator=", ")

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Sequence
 from conformodal.localization.motions import MotionRecord
@@ -77,7 +77,7 @@ class Odometry(ABC):
         return estimate
 
     @abstractmethod
-    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         """The estimate of a frame that can be used; its time becomes the last one."""
 
     def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
@@ -153,6 +153,6 @@ class Odometry(ABC):
 
     @abstractmethod
     def _answered(
-        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
+        self, sequence: Sequence, frames: IntArray, features: Float32Array, motions: MotionRecord
     ) -> OdometryRun:
         """Regions and trajectories of frames (m,) that can be read, from their features (m, F) and motions."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.localization.evidence import FrameEvidence
@@ -56,7 +55,7 @@ class PaperOdometry(Odometry):
         self._path = Greedy()
         self._seen_s = self._shown_s = None
 
-    def _answer(self, image: npt.NDArray[np.uint8], timestamp_s: float) -> Estimate:
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         found = _localize(self.model, self.model.backbone.features_of(image))
         proba, region = found.beliefs.proba, found.regions
         motion = self._front_end.measure(image)
@@ -86,7 +85,7 @@ class PaperOdometry(Odometry):
         return measure_motions(sequence, frames, progress, front_end=EssentialFrontEnd(sequence.camera), local=False)
 
     def _answered(
-        self, sequence: Sequence, frames: IntArray, features: npt.NDArray[np.float32], motions: MotionRecord
+        self, sequence: Sequence, frames: IntArray, features: Float32Array, motions: MotionRecord
     ) -> OdometryRun:
         localization = _localize(self.model, features)
         proba, regions = localization.beliefs.proba, localization.regions
@@ -109,7 +108,7 @@ class PaperOdometry(Odometry):
         )
 
 
-def _localize(model: PoseModel, features: npt.NDArray[np.float32]) -> Localization:
+def _localize(model: PoseModel, features: Float32Array) -> Localization:
     """Regions of n images as the paper has them: sets of bins, whatever the image."""
     beliefs = model.localizer.beliefs(FrameEvidence(features))
     n = len(features)

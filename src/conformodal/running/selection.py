@@ -8,9 +8,9 @@ answers were off becomes a radius around the answers to come.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
@@ -94,8 +94,8 @@ def calibrate_selection(
 
 
 def recording_errors(
-    run: OdometryRun, method: str, truth: Trajectory, recording: npt.NDArray[np.int64]
-) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+    run: OdometryRun, method: str, truth: Trajectory, recording: IntArray
+) -> list[tuple[FloatArray, FloatArray]]:
     """Errors of a run, one pair of vectors a recording. A frame that could not be read is infinitely far off."""
     position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
     position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.networks.heads import Head, fit_head, mean_squared_error, predict_values
 from conformodal.poses import Trajectory, normalise_quat
 from conformodal.vision.settings import TrainingConfig
@@ -29,11 +28,11 @@ class PlainRegressor:
     mean: FloatArray  # (7,) of the targets
     scale: FloatArray  # (7,)
 
-    def predict(self, features: npt.NDArray[np.float32]) -> FloatArray:
+    def predict(self, features: Float32Array) -> FloatArray:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
         return predict_values(self.head, features) * self.scale + self.mean
 
-    def trajectory(self, features: npt.NDArray[np.float32], timestamps_s: FloatArray) -> Trajectory:
+    def trajectory(self, features: Float32Array, timestamps_s: FloatArray) -> Trajectory:
         """The predicted poses at n times, from features (n, F)."""
         return trajectory_of(self.predict(features), timestamps_s)
 

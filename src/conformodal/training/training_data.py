@@ -6,10 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence, Split
 from conformodal.localization.source_data import SourceData
@@ -28,7 +25,7 @@ class TrainingData:
     sequence: Sequence
     split: Split
     backbone: Backbone
-    features: npt.NDArray[np.float32]
+    features: Float32Array
     targets: FloatArray
     sign_reference: FloatArray
     cache: FeatureCache = field(default_factory=lambda: FeatureCache(None))

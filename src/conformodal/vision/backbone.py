@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.datasets import THUMBNAIL, thumbnail
 
 from .settings import VisionError
@@ -33,7 +34,7 @@ def feature_views(n_features: int) -> FeatureViews:
     return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
-def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float32]:
+def coarse_features(features: Float32Array, grid: tuple[int, int]) -> Float32Array:
     """The network's map, averaged over 2 x 2 cells: a global descriptor that is independent of the training images.
 
     Of features (n, F) whose map has `grid` rows and columns; in an odd grid, the last row or column stands for itself.
@@ -48,7 +49,7 @@ def coarse_features(features: npt.NDArray[np.float32], grid: tuple[int, int]) ->
     return np.asarray(cells.mean(axis=(3, 5)).reshape(len(features), -1), dtype=np.float32)
 
 
-def global_descriptors(features: npt.NDArray[np.float32], grid: tuple[int, int]) -> npt.NDArray[np.float32]:
+def global_descriptors(features: Float32Array, grid: tuple[int, int]) -> Float32Array:
     """:func:`coarse_features` (n, G) at unit length: they retrieve the right place more often than thumbnails."""
     maps = coarse_features(features, grid)
     return np.asarray(maps / np.maximum(np.linalg.norm(maps, axis=1, keepdims=True), 1e-9), dtype=np.float32)
@@ -78,17 +79,17 @@ class Backbone(ABC):
         """Digest of all that decides the features."""
 
     @abstractmethod
-    def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def maps(self, images: UInt8Array) -> Float32Array:
         """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
 
-    def prepare(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    def prepare(self, image: UInt8Array) -> UInt8Array:
         """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
         size = (self.config.width, self.config.height)
         if image.shape[1::-1] == size:
             return image
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
-    def describe(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float16]:
+    def describe(self, images: UInt8Array) -> npt.NDArray[np.float16]:
         """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
 
         The network's map, then a thumbnail of the image as its global descriptor: see :func:`feature_views`.
@@ -96,6 +97,6 @@ class Backbone(ABC):
         pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
         return np.concatenate((self.maps(images), pictures), axis=1).astype(np.float16)
 
-    def features_of(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def features_of(self, image: UInt8Array) -> Float32Array:
         """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
         return self.describe(self.prepare(image)[None]).astype(np.float32)

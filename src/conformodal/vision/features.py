@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.core.progress import Progress
 from conformodal.datasets import ImageChange, ImageError, read_image
 
@@ -57,12 +58,12 @@ def extract_features(
     cache: FeatureCache,
     progress: Progress | None = None,
     noise: ImageChange | None = None,
-) -> npt.NDArray[np.float32]:
+) -> Float32Array:
     """Features of images, (n, F), cached ones first; with `noise`, of the disturbed images.
 
     Values are rounded to float16 whether cached or not, so that both give the same numbers.
     """
-    out: npt.NDArray[np.float32] | None = None
+    out: Float32Array | None = None
     done = 0
     with ThreadPoolExecutor(max_workers=2) as pool:  # decode ahead while the network is busy
         batches = [range(a, min(a + _BATCH, len(image_files))) for a in range(0, len(image_files), _BATCH)]
@@ -88,10 +89,10 @@ def extract_features(
 
 def _load_batch(
     files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache, noise: ImageChange | None
-) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, npt.NDArray[np.uint8]]]:
+) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, UInt8Array]]:
     keys: dict[int, str] = {}
     vectors: dict[int, npt.NDArray[np.float16]] = {}
-    images: dict[int, npt.NDArray[np.uint8]] = {}
+    images: dict[int, UInt8Array] = {}
     for i in batch:
         keys[i] = cache.key(backbone, files[i], noise)
         cached = cache.load(keys[i])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import erf, softmax
+
+from conformodal.core.arrays import Float32Array, IntArray, RealArray
 
 from .projection import Projection
 
@@ -24,7 +24,7 @@ class SoftmaxHead:
     ``[K_1, ..., K_d]``.
     """
 
-    weights: Mapping[str, npt.NDArray[np.float32]]
+    weights: Mapping[str, Float32Array]
     outputs: Sequence[int]
 
     @property
@@ -37,7 +37,7 @@ class SoftmaxHead:
         """The projection of features that the head was trained behind."""
         return Projection(self.weights["offset"], self.weights["components"])
 
-    def widened(self, beyond: npt.NDArray[np.int64]) -> SoftmaxHead:
+    def widened(self, beyond: IntArray) -> SoftmaxHead:
         """The head with more bins (d, 2) below and above those of each target, whose probability is 0."""
         cuts = np.cumsum(self.outputs)[:-1]
         weight, bias = (np.split(self.weights[f"output.{name}"], cuts) for name in ("weight", "bias"))
@@ -50,7 +50,7 @@ class SoftmaxHead:
         outputs = [int(k + n.sum()) for k, n in zip(self.outputs, beyond, strict=True)]
         return SoftmaxHead({**self.weights, **wide}, outputs)
 
-    def predict_proba(self, features: npt.NDArray[np.float32]) -> list[npt.NDArray[np.floating[Any]]]:
+    def predict_proba(self, features: Float32Array) -> list[RealArray]:
         """Softmax of every target: d arrays (n, K_j), float64 so that rows sum to one closely."""
         ours = self.weights
         x = self.projection.apply(features)

@@ -6,18 +6,17 @@ import hashlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.core.files import write_whole
 
 _DIGEST = "digest"
-Arrays = Mapping[str, npt.NDArray[Any]]
+Arrays = Mapping[str, AnyArray]
 
 
 def cache_arrays(path: Path, key: str, arrays: Arrays) -> None:
@@ -25,7 +24,7 @@ def cache_arrays(path: Path, key: str, arrays: Arrays) -> None:
     write_whole(path, save_tensors({**arrays, _DIGEST: _digest(key, arrays)}))
 
 
-def cached_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
+def cached_arrays(path: Path, key: str) -> dict[str, AnyArray] | None:
     """The arrays of a file, or None; a file that is damaged or another key's is removed."""
     try:
         content = path.read_bytes()
@@ -40,7 +39,7 @@ def cached_arrays(path: Path, key: str) -> dict[str, npt.NDArray[Any]] | None:
     return None
 
 
-def _digest(key: str, arrays: Arrays) -> npt.NDArray[np.uint8]:
+def _digest(key: str, arrays: Arrays) -> UInt8Array:
     digest = hashlib.blake2b(key.encode(), digest_size=16)
     for name, array in sorted(arrays.items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode())

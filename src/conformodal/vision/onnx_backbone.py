@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.process import thread_limit
 from conformodal.datasets import THUMBNAIL
@@ -49,7 +49,7 @@ class OnnxBackbone(Backbone):
         """Digest of the ONNX file and of the form of the global descriptor."""
         return hashlib.sha256(self.content + repr(THUMBNAIL).encode()).hexdigest()
 
-    def maps(self, images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def maps(self, images: UInt8Array) -> Float32Array:
         """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3).
 
         Images go in one by one: a batch is no quicker, and rounds otherwise than a stream's single images.

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float32]
+from conformodal.core.arrays import Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,22 +17,22 @@ class Projection:
     keep every feature.
     """
 
-    offset: FloatArray
-    components: FloatArray
+    offset: Float32Array
+    components: Float32Array
 
     @property
     def size(self) -> int:
         """How many components there are, k."""
         return int(self.components.shape[-1])
 
-    def apply(self, features: FloatArray) -> FloatArray:
+    def apply(self, features: Float32Array) -> Float32Array:
         """Projected features (n, k) of features (n, F)."""
         centred = features - self.offset
         found = centred @ self.components if self.components.ndim == 2 else centred * self.components
         return np.asarray(found, dtype=np.float32)
 
 
-def fit_projection(features: FloatArray, n_components: int | None, view: slice = slice(None)) -> Projection:
+def fit_projection(features: Float32Array, n_components: int | None, view: slice = slice(None)) -> Projection:
     """Principal components of standardised features (n, F), scaled together to a mean variance of one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all

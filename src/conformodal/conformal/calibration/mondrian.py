@@ -15,7 +15,7 @@ from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
-from conformodal.core.arrays import RealArray
+from conformodal.core.arrays import AnyArray, RealArray
 
 from .base import Calibrator, Empty
 from .joint import Joint
@@ -61,7 +61,7 @@ class MondrianConformal(Calibrator):
     """
 
     scores_: RealArray
-    groups_: npt.NDArray[Any]
+    groups_: AnyArray
     thresholds_: dict[Hashable, RealArray]
     sizes_: dict[Hashable, int]
     pooled_: RealArray

@@ -16,7 +16,7 @@ from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import as_groups, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
-from conformodal.core.arrays import FloatArray, IntArray, RealArray
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray, RealArray
 
 from .base import Calibrator
 from .grouped import grouped_quantile
@@ -58,7 +58,7 @@ class SplitConformal(Calibrator):
     """
 
     scores_: RealArray
-    groups_: npt.NDArray[Any] | None
+    groups_: AnyArray | None
     group_sizes_: IntArray | None
     batches_: IntArray | None
     thresholds_: RealArray
@@ -141,9 +141,7 @@ class SplitConformal(Calibrator):
         self.thresholds_ = self.rule.per_target(found)
         return self
 
-    def _quantiles(
-        self, columns: RealArray, groups: npt.NDArray[Any] | None, group_sizes: IntArray | None
-    ) -> RealArray:
+    def _quantiles(self, columns: RealArray, groups: AnyArray | None, group_sizes: IntArray | None) -> RealArray:
         rate = self.alpha_per_target
         if groups is None:
             return conformal_quantile(columns, rate)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_number, as_random
 from conformodal.conformal.errors import ConformalError
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import AnyArray, BoolArray, FloatArray
 
 from .coverage import CoverageCheck, check_coverage
 
@@ -93,7 +93,7 @@ def _lowest_slab(inside: BoolArray, at: FloatArray, least: int) -> tuple[float, 
     return float(inside[ranked][start:stop].mean()), float(at[ranked[start]]), float(at[ranked[stop - 1]])
 
 
-def lowest_run(values: npt.NDArray[Any], least: int) -> tuple[int, int]:
+def lowest_run(values: AnyArray, least: int) -> tuple[int, int]:
     """Start and stop of the run of at least `least` values with the smallest mean, exactly.
 
     Dinkelbach's iteration: for a guess of the mean, the run whose sum falls furthest below it gives the next guess.

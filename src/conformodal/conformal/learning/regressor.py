@@ -39,7 +39,7 @@ from conformodal.conformal.intervals import MaxIntervals
 from conformodal.conformal.predictive import PredictiveDensity
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import AnyArray, FloatArray
 from conformodal.core.words import counted
 
 from .learners import announce, as_learner, fit_target, on_stderr, split_off
@@ -183,11 +183,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return params | {"score": self.__dict__["score"]}
 
     def fit(
-        self,
-        X: Any,
-        y: Any,
-        sample_weight: npt.ArrayLike | None = None,
-        groups: npt.ArrayLike | None = None,
+        self, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None, groups: npt.ArrayLike | None = None
     ) -> Self:
         """Learn and calibrate.
 
@@ -401,7 +397,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         features, values = found if needs else (found, np.empty(0))
         return features if frame or issparse(features) else as_reals(features, "X"), as_doubles(values, "y"), names
 
-    def _labels(self, X: Any, groups: Any, n: int, fitted: bool = True) -> npt.NDArray[Any] | None:
+    def _labels(self, X: Any, groups: Any, n: int, fitted: bool = True) -> AnyArray | None:
         """Labels (n,) of the samples' groups, given or from a column; None without groups."""
         if self.groups is not None:
             known = names_of(X) if is_frame(X) else []
@@ -416,7 +412,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
         return None if groups is None else as_groups(groups, n)
 
-    def _calibrate(self, features: Any, values: FloatArray, labels: npt.NDArray[Any] | None) -> None:
+    def _calibrate(self, features: Any, values: FloatArray, labels: AnyArray | None) -> None:
         if labels is None:
             self.calibrator_.calibrate(self._proba(features), values)
             if np.isinf(self.calibrator_.thresholds_).any():

@@ -9,13 +9,12 @@ from numbers import Real
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import issparse
 
 from conformodal.conformal.checks import as_array, as_doubles, brief, column_names
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.grouping import is_missing
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import AnyArray, FloatArray
 from conformodal.core.words import counted
 
 # labels of a column of text that get a column of their own, the most frequent ones, each in at least two rows
@@ -50,7 +49,7 @@ def rows_of(X: Any, rows: Any) -> Any:
     return X.take(positions) if hasattr(X, "column_names") else X[positions]
 
 
-def as_column(column: Any, name: object, text: bool = False) -> npt.NDArray[Any]:
+def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
     """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``.
 
     With `text`, objects of any kind and a column without any value are text too.
@@ -93,7 +92,7 @@ def named_targets(y: Any, learnt: list[str] | None) -> tuple[Any, list[str] | No
     if is_frame(y):
         names = column_names(y, "y", learnt)
         columns = [_target(column_of(y, j), name) for j, name in enumerate(names)]
-        values: npt.NDArray[Any] = np.column_stack([np.empty((y.shape[0], 0)), *columns])
+        values: AnyArray = np.column_stack([np.empty((y.shape[0], 0)), *columns])
     elif hasattr(y, "to_frame"):  # a series
         names, values = [str(y.name)] if y.name else None, _target(y, y.name)
     else:
@@ -115,7 +114,7 @@ def _target(column: Any, name: object) -> FloatArray:
     return as_doubles(as_column(arr, name or "y"), what)
 
 
-def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, AnyArray]]:
     """Names and values of the columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
         return [(name, as_column(column_of(X, j), name, j in text)) for j, name in enumerate(names_of(X))]

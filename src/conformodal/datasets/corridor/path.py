@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from conformodal.core.arrays import FloatArray
 from conformodal.poses import Trajectory
 
 from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
@@ -53,9 +54,7 @@ def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
     return Trajectory.from_poses_se3(np.arange(n) / FRAME_RATE_HZ, poses)
 
 
-def rotation_world_cam(
-    yaw: npt.ArrayLike, pitch: npt.ArrayLike = 0.0, roll: npt.ArrayLike = 0.0
-) -> npt.NDArray[np.float64]:
+def rotation_world_cam(yaw: npt.ArrayLike, pitch: npt.ArrayLike = 0.0, roll: npt.ArrayLike = 0.0) -> FloatArray:
     """Rotation matrices (n, 3, 3) of a camera (x right, y down, z forward) that looks along `yaw`, in radians.
 
     Yaw turns from +x to +y, positive pitch looks up, positive roll dips the right side.
@@ -96,7 +95,7 @@ def _visit(k: int, heading: float) -> list[Waypoint]:
     ]
 
 
-def _wander(n: int, sigma_frames: float, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+def _wander(n: int, sigma_frames: float, rng: np.random.Generator) -> FloatArray:
     """Smooth noise of unit spread."""
     noise = gaussian_filter1d(rng.standard_normal(n), sigma_frames, mode="wrap")
     return np.asarray(noise / noise.std())

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.poses import PinholeCamera
 
 from .textures import N_LEVELS, TEXELS_PER_M, make_textures
@@ -52,7 +52,7 @@ class Renderer:
         self._texels = np.concatenate(flat)
         self._image_at = np.array([starts[p.material] for p in panels])  # (panels, levels, 3)
 
-    def render(self, T_world_cam: npt.NDArray[np.float64], noise_seed: int | None = None) -> npt.NDArray[np.uint8]:
+    def render(self, T_world_cam: FloatArray, noise_seed: int | None = None) -> UInt8Array:
         """One view, (height, width, 3) RGB; `noise_seed` adds camera noise, None leaves the view exact."""
         rays = self._rays_cam @ T_world_cam[:3, :3].T
         centre = T_world_cam[:3, 3]
@@ -77,13 +77,7 @@ class Renderer:
         image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
         return np.asarray(image.reshape(self.camera.height, self.camera.width, 3))
 
-    def _sample(
-        self,
-        panel: npt.NDArray[np.int64],
-        level: npt.NDArray[np.int64],
-        u: npt.NDArray[np.float64],
-        v: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float32]:
+    def _sample(self, panel: IntArray, level: IntArray, u: FloatArray, v: FloatArray) -> Float32Array:
         """Bilinear look-up; textures repeat beyond their size."""
         at, h, w = np.moveaxis(self._image_at[panel, level], -1, 0)
         scale = TEXELS_PER_M / (1 << level)
@@ -97,7 +91,7 @@ class Renderer:
         return np.asarray(bottom * (1 - fy) + top * fy, dtype=np.float32)
 
 
-def same_views(renderer: Renderer, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def same_views(renderer: Renderer, T_world_cam: FloatArray) -> FloatArray:
     """Other poses from which the view is the same, (m, 4, 4); the pose itself is not among them.
 
     Without what is unique in it the building repeats itself, so the only candidates are its repetitions; each is

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
+
+from conformodal.core.arrays import Float32Array
 
 from .world import DOOR_CENTRE
 
 TEXELS_PER_M = 64
 N_LEVELS = 5  # of the image pyramid against aliasing; each halves the resolution
 
-Image = npt.NDArray[np.float32]
+Image = Float32Array
 
 # material: (width m, height m, base colour 0..1, strength of the speckle)
 MATERIALS: dict[str, tuple[float, float, tuple[float, float, float], float]] = {

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import trimesh
 
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets.errors import DatasetError
 
 Vector = tuple[float, float, float]
@@ -54,10 +54,10 @@ class Building(ABC):
     mesh: trimesh.Trimesh
 
     @abstractmethod
-    def repetitions(self, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
         """Other poses (m, 4, 4) from which the view would be the same if nothing in the building were unique."""
 
-    def plan(self) -> list[npt.NDArray[np.float64]]:
+    def plan(self) -> list[FloatArray]:
         """Walls as seen from above: (2, 2) segments of x, y."""
         segments = []
         for panel in self.panels:
@@ -121,7 +121,7 @@ class CorridorWorld(Building):
         """Length of the hall in metres."""
         return self.n_modules * MODULE_LENGTH
 
-    def repetitions(self, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
         """The pose moved by whole modules, (n_modules - 1, 4, 4)."""
         place = int(T_world_cam[0, 3] // MODULE_LENGTH)
         moves = [k for k in range(-place, self.n_modules - place) if k]

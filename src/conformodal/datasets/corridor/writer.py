@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from conformodal.core.arrays import FloatArray
 from conformodal.datasets.staging import staged
 
 from .path import FRAME_RATE_HZ, drone_path
@@ -50,7 +50,7 @@ def write_corridor(
 def write_flight(
     recording: Path,
     renderer: Renderer,
-    poses_se3: npt.NDArray[np.float64],
+    poses_se3: FloatArray,
     *,
     noise_seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -70,7 +70,7 @@ def write_flight(
 def _write(
     recording: Path,
     renderer: Renderer,
-    poses_se3: npt.NDArray[np.float64],
+    poses_se3: FloatArray,
     noise_seed: int,
     progress: Callable[[int, int], None] | None,
 ) -> None:

@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from conformodal.core.arrays import UInt8Array
 from conformodal.datasets.errors import DatasetError
 from conformodal.poses import PinholeCamera
 
@@ -48,7 +46,7 @@ class Frame:
 
     name: str
     timestamp_s: float
-    image: npt.NDArray[np.uint8] | None
+    image: UInt8Array | None
     problem: str = ""
     recording: int = 0
     answer: bool = True

@@ -7,8 +7,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.datasets.cameras import UNDISTORT, Size, camera_of, check_matrix
 from conformodal.datasets.decoding import decode, to_eight_bits, white_in, white_level
 from conformodal.datasets.errors import DatasetError
@@ -75,7 +75,7 @@ def white_of(message: Any) -> int:
     return 255
 
 
-def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[np.uint8]:
+def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
     """The image (height, width, 3) RGB of a message.
 
     Parameters
@@ -112,7 +112,7 @@ def image_of(message: Any, kind: str, white: int | None = None) -> npt.NDArray[n
     return np.asarray(found, dtype=np.uint8)
 
 
-def _pixels(message: Any) -> npt.NDArray[Any]:
+def _pixels(message: Any) -> AnyArray:
     """The values (rows, width, n) of a raw image."""
     check_encoding(message.encoding, "image")
     n_bytes, n_values, halves, _ = _ENCODINGS[_known(message.encoding)]

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from conformodal.core.arrays import IntArray
 from conformodal.datasets.errors import ImageError
 from conformodal.datasets.sequence import Sequence
 from conformodal.poses import PinholeCamera
@@ -29,7 +27,7 @@ class SequenceStream:
     """
 
     sequence: Sequence
-    frames: npt.NDArray[np.int64] | None = None
+    frames: IntArray | None = None
     live = False
 
     @property

@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.datasets.decoding import TURNED
 from conformodal.datasets.errors import DatasetWarning
 from conformodal.datasets.reading import Note
@@ -31,7 +31,7 @@ _LISTS = (b"ffconcat", b"#EXTM3U", b"v=0", b"<?xml", b"<MPD")  # which lead to o
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
 
-def _rgb(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+def _rgb(image: AnyArray) -> UInt8Array:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 

@@ -11,7 +11,7 @@ import poselib
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.core.robust import MEDIAN_OF_NORM2
 from conformodal.localization.local_features import LocalFeatures, match
 from conformodal.localization.measurement import PoseMeasurement
@@ -35,8 +35,8 @@ class LandmarkMap:
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
     global_descriptors: npt.NDArray[np.float16]  # (n, G)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
-    points_xyz: npt.NDArray[np.float32]  # (N, 3) metres, world
-    descriptors: npt.NDArray[np.uint8]  # (N, 32)
+    points_xyz: Float32Array  # (N, 3) metres, world
+    descriptors: UInt8Array  # (N, 32)
     depth_m: float  # median depth of the scene
     corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
 
@@ -53,7 +53,7 @@ class LandmarkMap:
         )
 
     @cached_property
-    def _descriptors(self) -> npt.NDArray[np.float32]:
+    def _descriptors(self) -> Float32Array:
         return self.global_descriptors.astype(np.float32)  # products of halves are slow
 
     def localize(
@@ -75,7 +75,7 @@ class LandmarkMap:
         found = (self._solve(image, near, shown, matches) for near in places)
         return [estimate for estimate in found if estimate is not None]
 
-    def _retrieve(self, descriptor: npt.NDArray[np.float32], shown: BoolArray) -> list[IntArray]:
+    def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
         alike = (self._descriptors @ descriptor).astype(np.float64)
         alike[~shown | (np.diff(self.starts) < PNP.min_inliers)] = -np.inf

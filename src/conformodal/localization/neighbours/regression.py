@@ -8,12 +8,10 @@ no answer is the mean of two places.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import Projection
@@ -50,7 +48,7 @@ class LocalRegression:
     """Local regression among n reference samples."""
 
     projection: Projection
-    references: npt.NDArray[np.float32]  # (n, k) projected features
+    references: Float32Array  # (n, k) projected features
     targets: FloatArray  # (n, d)
     target_scale: FloatArray  # (d,) units of distances between targets
     settings: LocalSettings
@@ -66,13 +64,11 @@ class LocalRegression:
         """Number of stored values."""
         return self.references.size + self.targets.size
 
-    def predict(self, features: npt.NDArray[np.float32]) -> LocalAnswers:
+    def predict(self, features: Float32Array) -> LocalAnswers:
         """Estimates for features (m, F)."""
         return self.predict_projected(self.projection.apply(features))
 
-    def predict_projected(
-        self, queries: npt.NDArray[np.float32], groups: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
-    ) -> LocalAnswers:
+    def predict_projected(self, queries: Float32Array, groups: tuple[AnyArray, AnyArray] | None = None) -> LocalAnswers:
         """Estimates for projected features (m, k); `groups` of queries (m,) and references (n,) hide a query's own."""
         parts = []
         for a in range(0, len(queries), _CHUNK):
@@ -121,7 +117,7 @@ class LocalRegression:
         total = weights.sum(axis=1, keepdims=True)
         return values, weights / np.where(total > 0, total, 1), novelty
 
-    def _places(self, near: IntArray, there: BoolArray, radius: float) -> npt.NDArray[Any]:
+    def _places(self, near: IntArray, there: BoolArray, radius: float) -> AnyArray:
         """(m, crowd) place of each neighbour, below 0 for none: the nearest one without a place starts the next."""
         where = self.targets[near] / self.target_scale
         place = np.where(there, -1, -2)

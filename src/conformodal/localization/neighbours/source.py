@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.progress import stage_of
 from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
 from conformodal.localization.evidence import FrameEvidence
@@ -117,7 +116,7 @@ class NeighbourSource:
     def state(self) -> SourceState:
         """Arrays of the regression, and its settings."""
         own = self.regression
-        arrays: dict[str, npt.NDArray[Any]] = {
+        arrays: dict[str, AnyArray] = {
             "frames": self.frames,
             "offset": own.projection.offset,
             "components": own.projection.components,

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import fit_projection
@@ -32,7 +31,7 @@ class LeftOut:
 
 
 def fit_local(
-    features: npt.NDArray[np.float32],
+    features: Float32Array,
     targets: FloatArray,
     target_scale: FloatArray,
     groups: IntArray,

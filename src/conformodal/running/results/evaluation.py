@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal, grouped_coverage_band
+from conformodal.core.arrays import BoolArray, IntArray
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.model import ONLINE, PoseModel
@@ -176,7 +176,7 @@ def path_coverage_table(
     model: PoseModel,
     online: Trajectory,
     truth: Trajectory,
-    reliable: npt.NDArray[np.bool_],
+    reliable: BoolArray,
 ) -> dict[str, Any]:
     """Coverage and size of the regions from posteriors, by the frames that these rest on.
 
@@ -210,7 +210,7 @@ def path_coverage_table(
     return found
 
 
-def bounded_coverage(held: npt.NDArray[np.bool_], bounded: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
     """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is.
 
     Parameters
@@ -271,7 +271,7 @@ def radius_table(
     radius: PoseRadius | None,
     trajectories: dict[str, Trajectory],
     truth: Trajectory | None,
-    frames: npt.NDArray[np.int64] | None = None,
+    frames: IntArray | None = None,
 ) -> dict[str, Any] | None:
     """The chosen pose's radius, what it guarantees, and how many frames it held if the truth is known.
 

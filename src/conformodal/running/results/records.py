@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.ranges import as_member
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
@@ -27,7 +27,7 @@ def region_record(
     name: str,
     timestamp_s: float,
     motion: RelativeMotion | None,
-    intervals: Sequence[npt.NDArray[np.float64]],
+    intervals: Sequence[FloatArray],
     known_p: float | None = None,
     kind: EvidenceType = EvidenceType.GLOBAL,
     place_p: float | None = None,
@@ -157,8 +157,8 @@ def record_bounded(record: dict[str, Any]) -> bool:
 
 
 def records_contain(
-    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: npt.NDArray[np.float64] | None
-) -> npt.NDArray[np.bool_]:
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray | None
+) -> BoolArray:
     """Whether stored intervals hold the true poses, (n, 7).
 
     Where no reference for the signs of quaternions is known, each frame has the sign that more of its intervals hold.
@@ -175,11 +175,8 @@ def records_contain(
 
 
 def records_hold(
-    records: Sequence[dict[str, Any]],
-    truth: Trajectory,
-    sign_reference: npt.NDArray[np.float64] | None,
-    places: str = "places",
-) -> npt.NDArray[np.bool_]:
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray | None, places: str = "places"
+) -> BoolArray:
     """Whether stored regions hold the true poses, (n,); `places` are those of the image or ``path_places``.
 
     A region without places is the product of its intervals.
@@ -188,7 +185,7 @@ def records_hold(
         here, there = (records_hold(records, truth, np.array(s), places) for s in (_ANY_SIGN, [-v for v in _ANY_SIGN]))
         return here | there
     targets = pose_targets(truth, sign_reference)
-    held: npt.NDArray[np.bool_] = np.array(records_contain(records, truth, sign_reference).all(axis=1))
+    held: BoolArray = np.array(records_contain(records, truth, sign_reference).all(axis=1))
     for i, record in enumerate(records):
         found = record.get(places)
         if found is not None and not (places == "places" and not record_bounded(record)):

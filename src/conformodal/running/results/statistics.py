@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import pose_targets
 from conformodal.model.errors import OdometryError
@@ -19,17 +19,17 @@ from conformodal.poses import Trajectory
 class RegionStatistics:
     """Statistics of the regions of n frames, target by target, (n, 7) each."""
 
-    inside: npt.NDArray[np.bool_]  # whether the set holds the truth
-    length: npt.NDArray[np.float64]  # of the set, in the target's unit; infinite for the whole line
-    n_intervals: npt.NDArray[np.int64]  # that the set falls into
-    unbounded: npt.NDArray[np.bool_]  # whether it is the whole line
+    inside: BoolArray  # whether the set holds the truth
+    length: FloatArray  # of the set, in the target's unit; infinite for the whole line
+    n_intervals: IntArray  # that the set falls into
+    unbounded: BoolArray  # whether it is the whole line
     # (n,) what each region rests on, see :class:`~conformodal.model.region_rules.EvidenceType`
-    kinds: npt.NDArray[np.int64]
-    held: npt.NDArray[np.bool_]  # (n,) whether the region holds the whole pose
-    n_places: npt.NDArray[np.int64]  # (n,) cuboids that it consists of
+    kinds: IntArray
+    held: BoolArray  # (n,) whether the region holds the whole pose
+    n_places: IntArray  # (n,) cuboids that it consists of
 
     @property
-    def bounded(self) -> npt.NDArray[np.bool_]:
+    def bounded(self) -> BoolArray:
         """(n,) whether the set of every target is bounded."""
         return np.asarray(~self.unbounded.any(axis=1))
 
@@ -38,11 +38,7 @@ class RegionStatistics:
 
     @classmethod
     def of(
-        cls,
-        regions: PoseRegions,
-        truth: Trajectory,
-        sign_reference: npt.NDArray[np.float64],
-        kinds: npt.NDArray[np.int64] | None = None,
+        cls, regions: PoseRegions, truth: Trajectory, sign_reference: FloatArray, kinds: IntArray | None = None
     ) -> RegionStatistics:
         """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
         kinds = np.full(len(regions), EvidenceType.GLOBAL, dtype=np.int64) if kinds is None else kinds
