@@ -15,7 +15,7 @@ import numpy as np
 from ablation import Models
 from common import RESULTS, ROOT, SEEDS, cached_json, mean_interval, write_table
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import pose_targets
 from conformodal.model.model import LAGGED, PoseModel
@@ -24,7 +24,6 @@ from conformodal.reasoning.places import choose_places, same_place
 from conformodal.reasoning.settings import FILTER
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.estimator import VisualOdometry
-from conformodal.running.paths import rows_by_recording
 
 PLACES = {"corridor": "ours", "redkitchen, blocks": "stretches"}  # with the model, by what calibrates it
 FAR_M, ALPHA = 0.3, 0.1
@@ -55,7 +54,7 @@ def sizes(regions: PoseRegions, targets: FloatArray) -> dict[str, float]:
 def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, float]:
     """Errors and regions of the frames that as many frames follow as the lag of a stream."""
     rows, posteriors, positions = [], [], []
-    for at in rows_by_recording(models.sequence.recording[run.frames]):
+    for at in rows_by_label(models.sequence.recording[run.frames]):
         seen = run.observations(at)
         forward = filter_posteriors(seen, model.prior)
         parts = [slice(k, k + FILTER.lag + 1) for k in range(len(at) - FILTER.lag)]

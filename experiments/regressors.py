@@ -17,13 +17,14 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.core.arrays import rows_by_label
 from conformodal.networks.heads import Head, predict_values
 from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.reasoning.observations import PosePath
 from conformodal.reasoning.prior import MotionPrior
 from conformodal.reasoning.smoother import smooth
 from conformodal.running.estimates import OdometryRun
-from conformodal.running.paths import as_trajectory, rows_by_recording
+from conformodal.running.paths import as_trajectory
 from conformodal.training.plain import PlainRegressor, fit_values, known_frames, scaling
 from conformodal.training.training_data import TrainingData
 from conformodal.vision.settings import TrainingConfig
@@ -127,7 +128,7 @@ class TunedRegressor(PlainRegressor):
     ) -> Trajectory:
         """Its poses after the conformal method's own smoother, recording by recording."""
         parts = []
-        for at in rows_by_recording(recording):
+        for at in rows_by_label(recording):
             values, seen = self.predict(features[at]), run.observations(at)
             spread, angle = np.broadcast_to(self.spread_m, (len(at), 3)), np.full(len(at), self.spread_rad)
             own = PosePath(seen.timestamps_s, values[:, :3], spread, normalise_quat(values[:, 3:]), angle)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.stats import spearmanr
 
 from conformodal.conformal import Regions, SplitConformal
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.datasets import PixelNoise, Sequence
 from conformodal.localization.evidence import FrameEvidence
 from conformodal.localization.motions import MotionRecord
@@ -27,7 +27,7 @@ from conformodal.reasoning.filter import hindsight_posteriors
 from conformodal.reasoning.greedy import greedy
 from conformodal.running.estimates import OdometryRun
 from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.paths import as_trajectory, rows_by_recording, whole_paths
+from conformodal.running.paths import as_trajectory, whole_paths
 from conformodal.running.results.evaluation import error_table
 from conformodal.running.results.provenance import provenance
 from conformodal.running.results.runs import write_metrics, write_run
@@ -161,7 +161,7 @@ def add_trajectories(
         "tuned": tuned.trajectory(features, times),
     }
     if model.method is not Method.PAPER:
-        pieces, estimates = rows_by_recording(recording), beliefs.estimates
+        pieces, estimates = rows_by_label(recording), beliefs.estimates
         intervals = interval_runs(model.localizer.marginals(beliefs), run.regions)
         greedily = (greedy([intervals[t] for t in at], [run.motions[t] for t in at], times[at]) for at in pieces)
         found["greedy"] = concatenate([as_trajectory(path) for path in greedily])

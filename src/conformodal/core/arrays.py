@@ -1,4 +1,4 @@
-"""Types of arrays. Shapes are given where an array is described."""
+"""Types of arrays, whose shapes are given where an array is described, and choices of rows."""
 
 from __future__ import annotations
 
@@ -15,3 +15,13 @@ Float32Array: TypeAlias = npt.NDArray[np.float32]
 AnyArray: TypeAlias = npt.NDArray[Any]
 # float32 or float64
 RealArray: TypeAlias = npt.NDArray[np.floating[Any]]
+
+
+def evenly_spread(n: int, most: int) -> IntArray:
+    """At most so many of n rows, in order: the first, the last and others evenly between."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+
+
+def rows_by_label(labels: AnyArray) -> list[IntArray]:
+    """Rows of each label, from the labels (n,) of all rows; by the order of the labels."""
+    return [np.flatnonzero(labels == label) for label in np.unique(labels)]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import matrix_from_quat_wxyz
+from conformodal.poses import matrix_from_quat_wxyz, rigid_motions
 from conformodal.poses.text import length_doubt, number, pose_faults, table_of, whole_number
 
 from .cameras import UNDISTORT, Size, camera_of
@@ -179,9 +179,7 @@ def _poses(path: Path, names: list[str], rows: _Rows, notes: list[Note]) -> tupl
     known[list(faults)] = False
     rotations = matrix_from_quat_wxyz(quats[known])
     poses = np.full((len(names), 4, 4), np.nan)
-    poses[known] = np.eye(4)
-    poses[known, :3, :3] = rotations.transpose(0, 2, 1)
-    poses[known, :3, 3] = -np.einsum("nji,nj->ni", rotations, shifts[known])
+    poses[known] = rigid_motions(rotations.transpose(0, 2, 1), -np.einsum("nji,nj->ni", rotations, shifts[known]))
     why: Damaged = {}
     for i in np.flatnonzero(~known).tolist():
         missing = "its pose holds NaN or infinity" if names[i] in rows else "does not name it"

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import Trajectory
+from conformodal.poses import Trajectory, cross_matrices
 from conformodal.poses.text import table_of
 
 from .errors import DatasetError, ImageError
@@ -153,8 +153,7 @@ def _matches(sequence: Sequence, first: int, least_flow_px: float) -> tuple[int,
 
 def _epipolar_px(T_second_first: FloatArray, a: FloatArray, b: FloatArray, focal_px: float) -> FloatArray:
     """Sampson distances, in pixels, of points (n, 2) on the planes at depth 1 of two frames."""
-    R, (x, y, z) = T_second_first[:3, :3], T_second_first[:3, 3]
-    E = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ R
+    E = cross_matrices(T_second_first[:3, 3]) @ T_second_first[:3, :3]
     a, b = (np.column_stack((points, np.ones(len(points)))) for points in (a, b))
     lines, back = a @ E.T, b @ E
     norm = np.linalg.norm(np.column_stack((lines[:, :2], back[:, :2])), axis=1)

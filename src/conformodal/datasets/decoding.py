@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array
+from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array, evenly_spread
 
 from .errors import ImageError
 
@@ -74,7 +74,7 @@ def looked_at(paths: list[Path]) -> tuple[int | None, tuple[float, float], list[
     The last are the names of those that are to be turned.
     """
     white, low, high, turned = None, np.inf, -np.inf, []
-    for i in sorted({round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}):
+    for i in evenly_spread(len(paths), _SAMPLES):
         with suppress(Exception), _opened(paths[i], "") as image:  # images that cannot be read are told elsewhere
             turned += [str(paths[i])] if _orientation(image) != 1 else []
             if (wide := _wide(image, paths[i])) is not None:
@@ -114,9 +114,9 @@ def _wide(image: Image.Image, source: Path | bytes) -> AnyArray | None:
 def common_size(paths: list[Path]) -> tuple[int, int]:
     """The size that most of a few evenly spread images have; else that of the first image that can be read."""
     found: Counter[tuple[int, int]] = Counter()
-    spread = {round(i) for i in np.linspace(0, len(paths) - 1, _SAMPLES).tolist()}
+    spread = evenly_spread(len(paths), _SAMPLES).tolist()
     first: ImageError | None = None
-    for i in [*sorted(spread), *(k for k in range(len(paths)) if k not in spread)]:
+    for i in [*spread, *(k for k in range(len(paths)) if k not in spread)]:
         if i not in spread and found:
             break
         try:

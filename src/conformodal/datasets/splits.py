@@ -15,7 +15,7 @@ from math import ceil
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.core.words import counted, noun_for
 
@@ -163,11 +163,10 @@ def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
     """
     known = np.sort(np.concatenate((split.train, split.calibration)))
     distances = np.full(len(split.test), np.inf)
-    for number in np.unique(recording[split.test]):
-        rows = np.flatnonzero(recording[split.test] == number)
-        own = known[recording[known] == number]
+    for rows in rows_by_label(recording[split.test]):
+        tested = split.test[rows]
+        own = known[recording[known] == recording[tested[0]]]
         if own.size:
-            tested = split.test[rows]
             after = np.searchsorted(own, tested)
             left, right = own[np.maximum(after - 1, 0)], own[np.minimum(after, own.size - 1)]
             distances[rows] = np.minimum(np.abs(tested - left), np.abs(tested - right))
@@ -241,8 +240,7 @@ def _pieces(
 
 
 def _recordings(frames: IntArray, recording: IntArray) -> list[IntArray]:
-    owner = recording[frames]
-    return [frames[owner == number] for number in np.unique(owner)]
+    return [frames[rows] for rows in rows_by_label(recording[frames])]
 
 
 def _stretches(frames: IntArray, recording: IntArray, n_blocks: int) -> list[IntArray]:

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray, evenly_spread
 from conformodal.core.words import counted
 from conformodal.datasets import Sequence
 from conformodal.datasets.joining import near_known
-from conformodal.poses import Trajectory
+from conformodal.poses import Trajectory, matrix_from_quat_wxyz, rigid_motions
 
 from .landmarks.keyframes import LandmarkMap
 from .landmarks.mapping import build_map
@@ -79,7 +79,7 @@ def measure_overlap(known: Sequence, new: Sequence, depth_m: float) -> Overlap:
     views, poses = known.poses or known.require_truth(), new.poses or new.require_truth()
     if not np.isfinite(depth_m):
         return Overlap(_share_near(poses, views))
-    mapped = _spread(len(views), OVERLAP.keyframes)
+    mapped = evenly_spread(len(views), OVERLAP.keyframes)
     images, others = partial(_features, known), partial(_features, new)
     landmarks = build_map(images(known.posed[mapped]), views[mapped].poses_se3, known.camera, depth_m)
     return overlap_with(landmarks, views, new, others)
@@ -93,15 +93,13 @@ def overlap_with(
     `features` are those of frames of `new`, with global descriptors like the map's.
     """
     poses, depth_m = new.poses or new.require_truth(), landmarks.depth_m
-    near, asked = _share_near(poses, views), _spread(len(poses), OVERLAP.images)
+    near, asked = _share_near(poses, views), evenly_spread(len(poses), OVERLAP.images)
     found = [_best(landmarks.localize(image)) for image in features(new.posed[asked])]
     localized = [(one, i) for one, i in zip(found, asked.tolist(), strict=True) if one is not None]
     if len(localized) < OVERLAP.least:
         return Overlap(near, len(asked), len(localized))
-    estimates = np.tile(np.eye(4), (len(localized), 1, 1))
-    estimates[:, :3, 3] = [one.position_xyz for one, _ in localized]
-    quats = [one.orientation_quat_wxyz for one, _ in localized]
-    estimates[:, :3, :3] = Rotation.from_quat(np.array(quats), scalar_first=True).as_matrix()
+    turns = matrix_from_quat_wxyz([one.orientation_quat_wxyz for one, _ in localized])
+    estimates = rigid_motions(turns, [one.position_xyz for one, _ in localized])
     motions = estimates @ np.linalg.inv(poses.poses_se3[[i for _, i in localized]])
     return _common_motion(motions, poses.positions_xyz.mean(axis=0), near, len(asked), depth_m)
 
@@ -137,7 +135,3 @@ def _best(estimates: list[PoseMeasurement]) -> PoseMeasurement | None:
 
 def _features(sequence: Sequence, frames: IntArray) -> list[LocalFeatures]:
     return in_threads(partial(frame_features, sequence), frames.tolist())
-
-
-def _spread(n: int, most: int) -> IntArray:
-    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.robust import MEDIAN_OF_NORM2
+from conformodal.poses import cross_matrices
 
 from .settings import BUNDLE
 
@@ -104,9 +105,7 @@ def _linearise(bundle: Bundle, views: Views, seen_from: FloatArray, residuals: F
     projected[..., 0, 0] = projected[..., 1, 1] = scale
     projected[..., 0, 2], projected[..., 1, 2] = -scale * x / ahead, -scale * y / ahead
     # R exp(d) moves what the camera sees by its cross product with d
-    cross = np.zeros((k, n, 3, 3))
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
-    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
+    cross = cross_matrices(seen_from)
     back = np.swapaxes(bundle.R_anchor_frame, 1, 2)
     by_position = -bundle.inverse_depths[None, :, None, None] * (projected @ back[:, None])
     by_camera = np.concatenate((projected @ cross, by_position), axis=3).reshape(k, 2 * n, 6)

@@ -11,7 +11,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2
-from conformodal.poses import PinholeCamera
+from conformodal.poses import PinholeCamera, cross_matrices
 
 from .settings import MOTION_ERRORS
 
@@ -57,10 +57,7 @@ def turning_spread(
     """Standard deviation of a pure rotation about each axis, as :func:`motion_spreads`."""
     turned = rays_next @ R_prev_next.T
     off = np.linalg.norm(rays_prev - turned, axis=1)
-    x, y, z = turned.T
-    zero = np.zeros_like(x)
-    # a turn w in the previous frame moves a ray by w x ray
-    jacobian = np.stack([np.stack(row, axis=1) for row in ((zero, z, -y), (-z, zero, x), (y, -x, zero))], axis=1)
+    jacobian = -cross_matrices(turned)  # a turn w in the previous frame moves a ray by w x ray
     size = max(float(np.median(off)) / MEDIAN_OF_NORM2, MOTION_ERRORS.least_residual_px * pixel_rad)
     return MOTION_ERRORS.rotation_factor * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from conformodal.core.arrays import UInt8Array
+from conformodal.core.arrays import UInt8Array, evenly_spread
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import Progress
 from conformodal.datasets import read_image
@@ -52,7 +52,7 @@ def quantised(
     Weights have one scale per channel; activation ranges are those of at most 64 of the images of the training part,
     spread evenly. The features change, so pose sources and thresholds must be learnt again.
     """
-    chosen = [image_files[i] for i in np.unique(np.linspace(0, len(image_files) - 1, _N_IMAGES).round().astype(int))]
+    chosen = [image_files[i] for i in evenly_spread(len(image_files), _N_IMAGES)]
     key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
 
     def make() -> bytes:

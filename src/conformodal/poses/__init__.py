@@ -17,6 +17,15 @@ from .metrics import (
     trajectory_errors,
 )
 from .relative import MotionStatus, RelativeMotion, Submap
-from .rotations import PoseError, angle_between_quats, fix_sign, matrix_from_quat_wxyz, normalise_quat, sign_reference
+from .rotations import (
+    PoseError,
+    angle_between_quats,
+    cross_matrices,
+    fix_sign,
+    matrix_from_quat_wxyz,
+    normalise_quat,
+    rigid_motions,
+    sign_reference,
+)
 from .text import TrajectoryFileError
 from .trajectory import Trajectory, concatenate

@@ -15,6 +15,7 @@ import numpy as np
 from conformodal.core.arrays import FloatArray
 
 from .metrics import in_seconds
+from .rotations import rigid_motions
 from .text import (
     drop_faults,
     fractions_of,
@@ -122,8 +123,8 @@ def read_kitti(path: Path) -> Trajectory:
 def kitti_table(path: Path, damaged: dict[int, str] | None = None) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of a file, as :func:`tum_table`."""
     rows = read_rows(path, _upper_rows, 12, "twelve numbers", damaged, by_line=True)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows.reshape(-1, 3, 4)
+    upper = rows.reshape(-1, 3, 4)
+    poses = rigid_motions(upper[:, :, :3], upper[:, :, 3])
     drop_faults(poses, matrix_faults(poses), path, damaged)
     return table_of(poses)
 

@@ -49,6 +49,21 @@ def rotation_faults(matrices: FloatArray) -> dict[int, str]:
     return faults
 
 
+def rigid_motions(rotations: npt.ArrayLike, translations: npt.ArrayLike) -> FloatArray:
+    """Matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    shifts = np.asarray(translations, dtype=np.float64)
+    found = np.tile(np.eye(4), (*shifts.shape[:-1], 1, 1))
+    found[..., :3, :3], found[..., :3, 3] = rotations, shifts
+    return found
+
+
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) whose product with a vector is the cross product of `vectors` (..., 3) with it."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=-1).reshape(*vectors.shape, 3)
+
+
 def quat_wxyz_from_matrix(matrices: npt.ArrayLike) -> FloatArray:
     """Unit quaternions (n, 4) of rotation matrices (n, 3, 3); the sign is SciPy's choice."""
     return np.asarray(Rotation.from_matrix(np.asarray(matrices, dtype=np.float64)).as_quat(scalar_first=True))

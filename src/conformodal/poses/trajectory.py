@@ -10,7 +10,14 @@ import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray
 
-from .rotations import PoseError, check_rotation_matrices, matrix_from_quat_wxyz, normalise_quat, quat_wxyz_from_matrix
+from .rotations import (
+    PoseError,
+    check_rotation_matrices,
+    matrix_from_quat_wxyz,
+    normalise_quat,
+    quat_wxyz_from_matrix,
+    rigid_motions,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +85,7 @@ class Trajectory:
     @property
     def poses_se3(self) -> FloatArray:
         """4x4 matrices ``T_world_cam``, (n, 4, 4)."""
-        poses = np.tile(np.eye(4), (len(self), 1, 1))
-        poses[:, :3, :3] = matrix_from_quat_wxyz(self.orientations_quat_wxyz)
-        poses[:, :3, 3] = self.positions_xyz
-        return poses
+        return rigid_motions(matrix_from_quat_wxyz(self.orientations_quat_wxyz), self.positions_xyz)
 
 
 def concatenate(parts: Sequence[Trajectory]) -> Trajectory:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, IntArray
+from conformodal.core.arrays import BoolArray, IntArray, evenly_spread
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import ImageError, Sequence
 from conformodal.localization.evidence import FrameEvidence
@@ -74,8 +74,7 @@ def examine(
     just_trained
         Given if the model was trained on this very sequence: held-out frames are looked at by it.
     """
-    posed, poses = _frames_with_pose(sequence)
-    recording = sequence.recording
+    posed, poses, recording = sequence.posed, sequence.poses, sequence.recording
     if model is None:
         scale = ViewScale.of(sequence.camera, depth_or_default(_depth(sequence)))
         coverage = None if poses is None else pose_coverage(poses, recording[posed], poses, scale, posed)
@@ -89,22 +88,13 @@ def examine(
     coverage = None if poses is None else pose_coverage(poses, recording[posed], known, scale, posed)
     unseen, places = np.setdiff1d(np.arange(len(sequence)), at), None
     most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
-    unseen = unseen[np.linspace(0, len(unseen) - 1, min(len(unseen), most)).round().astype(np.int64)]  # evenly spread
+    unseen = unseen[evenly_spread(len(unseen), most)]
     held, evidence = (just_trained or _looker(sequence, model, cache or FeatureCache(None), progress))(unseen)
     if len(held):
         truth = poses[np.searchsorted(posed, held)] if poses is not None and np.isin(held, posed).all() else None
         found = model.localize(evidence)
         places = ambiguity(held, recording[held], found, known, truth, model.sign_reference, scale)
     return RecordingQuality(sequence, posed, poses, at, scale, coverage, places, guarantees(model))
-
-
-def _frames_with_pose(sequence: Sequence) -> tuple[IntArray, Trajectory | None]:
-    """Numbers of the frames that have a pose, and the poses."""
-    if sequence.truth is not None:
-        return np.arange(len(sequence)), sequence.truth
-    if sequence.known_poses is None or not len(sequence.known_poses):
-        return np.empty(0, dtype=np.int64), None
-    return np.searchsorted(sequence.timestamps_s, sequence.known_poses.timestamps_s), sequence.known_poses
 
 
 def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.poses import RelativeMotion, Trajectory, angle_between_quats
 
 from .errors import ReasoningError
@@ -89,8 +89,8 @@ def fit_motion_prior(truth: Trajectory, recording: IntArray) -> MotionPrior:
     """Learn the prior from the training frames, in order of time; gaps between them are allowed."""
     turns: list[FloatArray] = []
     levels: dict[int, list[FloatArray]] = {}
-    for number in np.unique(recording):
-        part = truth[recording == number]
+    for rows in rows_by_label(recording):
+        part = truth[rows]
         if len(part) < 3:
             continue
         quats = part.orientations_quat_wxyz

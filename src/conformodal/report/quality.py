@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.core.arrays import rows_by_label
 from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.quality.examining import RecordingQuality
@@ -35,9 +36,8 @@ def quality_plan(found: RecordingQuality) -> str | None:
     tall = float(np.clip(_LONGEST * height / width, _SHORTEST, _LONGEST))
     figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
     axis = figure.subplots()
-    recording = found.sequence.recording[found.posed]
-    for number in np.unique(recording):
-        axis.plot(*flat[recording == number].T, "-", lw=1, color=KNOWN, alpha=0.6, zorder=1)
+    for own in rows_by_label(found.sequence.recording[found.posed]):
+        axis.plot(*flat[own].T, "-", lw=1, color=KNOWN, alpha=0.6, zorder=1)
     axis.annotate("start", flat[0], xytext=(-6, -14), textcoords="offset points", fontsize="small", zorder=6)
     sparse, ambiguous = found.coverage.sparse_frames, np.zeros(len(flat), dtype=np.bool_)
     if found.ambiguity is not None:

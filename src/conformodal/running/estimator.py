@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array, rows_by_label
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Sequence
@@ -32,7 +32,7 @@ from conformodal.reasoning.settings import FILTER
 
 from .estimates import Estimate, OdometryRun
 from .odometry import Odometry
-from .paths import METHODS, as_trajectory, rows_by_recording, whole_paths
+from .paths import METHODS, as_trajectory, whole_paths
 
 
 class VisualOdometry(Odometry):
@@ -222,7 +222,7 @@ class VisualOdometry(Odometry):
         poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}
         run.certainty = np.empty(n)
         regions: dict[str, list[PoseRegions | None]] = {path: [None] * n for path in (ONLINE, HINDSIGHT)}
-        for at in rows_by_recording(recording):
+        for at in rows_by_label(recording):  # motion is never linked across recordings
             stream, seen = PoseFilter(prior, lag=0), run.observations(at)
             its = [self._push(stream, found.row(i), moved[i], float(times[i])) for i in at.tolist()]
             later = hindsight_posteriors(seen, prior, [one.posterior for one in its if one.posterior is not None])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array, rows_by_label
 from conformodal.core.progress import StageProgress
 from conformodal.datasets import Sequence
 from conformodal.localization.evidence import FrameEvidence
@@ -22,7 +22,7 @@ from conformodal.reasoning.greedy import Greedy, greedy
 from .estimates import Estimate, OdometryRun
 from .estimator import VisualOdometry
 from .odometry import Odometry
-from .paths import PAPERS_METHOD, as_trajectory, rows_by_recording
+from .paths import PAPERS_METHOD, as_trajectory
 
 
 class PaperOdometry(Odometry):
@@ -92,7 +92,7 @@ class PaperOdometry(Odometry):
         times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
         intervals, moved = interval_runs(proba, regions), [motions.motions[i] for i in frames.tolist()]
         positions, quats = np.empty((frames.size, 3)), np.empty((frames.size, 4))
-        for at in rows_by_recording(recording):
+        for at in rows_by_label(recording):  # motion is never linked across recordings
             path = greedy([intervals[t] for t in at], [moved[t] for t in at], times[at])
             positions[at], quats[at] = path.positions_xyz, path.orientations_quat_wxyz
         return OdometryRun(

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from conformodal.core.arrays import IntArray
 from conformodal.model.model import HINDSIGHT, ONLINE
 from conformodal.poses import Trajectory
 from conformodal.reasoning.filter import Posterior
@@ -33,11 +30,6 @@ def whole_paths(posteriors: Sequence[Posterior], seen: Observations, prior: Moti
     best, _ = choose_places(posteriors, seen.timestamps_s, prior)
     smoothed = smooth(own_hypotheses(best, seen, prior), seen, prior)
     return {"smoothed": as_trajectory(smoothed), HINDSIGHT: as_trajectory(best)}
-
-
-def rows_by_recording(recording: IntArray) -> list[IntArray]:
-    """Rows of each recording, from the numbers (n,) of the recordings: motion is never linked across recordings."""
-    return [np.flatnonzero(recording == number) for number in np.unique(recording)]
 
 
 def as_trajectory(path: PosePath) -> Trajectory:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from conformodal.conformal.checks import Alpha
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
@@ -99,4 +99,4 @@ def recording_errors(
     """Errors of a run, one pair of vectors a recording. A frame that could not be read is infinitely far off."""
     position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
     position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
-    return [(position[recording == k], angle[recording == k]) for k in np.unique(recording)]
+    return [(position[rows], angle[rows]) for rows in rows_by_label(recording)]

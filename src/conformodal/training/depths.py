@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.robust import MAD_OF_NORMAL
 from conformodal.datasets import Sequence
 from conformodal.motion.submaps import build_submaps
@@ -36,8 +36,7 @@ def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
         return []
     apart = (gaps > DEPTHS.gap * np.median(gaps)) | (np.diff(recording[frames]) != 0)
     pieces = [p for part in np.split(frames, np.flatnonzero(apart) + 1) for p in _cut(part)]
-    chosen = np.unique(np.linspace(0, len(pieces) - 1, DEPTHS.stretches).round().astype(int))
-    return [pieces[i] for i in chosen] if pieces else []
+    return [pieces[i] for i in evenly_spread(len(pieces), DEPTHS.stretches)]
 
 
 def _cut(part: IntArray) -> list[IntArray]:

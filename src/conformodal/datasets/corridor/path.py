@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
-from conformodal.poses import Trajectory
+from conformodal.poses import Trajectory, rigid_motions
 
 from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
 
@@ -47,10 +47,7 @@ def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
     )
     x, y, z = (a + GUST_M * _wander(n, GUST_FRAMES, rng) for a in (x, y, np.full(n, CRUISE_HEIGHT_M)))
     yaw, pitch, roll = (a + GUST_RAD * _wander(n, GUST_FRAMES, rng) for a in (yaw, np.zeros(n), np.zeros(n)))
-    positions = np.column_stack((x, y, z))
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, :3, :3] = rotation_world_cam(yaw, pitch, roll)
-    poses[:, :3, 3] = positions
+    poses = rigid_motions(rotation_world_cam(yaw, pitch, roll), np.column_stack((x, y, z)))
     return Trajectory.from_poses_se3(np.arange(n) / FRAME_RATE_HZ, poses)
 
 

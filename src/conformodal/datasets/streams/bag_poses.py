@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
 from conformodal.datasets.reading import Note
-from conformodal.poses import Trajectory, poses_at
+from conformodal.poses import Trajectory, matrix_from_quat_wxyz, poses_at, rigid_motions
 from conformodal.poses.metrics import MAX_GAP_S
 from conformodal.poses.text import pose_faults
 
@@ -27,6 +26,7 @@ _WITHIN = {  # where a message has its pose
     _TRANSFORM: "transform",
 }
 _STATIC = "tf_static"
+_NO_MOTION = (0, 0, 0, 1, 0, 0, 0)
 _BY_HAND = "if these are the camera's poses, give them as a TUM file"
 
 
@@ -167,15 +167,14 @@ def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[No
     poses = np.tile(np.eye(4), (len(times), 1, 1))
     there = np.ones(len(times), dtype=bool)
     for its in chain:
-        edge = np.tile(np.eye(4), (len(times), 1, 1))
         if its in moving:
             rows, _ = poses_at(moving[its].path(), times, max_gap_s)
             found = np.isfinite(rows).all(axis=1)
-            edge[found, :3, :3] = Rotation.from_quat(rows[found, 3:], scalar_first=True).as_matrix()
-            edge[:, :3, 3], there = rows[:, :3], there & found
+            rows[~found] = _NO_MOTION
+            there &= found
+            poses = rigid_motions(matrix_from_quat_wxyz(rows[:, 3:]), rows[:, :3]) @ poses
         else:
-            edge[:] = static[its].path()[-1:].poses_se3
-        poses = edge @ poses
+            poses = static[its].path()[-1:].poses_se3 @ poses
     if not there.any():
         raise SourceError(f"{place}: {' and '.join(driven)} are never within {max_gap_s:g} s of each other")
     through = f", through {', '.join(reversed(chain[1:]))}" if chain[1:] else ""

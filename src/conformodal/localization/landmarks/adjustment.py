@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.robust import MAD_OF_NORMAL
 from conformodal.localization.settings import ADJUSTMENT
+from conformodal.poses import cross_matrices
 
 from .camera_fit import Mounted
 from .triangulation import Rays
@@ -199,10 +200,8 @@ class _System(NamedTuple):
         by_place = np.zeros((len(z), 2, 3))
         by_place[:, 0, 0] = by_place[:, 1, 1] = scale
         by_place[:, 0, 2], by_place[:, 1, 2] = -scale * x / z, -scale * y / z
-        zero = np.zeros_like(x)
-        cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
         by_point = by_place @ np.swapaxes(bundle.R[frame], 1, 2)
-        by_frame = np.concatenate((by_place @ cross, -by_point), axis=2)
+        by_frame = np.concatenate((by_place @ cross_matrices(np.stack((x, y, z), axis=1)), -by_point), axis=2)
         by_focal, weighted = np.stack((scale * x, scale * y), axis=1), pixels * root[:, None]
         starts = np.searchsorted(frame, np.arange(n + 1))
         p, turned = len(bundle.points), np.swapaxes(by_point, 1, 2)

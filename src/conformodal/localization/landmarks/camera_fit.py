@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.localization.settings import CAMERA_FIT
 from conformodal.motion.flow import at_pose_time
-from conformodal.poses import PinholeCamera
+from conformodal.poses import PinholeCamera, rigid_motions
 
 NO_DELAY = np.zeros(2)
 
@@ -69,8 +69,7 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
 
 def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:
     factor = float(np.exp(unknowns[0]))
-    T_pose_cam = np.eye(4)
-    T_pose_cam[:3, :3], T_pose_cam[:3, 3] = Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7]
+    T_pose_cam = rigid_motions(Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7])
     camera = given.camera
     return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
 

@@ -17,7 +17,7 @@ from conformodal.localization.local_features import LocalFeatures, match
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.settings import GUIDING, PNP, RETRIEVAL
 from conformodal.motion.two_view import poselib_camera
-from conformodal.poses import PinholeCamera
+from conformodal.poses import PinholeCamera, cross_matrices, rigid_motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +219,7 @@ class LandmarkMap:
         by_point = np.zeros((len(points), 2, 3))
         by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth
         by_point[:, :, 2] = -plane / depth[:, None]
-        x, y, z = local.T
-        zero = np.zeros_like(x)
-        cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
-        slopes = np.concatenate((-by_point, by_point @ cross), axis=2).reshape(-1, 6)
+        slopes = np.concatenate((-by_point, by_point @ cross_matrices(local)), axis=2).reshape(-1, 6)
         information = slopes.T @ slopes / residual**2
         if np.linalg.cond(information) > 1e12:
             return None
@@ -231,7 +228,5 @@ class LandmarkMap:
 
 
 def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
-    T_world_cam = np.eye(4)
-    T_world_cam[:3, :3] = np.asarray(pose.R).T
-    T_world_cam[:3, 3] = -T_world_cam[:3, :3] @ np.asarray(pose.t)
-    return T_world_cam
+    R_world_cam = np.asarray(pose.R).T
+    return rigid_motions(R_world_cam, -R_world_cam @ np.asarray(pose.t))

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.progress import Progress, stage_of
 from conformodal.localization.error_model import ErrorModel, HeldOutErrors, fit_error_model
 from conformodal.localization.evidence import FrameEvidence
@@ -57,7 +57,7 @@ class LandmarkSource:
         if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
-        chosen = _spread(frames)
+        chosen = frames[evenly_spread(len(frames), MAPPING.max_keyframes)]
         own = cls.of(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen],
@@ -87,7 +87,7 @@ class LandmarkSource:
         Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
         """
         n = len(features)
-        left_out = np.unique(np.linspace(0, n - 1, min(n, MAPPING.left_out)).round().astype(np.int64))
+        left_out = evenly_spread(n, MAPPING.left_out)
         total = n + len(left_out)
 
         def done(before: int) -> Progress | None:
@@ -101,7 +101,7 @@ class LandmarkSource:
         """With a map of new frames beside the old one, in its camera; the error model stays."""
         if len(frames) < ERROR_MODEL.least_estimates:
             return self
-        chosen, its = _spread(frames), self.map
+        chosen, its = frames[evenly_spread(len(frames), MAPPING.max_keyframes)], self.map
         added = build_map(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen].poses_se3,
@@ -144,11 +144,6 @@ class LandmarkSource:
         own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
         grid = None if settings["grid"] is None else tuple(settings["grid"])
         return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
-
-
-def _spread(frames: IntArray) -> IntArray:
-    most = min(len(frames), MAPPING.max_keyframes)
-    return np.asarray(frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))])
 
 
 def _fit_errors(

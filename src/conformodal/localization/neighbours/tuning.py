@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, evenly_spread
 from conformodal.localization.errors import LocalizationError
 from conformodal.localization.settings import NEIGHBOURS
 from conformodal.vision.projection import fit_projection
@@ -49,9 +49,7 @@ def fit_local(
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2 or not choices:
         raise LocalizationError(f"needs two groups and one choice or more, got {len(names)} and {len(choices)}")
-    rows = np.unique(
-        np.linspace(0, len(features) - 1, min(len(features), NEIGHBOURS.left_out)).round().astype(np.int64)
-    )
+    rows = evenly_spread(len(features), NEIGHBOURS.left_out)
     regressions = []
     for view in views:
         projection = fit_projection(features, max(how.components for how in choices), view)
