@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -25,3 +27,20 @@ def evenly_spread(n: int, most: int) -> IntArray:
 def rows_by_label(labels: AnyArray) -> list[IntArray]:
     """Rows of each label, from the labels (n,) of all rows; by the order of the labels."""
     return [np.flatnonzero(labels == label) for label in np.unique(labels)]
+
+
+def _names(table: Any) -> list[str]:
+    return [field.name for field in fields(table)]
+
+
+class Rows:
+    """A dataclass whose fields are arrays of as many rows."""
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """The rows of one part after another."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _names(cls)))
+
+    def take(self, rows: IntArray | BoolArray | slice) -> Self:
+        """Some of the rows, in the order of `rows`."""
+        return type(self)(*(getattr(self, name)[rows] for name in _names(self)))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows, UInt8Array
 from conformodal.datasets import ImageError, Sequence, read_image
 from conformodal.poses import angle_between_quats
 
@@ -33,7 +33,7 @@ class FrameMatches:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameIdentities:
+class FrameIdentities(Rows):
     """Digests and poses by which frames are recognised; digests of files that cannot be read are zeros, no match."""
 
     files: UInt8Array  # (n, 16) digests of the image's file
@@ -42,15 +42,6 @@ class FrameIdentities:
 
     def __len__(self) -> int:
         return len(self.pixels)
-
-    def take(self, frames: IntArray) -> FrameIdentities:
-        """Return the identities of some of the frames, in the order of their indices (m,)."""
-        return FrameIdentities(self.files[frames], self.pixels[frames], self.poses[frames])
-
-    def joined(self, others: FrameIdentities) -> FrameIdentities:
-        """Return these identities, then the others."""
-        names = ("files", "pixels", "poses")
-        return FrameIdentities(*(np.concatenate((getattr(self, name), getattr(others, name))) for name in names))
 
     def known(self, others: FrameIdentities) -> BoolArray:
         """(m,) which of the `others` have the pixels of one of these frames; images of one colour tell nothing."""

@@ -12,7 +12,7 @@ from conformodal.poses import MotionStatus, PinholeCamera, RelativeMotion
 from .relative_pose import estimate_relative_motion
 from .settings import RELATIVE_POSE
 from .tracker import Corners, CornerTracker, grey_image
-from .two_view import TwoViewSolver, solve_opencv, solve_poselib, undistort
+from .two_view import solve_opencv, undistort
 
 _FIVE = 5  # corners that an essential matrix needs
 
@@ -64,13 +64,11 @@ class MotionFrontEnd(FrontEnd):
     """Relative motions with checks for pure rotation, small steps, planes and repeated pictures.
 
     If corners had to be renewed within an interval, rotations are chained and the direction, which would need the
-    lengths of the parts, is left out. `solver` is :func:`~conformodal.motion.two_view.solve_poselib` or
-    :func:`~conformodal.motion.two_view.solve_opencv`.
+    lengths of the parts, is left out.
     """
 
-    def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
+    def __init__(self, camera: PinholeCamera) -> None:
         super().__init__(camera)
-        self.solver = solver
         self._forget_accumulated()
 
     def reset(self) -> None:
@@ -108,7 +106,7 @@ class MotionFrontEnd(FrontEnd):
         return motion
 
     def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
-        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
 
     def _accumulate(self) -> None:
         motion = self._since_mark(*self.tracker.pairs())

@@ -132,7 +132,6 @@ def fit_head(
     loss: Loss,
     config: TrainingConfig,
     *,
-    head_type: type[Head] = Head,
     projection: Projection | None = None,
     checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
@@ -141,8 +140,6 @@ def fit_head(
 
     Parameters
     ----------
-    head_type
-        A subclass, for losses with parameters of their own.
     projection
         Of these features; fitted by default. Heads of the same samples can share one.
     checkpoint_dir
@@ -157,7 +154,7 @@ def fit_head(
     input_dropout = config.dropout if config.input_dropout is None else config.input_dropout
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        head = head_type(through, outputs, config.hidden, config.dropout, input_dropout)
+        head = Head(through, outputs, config.hidden, config.dropout, input_dropout)
         projected = head.project(x)  # once, by all threads
         with _one_thread():
             _train(head, projected, y, loss, config, checkpoint_dir, progress)

@@ -13,15 +13,14 @@ never formed whole.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.arrays import FloatArray, RealArray, Rows
 from conformodal.poses import normalise_quat
 
 from .settings import CANDIDATES
@@ -31,7 +30,7 @@ Probabilities: TypeAlias = Sequence[RealArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(Rows):
     """Pose hypotheses of one frame, most probable first: of its image, or of a posterior.
 
     Attributes
@@ -49,15 +48,6 @@ class Candidates:
     orientations_quat_wxyz: FloatArray
     orientation_spreads_rad: FloatArray
     log_mass: FloatArray
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[Candidates]) -> Self:
-        """Candidates one part after another, as they are: the result may need :meth:`take` to be in order."""
-        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
-
-    def take(self, rows: npt.NDArray[np.integer[Any]] | slice) -> Self:
-        """Some of them, in the order of `rows`."""
-        return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def normalised(self, log_share: float = 0.0) -> Self:
         """The same candidates with probabilities that sum to ``exp(log_share)``."""

@@ -87,7 +87,7 @@ def greedy(
             f"{len(motions)} motions, {len(times)} timestamps"
         )
     path = Greedy()
-    return PosePath.join([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
+    return PosePath.concatenate([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
 
 
 def _nearest_quat(means: Sequence[FloatArray], q_next: FloatArray) -> list[int]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows
 from conformodal.poses import RelativeMotion, Submap
 
 from .candidates import Candidates
@@ -75,7 +75,7 @@ class Observations:
 
 
 @dataclass(frozen=True, eq=False)
-class PosePath:
+class PosePath(Rows):
     """One pose a frame, with the spreads of its errors.
 
     Attributes
@@ -94,10 +94,7 @@ class PosePath:
 
     @classmethod
     def choose(
-        cls,
-        candidates: Sequence[Candidates],
-        timestamps_s: npt.ArrayLike,
-        chosen: Sequence[int] | IntArray,
+        cls, candidates: Sequence[Candidates], timestamps_s: npt.ArrayLike, chosen: Sequence[int] | IntArray
     ) -> Self:
         """The candidates with these indices, one a frame."""
         pairs = list(zip(candidates, chosen, strict=True))
@@ -108,12 +105,3 @@ class PosePath:
             np.array([c.orientations_quat_wxyz[k] for c, k in pairs]),
             np.array([c.orientation_spreads_rad[k] for c, k in pairs]),
         )
-
-    @classmethod
-    def join(cls, parts: Sequence[PosePath]) -> Self:
-        """One path after the other."""
-        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
-
-    def __getitem__(self, which: slice | IntArray) -> PosePath:
-        """The frames of a slice or an index array."""
-        return PosePath(*(getattr(self, f.name)[which] for f in fields(self)))

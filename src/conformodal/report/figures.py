@@ -41,22 +41,21 @@ def plan_figure(
     classical: Trajectory | None = None,
     walls: Sequence[FloatArray] = (),
     alike: FloatArray | None = None,
-    axes: tuple[int, int] = (0, 1),
     answer: str = "conformal, after reasoning",
 ) -> str:
     """One frame's disjoint regions from above, with the chosen pose, named `answer` in the legend.
 
-    `walls` are (2, 2) segments, `alike` (m, 3) other places with the same view, `axes` the two horizontal axes.
+    `walls` are (2, 2) segments, `alike` (m, 3) other places with the same view.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axis = figure.subplots()
     for wall in walls:
         axis.plot(*wall.T, color=COLOURS["wall"], lw=1)
     if truth is not None:
-        axis.plot(*truth.positions_xyz[:, axes].T, color=COLOURS["wall"], lw=0.4, alpha=0.6)
+        axis.plot(*truth.positions_xyz[:, :2].T, color=COLOURS["wall"], lw=0.4, alpha=0.6)
     parts = run.regions.intervals(index)
     edges = run.regions.bins.edges_
-    clip = [np.clip(parts[a], edges[a][0], edges[a][-1]) for a in axes]
+    clip = [np.clip(parts[a], edges[a][0], edges[a][-1]) for a in (0, 1)]
     for (a, b), (c, d) in product(*clip):
         box = Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_LEAST_BOX)
         axis.add_patch(box)
@@ -64,7 +63,7 @@ def plan_figure(
     # rings and frames, so that a region no larger than a mark is seen in it
     if alike is not None and len(alike):
         style: dict[str, Any] = {"ms": _RING, "mfc": "none", "mew": 1.6, "color": COLOURS["alike"]}
-        axis.plot(*alike[:, axes].T, "s", **style, label="places that look the same")
+        axis.plot(*alike[:, :2].T, "s", **style, label="places that look the same")
     for path, label, shape, colour, size in (
         (run.trajectory, answer, "o", "smoothed", _RING),
         (classical, "classical regressor", "X", "classical", 9),
@@ -72,10 +71,10 @@ def plan_figure(
     ):
         if path is not None:
             style = {"mew": 1.6, "mfc": "none" if shape == "o" else COLOURS[colour], "color": COLOURS[colour]}
-            axis.plot(*path.positions_xyz[index, axes], shape, ms=size, zorder=5, label=label, **style)
+            axis.plot(*path.positions_xyz[index, :2], shape, ms=size, zorder=5, label=label, **style)
     axis.set_aspect("equal", adjustable="datalim")
-    axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
-    axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
+    axis.set_xlabel("x (m)")
+    axis.set_ylabel("y (m)")
     figure.legend(loc="outside upper center", ncols=5, frameon=False)
     return as_svg(figure)
 

@@ -108,7 +108,7 @@ def extend_model(
     novelty = model.novelty.extended(features[folds.region_frames], folds.pieces[folds.region_frames])
     new_rules = calibrate_regions(data, folds, localizers, novelty, config, (model.rules, localizer.cells))
     own, together = _pooled(model, new_rules)
-    known = model.known_frames.joined(new)
+    known = FrameIdentities.concatenate([model.known_frames, new])
     whole = model.split.joined(split, first)
     learnt = fit_motion_prior(truth[folds.region_frames], sequence.recording[folds.region_frames])
     extent = np.ptp(known.poses[whole.train, :3], axis=0)

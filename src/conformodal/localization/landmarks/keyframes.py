@@ -57,13 +57,9 @@ class LandmarkMap:
         return self.global_descriptors.astype(np.float32)  # products of halves are slow
 
     def localize(
-        self,
-        image: LocalFeatures,
-        hidden: BoolArray | None = None,
-        most: int = RETRIEVAL.clusters,
-        matches: dict[int, IntArray] | None = None,
+        self, image: LocalFeatures, hidden: BoolArray | None = None, matches: dict[int, IntArray] | None = None
     ) -> list[PoseMeasurement]:
-        """Absolute pose estimates of an image: one PnP hypothesis for each of the `most` similar retrieval clusters.
+        """Absolute pose estimates of an image: one PnP hypothesis for each of the similar retrieval clusters.
 
         Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
         :class:`~conformodal.localization.error_model.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
@@ -71,7 +67,7 @@ class LandmarkMap:
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
-        places = self._retrieve(image.global_descriptor, shown)[:most]
+        places = self._retrieve(image.global_descriptor, shown)
         found = (self._solve(image, near, shown, matches) for near in places)
         return [estimate for estimate in found if estimate is not None]
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import pose_targets
-from conformodal.model.errors import OdometryError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.poses import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class RegionStatistics:
+class RegionStatistics(Rows):
     """Statistics of the regions of n frames, target by target, (n, 7) each."""
 
     inside: BoolArray  # whether the set holds the truth
@@ -45,10 +43,3 @@ class RegionStatistics:
         targets = pose_targets(truth, sign_reference)
         inside, held = regions.contains(targets), regions.contains(targets, joint=True)
         return cls(inside, regions.length, regions.n_intervals, regions.unbounded, kinds, held, regions.n_places)
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:
-        """Statistics of the frames of all parts, in order."""
-        if not parts:
-            raise OdometryError("parts must hold at least one set of statistics, got none")
-        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
