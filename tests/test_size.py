@@ -9,18 +9,18 @@ SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
     "cli": 3040,
     "conformal": 5790,
-    "core": 450,
+    "core": 460,
     "datasets": 6120,
     "localization": 3290,
     "model": 1450,
     "motion": 1050,
     "networks": 720,
     "poses": 1130,
-    "quality": 800,
+    "quality": 790,
     "reasoning": 1530,
     "report": 870,
     "ros": 710,
-    "running": 2330,
+    "running": 2280,
     "training": 1140,
     "vision": 490,
 }
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21750
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21760

@@ -13,7 +13,7 @@ from conformodal.core.files import write_whole
 from conformodal.poses import Trajectory
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import make_viewer
-from conformodal.running.results.parquet import read_region_parquet, write_region_parquet
+from conformodal.running.results.parquet import write_region_parquet
 from conformodal.running.results.records import read_region_records, region_record
 from conformodal.running.results.writer import ResultsWriter
 from tests.helpers import invoke
@@ -85,10 +85,10 @@ def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
 
 
 def test_frames_of_any_name_go_into_parquet(name, tmp_path):
-    pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
     run_of(name, tmp_path)
     write_region_parquet(tmp_path)
-    found = [r["frame"] for r in read_region_parquet(tmp_path / "regions.parquet")]
+    found = parquet.read_table(tmp_path / "regions.parquet")["frame"].to_pylist()
     assert found == [f"{name}{i}".encode("utf-8", "backslashreplace").decode() for i in range(3)]
 
 

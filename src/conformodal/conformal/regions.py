@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.extras import require_extra
 
 from .bins import QuantileBins
 from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief, column_names
@@ -203,10 +204,8 @@ class Regions:
         disjoint intervals: the bins' limits if unbounded, an empty list for an empty set. The schema's metadata holds
         the edges as JSON, key ``conformodal.edges``.
         """
-        try:
+        with require_extra("arrow", "an Arrow table"):
             import pyarrow as pa  # noqa: PLC0415
-        except ImportError:
-            raise ConformalError("Arrow and Parquet need pyarrow: pip install 'conformodal[arrow]'") from None
         columns = []
         for j in range(self.bins.n_targets):
             offsets, ends = self.flat_intervals(j)

@@ -1,7 +1,8 @@
-"""Counts and lists in sentences."""
+"""Counts and lists in sentences; text and numbers as files hold them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 
@@ -30,3 +31,13 @@ def listed(words: Sequence[str]) -> str:
     ('x', 'x and y', 'x, y and z')
     """
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def as_utf8(text: str) -> str:
+    """Text without what UTF-8 cannot encode: undecodable bytes of a file name become backslashes and digits."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def finite_or_none(value: float) -> float | None:
+    """The number; None where it is infinite or NaN, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None

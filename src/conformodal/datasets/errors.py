@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from conformodal.conformal import ConformodalError
+from conformodal.conformal.checks import shortened
 
 _BREAK = re.compile(r"\s*[\r\n]\s*")
 _MOST = 2000  # characters of a message
@@ -14,9 +15,7 @@ class DatasetError(ConformodalError):
     """A folder, pose file or intrinsics file that does not follow its layout; names the file."""
 
     def __init__(self, message: str = "") -> None:  # hostile names would fill the screen
-        message = _BREAK.sub(" ", message)
-        long = len(message) > _MOST
-        super().__init__(f"{message[: _MOST // 2]} ... {message[-_MOST // 2 :]}" if long else message)
+        super().__init__(shortened(_BREAK.sub(" ", message), _MOST))
 
 
 class ImageError(DatasetError):

@@ -24,6 +24,7 @@ from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError, require_extra
 from conformodal.core.files import write_whole
+from conformodal.core.words import finite_or_none
 from conformodal.datasets import Split
 from conformodal.localization.image_quality import QualityRange
 from conformodal.localization.localizer import Localizer
@@ -318,7 +319,7 @@ def _camera(record: dict[str, Any]) -> PinholeCamera:
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:
     """The record with null for infinity and NaN, which JSON does not have."""
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in record.items()}
 
 
 def _prior(record: dict[str, Any]) -> MotionPrior:

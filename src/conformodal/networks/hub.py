@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from conformodal.core.extras import require_extra
 from conformodal.vision.settings import VisionError
 
 from .lite import PREFIX
@@ -62,11 +63,9 @@ class _HiddenState(nn.Module):
 
 
 def _load(name: str) -> tuple[Any, tuple[float, ...], tuple[float, ...]]:
-    try:
+    with require_extra("hub", f"{PREFIX}{name}"):
         from transformers import AutoImageProcessor, AutoModel  # noqa: PLC0415 - heavy, and an extra
         from transformers.utils.logging import disable_progress_bar  # noqa: PLC0415
-    except ImportError as exc:
-        raise VisionError(f"{PREFIX}{name} needs transformers: pip install 'conformodal[hub]'") from exc
     disable_progress_bar()
     try:
         safe = {"local_files_only": True, "trust_remote_code": False}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.words import counted, listed
+from conformodal.core.words import counted, finite_or_none, listed
 from conformodal.model.region_rules import EvidenceType, Sharing
 
 from .examining import RecordingQuality
@@ -195,21 +195,18 @@ def quality_record(found: RecordingQuality) -> dict[str, Any]:
 
 def _stretch(one: Stretch | AmbiguousStretch, found: RecordingQuality) -> dict[str, Any]:
     """With the files of its ends, the recording's own numbers of known frames, and null for what is infinite."""
-    plain = {key: _finite(value) if isinstance(value, float) else value for key, value in asdict(one).items()}
+    plain = asdict(one)
+    plain |= {key: finite_or_none(round(value, _DIGITS)) for key, value in plain.items() if isinstance(value, float)}
     if isinstance(one, Stretch):
         plain["nearest"] = _number_of(one.nearest, found)
     else:
         plain["alike"] = [[_number_of(a, found), _number_of(b, found)] for a, b in one.alike]
     files = found.sequence.image_paths
     plain |= {"first_image": files[one.first].name, "last_image": files[one.last].name}
-    return {**plain, "place_xyz": [_finite(value) for value in one.place_xyz]}
+    return {**plain, "place_xyz": [finite_or_none(round(value, _DIGITS)) for value in one.place_xyz]}
 
 
 def _number_of(known: int, found: RecordingQuality) -> int | None:
     """Number in the recording of a known frame; null where the recording lacks it."""
     number = int(found.known_names[known]) if known >= 0 else -1
     return number if number >= 0 else None
-
-
-def _finite(value: float) -> float | None:
-    return round(value, _DIGITS) if isfinite(value) else None

@@ -14,6 +14,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.extras import require_extra
+from conformodal.core.words import as_utf8
 from conformodal.poses import Trajectory
 from conformodal.running.estimates import OdometryRun
 
@@ -81,7 +82,7 @@ def plan_figure(
 
 def as_label(text: str) -> str:
     """A name as matplotlib shows it: no mathematics, and undecodable bytes with backslashes."""
-    return text.encode("utf-8", "backslashreplace").decode().replace("$", r"\$")
+    return as_utf8(text).replace("$", r"\$")
 
 
 def as_svg(figure: Figure) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import FloatArray
+from conformodal.core.extras import require_extra
+from conformodal.core.words import as_utf8
 from conformodal.datasets.streams.frames import Frame
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.region_rules import EvidenceType
@@ -21,7 +23,7 @@ _REGION, _ANSWER, _TRUTH, _CANDIDATE = (86, 180, 233), (0, 114, 178), (120, 120,
 
 
 class LiveViewError(ConformodalError):
-    """Rerun is missing, or its file cannot be written."""
+    """Rerun cannot be started, or its file not be written."""
 
 
 class LiveView:
@@ -33,10 +35,8 @@ class LiveView:
     """
 
     def __init__(self, name: str, alpha: object, *, spawn: bool = False, save: Path | None = None) -> None:
-        try:
+        with require_extra("view", "the live view"):
             import rerun  # noqa: PLC0415 - an extra
-        except ModuleNotFoundError as exc:
-            raise LiveViewError("the live view needs Rerun: pip install 'conformodal[view]'") from exc
         self._rr: Any = rerun
         self._stream: Any = rerun.RecordingStream("conformodal", recording_id=None)
         try:
@@ -49,7 +49,7 @@ class LiveView:
             raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
         self._path: list[FloatArray] = []
         self._log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self._log("about", rerun.TextDocument(f"{_utf8(name)}, alpha = {alpha}"), static=True)
+        self._log("about", rerun.TextDocument(f"{as_utf8(name)}, alpha = {alpha}"), static=True)
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
         """Show a frame and what was made of it; `truth` is a trajectory of one, or None."""
@@ -61,7 +61,7 @@ class LiveView:
             before, now = estimate.tracks
             strips = np.stack((before, now), axis=1)
             self._log("camera/image/tracks", rr.LineStrips2D(strips, colors=_REGION))
-        self._log("status", rr.TextLog(_utf8(estimate.problem) or "reliable"))
+        self._log("status", rr.TextLog(as_utf8(estimate.problem) or "reliable"))
         if estimate.region is None or estimate.pose is None or estimate.candidates is None:
             return
         here = estimate.pose.positions_xyz[0]
@@ -110,7 +110,3 @@ class LiveView:
         """Everything is written afterwards."""
         self._stream.flush()
         self._stream.disconnect()
-
-
-def _utf8(text: str) -> str:
-    return text.encode("utf-8", "backslashreplace").decode()

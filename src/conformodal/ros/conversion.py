@@ -14,6 +14,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.ranges import as_member
+from conformodal.core.words import as_utf8
 from conformodal.localization.regions import PoseRegions
 from conformodal.poses import Trajectory
 from conformodal.reasoning.candidates import LEAST_VARIANCE, Candidates, weights_of
@@ -172,7 +173,7 @@ class Conversion:
             "diagnostic_msgs/msg/DiagnosticStatus",
             level=_ERROR if is_lost(estimate) else _OK if estimate.reliable else _WARN,
             name="conformodal: pose",
-            message=(estimate.problem or "reliable").encode("utf-8", "backslashreplace").decode(),
+            message=as_utf8(estimate.problem or "reliable"),
             values=[self.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in pairs.items()],
         )
         return self.make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from conformodal.core.extras import require_extra
 from conformodal.datasets.cameras import Size
 from conformodal.datasets.lenses import AnyCamera, Fisheye, seen_by
 from conformodal.datasets.reading import Note
@@ -82,7 +83,9 @@ class BagStream:
     Raises
     ------
     SourceError
-        If rosbags is not installed, or the recording is missing, damaged or without images that can be decoded.
+        If the recording is missing, damaged or without images that can be decoded.
+    MissingPackageError
+        If rosbags is not installed.
     """
 
     path: Path
@@ -287,11 +290,9 @@ def _set_on(first: _Message, second: _Message) -> bool:
 @contextmanager
 def bag_reader(path: Path) -> Iterator[Any]:
     """An open reader."""
-    try:
+    with require_extra("ros", f"{path}: a ROS recording"):
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-    except ModuleNotFoundError as exc:
-        raise SourceError(f"{path}: ROS recordings need rosbags: pip install 'conformodal[ros]'") from exc
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()

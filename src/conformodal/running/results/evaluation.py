@@ -8,6 +8,7 @@ import numpy as np
 
 from conformodal.conformal import SplitConformal, grouped_coverage_band
 from conformodal.core.arrays import BoolArray, IntArray
+from conformodal.core.words import finite_or_none
 from conformodal.localization.targets import TARGET_NAMES
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.model import ONLINE, PoseModel
@@ -135,8 +136,8 @@ def coverage_table(
         "joint_band_99": None if band is None else list(band),
         **places_row(statistics),
         "by_size": coverage_by_size(statistics),
-        "median_length_m": [_finite(x) for x in np.median(statistics.length[:, :3], axis=0)],
-        "median_position_volume_m3": _finite(np.median(statistics.length[:, :3].prod(axis=1))),
+        "median_length_m": [finite_or_none(x) for x in np.median(statistics.length[:, :3], axis=0)],
+        "median_position_volume_m3": finite_or_none(np.median(statistics.length[:, :3].prod(axis=1))),
         "regions_from": _regions_from(model, matched_all=matched_all),
         "assumption": _assumption(
             exchangeable and by_frame,
@@ -197,7 +198,7 @@ def path_coverage_table(
             **bounded_coverage(its.held, its.bounded),
             **places_row(its),
             "by_size": coverage_by_size(its),
-            "median_length_m": [_finite(x) for x in np.median(its.length[:, :3], axis=0)],
+            "median_length_m": [finite_or_none(x) for x in np.median(its.length[:, :3], axis=0)],
         }
         for path, its in statistics.items()
     }
@@ -292,8 +293,8 @@ def radius_table(
     of = np.arange(len(estimate)) if frames is None else frames
     held = None if truth is None else float(radius.holds(estimate[of], truth).mean())
     return {
-        "radius_m": _finite(radius.radius_m),
-        "radius_deg": _finite(radius.radius_deg),
+        "radius_m": finite_or_none(radius.radius_m),
+        "radius_deg": finite_or_none(radius.radius_deg),
         "alpha": radius.alpha,
         "guarantee": str(radius.guarantee),
         "method": radius.method,
@@ -313,8 +314,3 @@ def _regions_from(model: PoseModel, *, matched_all: bool) -> str:
     names = " + ".join(source.name for source in model.localizer.sources)
     where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
     return f"one belief from {names}{where}"
-
-
-def _finite(value: np.floating[Any] | float) -> float | None:
-    """JSON has no infinity; None stands for an unbounded region."""
-    return float(value) if np.isfinite(value) else None

@@ -9,14 +9,14 @@ whole line, an empty list for an empty set. ``places`` and ``path_places`` are l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
+from conformodal.core.words import as_utf8
 from conformodal.localization.targets import TARGET_NAMES
-from conformodal.model.errors import ResultsError
 
 from .records import REGIONS, iter_region_records
 
@@ -28,7 +28,9 @@ _PLAIN = ("timestamp_s", "frame", "reliable", "place_p", "known_p", "evidence", 
 
 def write_region_parquet(folder: Path) -> Path:
     """Write ``regions.parquet`` from the ``regions.jsonl`` beside it, in constant memory; returns its path."""
-    pa, pq = _pyarrow()
+    with require_extra("arrow", "Parquet"):
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.parquet as pq  # noqa: PLC0415
     interval = pa.list_(pa.list_(pa.float64(), 2))
     kinds = {"timestamp_s": pa.float64(), "reliable": pa.bool_(), "known_p": pa.float64(), "place_p": pa.float64()}
     fields = [(name, kinds.get(name, pa.string())) for name in _PLAIN]
@@ -46,7 +48,7 @@ def write_region_parquet(folder: Path) -> Path:
                 {
                     **{name: _text(r.get(name)) for name, _ in fields},
                     **{k: _bounded(v) for k, v in r["intervals"].items()},
-                    **{k: _with_boxes(r.get(k), _bounded) for k in _PLACES},
+                    **{k: _with_boxes(r.get(k)) for k in _PLACES},
                 }
                 for r in records
             ]
@@ -54,34 +56,8 @@ def write_region_parquet(folder: Path) -> Path:
     return path
 
 
-def read_region_parquet(path: Path) -> list[dict[str, Any]]:
-    """Records as :func:`~conformodal.running.results.records.read_region_records` gives them.
-
-    Raises
-    ------
-    ResultsError
-        If pyarrow is not installed, or the file is no such file.
-    """
-    pa, pq = _pyarrow()
-    try:
-        return list(_records(pq.read_table(path).to_pylist()))
-    except (OSError, pa.ArrowException, KeyError, TypeError) as exc:
-        raise ResultsError(f"{path}: is no file of regions: {type(exc).__name__}: {exc}") from exc
-
-
-def _records(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    for row in rows:
-        intervals = {name: _open_ends(row.pop(name)) for name in TARGET_NAMES}
-        places = {name: _with_boxes(row.get(name), _open_ends) for name in _PLACES}
-        yield {**{k: row.get(k) for k in _PLAIN}, "intervals": intervals, **places}
-
-
-def _with_boxes(places: list[dict[str, Any]] | None, change: Callable[[Any], Any]) -> list[dict[str, Any]] | None:
-    return None if places is None else [{**place, "box": change(place["box"])} for place in places]
-
-
-def _open_ends(parts: list[list[float]]) -> list[list[float | None]]:
-    return [[_open(a), _open(b)] for a, b in parts]
+def _with_boxes(places: list[dict[str, Any]] | None) -> list[dict[str, Any]] | None:
+    return None if places is None else [{**place, "box": _bounded(place["box"])} for place in places]
 
 
 def _bounded(parts: list[list[float | None]]) -> list[list[float]]:
@@ -89,18 +65,4 @@ def _bounded(parts: list[list[float | None]]) -> list[list[float]]:
 
 
 def _text(value: Any) -> Any:
-    """Undecodable bytes of a file name with backslashes: Arrow has UTF-8 only."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
-
-
-def _open(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow as pa  # noqa: PLC0415 - an extra
-        import pyarrow.parquet as pq  # noqa: PLC0415
-    except ModuleNotFoundError as exc:
-        raise ResultsError("Parquet needs pyarrow: pip install 'conformodal[arrow]'") from exc
-    return pa, pq
+    return as_utf8(value) if isinstance(value, str) else value

@@ -12,6 +12,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.ranges import as_member
+from conformodal.core.words import finite_or_none
 from conformodal.localization.regions import PoseRegions
 from conformodal.localization.targets import TARGET_NAMES, pose_targets
 from conformodal.model.errors import ResultsError
@@ -62,7 +63,7 @@ def region_record(
         "motion": "first" if motion is None else str(motion.status),
         # [null, null] is the whole line; [] an empty set
         "intervals": {
-            target: [[_bound(a), _bound(b)] for a, b in parts]
+            target: [[finite_or_none(a), finite_or_none(b)] for a, b in parts]
             for target, parts in zip(TARGET_NAMES, intervals, strict=True)
         },
         "places": None if places is None else [_place_record(place) for place in places],
@@ -83,12 +84,8 @@ def _place_record(place: Place) -> dict[str, Any]:
         "orientation_quat_wxyz": place.orientation_quat_wxyz.round(6).tolist(),
         "sigma_m": place.position_spreads.round(6).tolist(),
         "sigma_rad": round(place.orientation_spread_rad, 6),
-        "box": [[_bound(a), _bound(b)] for a, b in place.box],
+        "box": [[finite_or_none(a), finite_or_none(b)] for a, b in place.box],
     }
-
-
-def _bound(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any]]:
