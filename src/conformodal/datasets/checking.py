@@ -78,16 +78,9 @@ class DatasetCheck:
 
 
 def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | None = None) -> DatasetCheck:
-    """Look at every frame of a data set; decodes all images.
+    """Look at every frame of a data set; decodes all images. `progress` is called with images done and images in all.
 
     Readers have refused already what cannot be read at all, and left out or remarked what can be used in part.
-
-    Parameters
-    ----------
-    sequence
-        What to look at.
-    progress
-        Called with images done and images in all.
     """
     names = [path.name for path in sequence.image_paths]
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)

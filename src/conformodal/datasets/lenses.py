@@ -160,18 +160,8 @@ def brought(
     """Images as the target camera sees them, at 8 bits: files of the same names in the cache where they differ.
 
     They are made where they are missing or damaged. An image that cannot be read, or has another size than its
-    camera's, stays where it is: it is no frame anyway.
-
-    Parameters
-    ----------
-    images, cameras
-        A file and its camera for every frame.
-    target
-        The camera wanted.
-    white
-        Level of 16-bit images that becomes 255; None for images of 8 bits.
-    notes
-        Takes up the cameras that are others than the target, with how much of its view their images fill.
+    camera's, stays where it is: it is no frame anyway. `white` is the level of 16-bit images that becomes 255; None for
+    8 bits. `notes` takes up cameras that are others than the target, with how much of its view their images fill.
     """
     for camera, count in Counter(cameras).items():
         if isinstance(camera, PinholeCamera) and camera != target:

@@ -127,12 +127,7 @@ def make_split(
 def held_out_together(
     recording: IntArray, kind: SplitKind | str, n_blocks: int = 25, given_test: BoolArray | None = None
 ) -> IntArray:
-    """Number (n,) of each frame's piece: frames of one piece get into the same part of a split.
-
-    Parameters
-    ----------
-    recording, kind, n_blocks, given_test
-        As for :func:`make_split`.
+    """Number (n,) of each frame's piece: frames of one piece get into the same part of a split, see :func:`make_split`.
 
     Raises
     ------
@@ -148,18 +143,9 @@ def held_out_together(
 
 
 def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
-    """How many frames each test frame lies from the nearest training or calibration frame of its recording.
+    """How many frames (m,) each test frame lies from the nearest training or calibration frame of its recording.
 
-    Parameters
-    ----------
-    split
-        Of n frames.
-    recording
-        (n,) the recording that each frame belongs to.
-
-    Returns
-    -------
-    (m,) distances in frames; infinite where a recording is held out whole
+    Infinite where a recording is held out whole. `recording` (n,) is the recording that each frame belongs to.
     """
     known = np.sort(np.concatenate((split.train, split.calibration)))
     distances = np.full(len(split.test), np.inf)
@@ -174,14 +160,9 @@ def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
 
 
 def with_random_calibration(split: Split, share: float) -> Split:
-    """The same test part, with calibration frames drawn at random from training and calibration part together.
+    """The same test part, with a share of training and calibration part together drawn at random to calibrate.
 
-    Parameters
-    ----------
-    split
-        Of any kind; an ``interleaved`` one is drawn so already, and stays as it is.
-    share
-        Of the calibration frames among the frames of both parts.
+    An ``interleaved`` split is drawn so already, and stays as it is.
     """
     if split.kind is SplitKind.INTERLEAVED:
         return split

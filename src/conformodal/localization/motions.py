@@ -42,20 +42,10 @@ def measure_motions(
     front_end: FrontEnd | None = None,
     local: bool = True,
 ) -> MotionRecord:
-    """Relative motions and submaps of `frames` of a sequence, followed through all frames between them.
+    """Relative motions of `frames`, increasing indices in a sequence, followed through all frames between them.
 
-    Parameters
-    ----------
-    sequence
-        Frames in order of time.
-    frames
-        Increasing indices.
-    progress
-        Called with the stage, frames done and frames in all.
-    front_end
-        Measures them; :class:`~conformodal.motion.frontend.MotionFrontEnd` by default.
-    local
-        Whether submaps are built and local features extracted.
+    `front_end` measures them, by default a :class:`~conformodal.motion.frontend.MotionFrontEnd`. With `local`, submaps
+    are built and local features extracted too.
     """
     answer, times = set(frames.tolist()), sequence.timestamps_s
     front_end = front_end or MotionFrontEnd(sequence.camera)

@@ -177,18 +177,9 @@ def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], l
 def pose_regions(
     rule: SplitConformal, proba: Sequence[RealArray], supports: Sequence[Support], thresholds: RealArray
 ) -> PoseRegions:
-    """Regions of n images.
+    """Regions of n images at thresholds (n, 7), or (7,), of the rule's score.
 
-    Parameters
-    ----------
-    rule
-        Gives the score.
-    proba
-        Seven arrays (n, cells), see :meth:`~conformodal.localization.belief.Beliefs.marginals`.
-    supports
-        Image by image.
-    thresholds
-        (n, 7) of the score, or (7,).
+    `proba` are seven arrays (n, cells), see :meth:`~conformodal.localization.belief.Beliefs.marginals`.
     """
     found = rule.regions_at(list(proba), thresholds)
     limits = np.broadcast_to(thresholds, found.unbounded.shape)

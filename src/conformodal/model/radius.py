@@ -125,16 +125,9 @@ def fit_pose_radius(
     *,
     metres_per_rad: float = METRES_PER_RAD,
 ) -> PoseRadius:
-    """Radius from the errors of held-out recordings.
+    """Radius from the errors of held-out recordings: of each a pair of vectors, see :func:`pose_errors`.
 
-    Parameters
-    ----------
-    errors
-        One pair of vectors per recording, metres and radians, see :func:`pose_errors`.
-    alpha, guarantee, method
-        See :class:`PoseRadius`.
-    metres_per_rad
-        Must not depend on the true poses of these recordings.
+    For the others see :class:`PoseRadius`; `metres_per_rad` must not depend on the true poses of these recordings.
 
     Raises
     ------

@@ -23,16 +23,8 @@ def estimate_relative_motion(
 ) -> RelativeMotion:
     """Motion of the camera between two frames; a rotation where it is sound, a direction only with enough parallax.
 
-    Parameters
-    ----------
-    pixels_prev, pixels_next
-        (n, 2) positions of the same corners, as they are in the images.
-    camera
-        Intrinsics and distortion of both frames.
-    n_at_start
-        Corners in the previous frame before tracking, to tell a blank frame from a cut.
-    solver
-        :func:`~conformodal.motion.two_view.solve_poselib` or :func:`~conformodal.motion.two_view.solve_opencv`.
+    From the pixels (n, 2) of the same corners, as they are in the images. `n_at_start` counts the corners in the
+    previous frame before tracking, which tells a blank frame from a cut.
     """
     n = len(pixels_prev)
     if n < RELATIVE_POSE.min_tracks:

@@ -77,15 +77,7 @@ def weights_of(candidates: Candidates) -> FloatArray:
 
 
 def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:
-    """Candidates of every frame: the modes of the softmax.
-
-    Parameters
-    ----------
-    proba
-        Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
-    bins
-        Bins of the seven targets.
-    """
+    """Candidates of every frame: the modes of the softmax, seven arrays (n, K_j) over the bins of the targets."""
     found = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
@@ -104,15 +96,7 @@ def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidat
 
 
 def interval_runs(proba: Probabilities, regions: Regions) -> list[list[BinRuns]]:
-    """The intervals of every frame's region, target by target. Where a set is empty, its most probable bin stands in.
-
-    Parameters
-    ----------
-    proba
-        Seven arrays (n, K_j): x, y, z and the quaternion wxyz.
-    regions
-        Of the same n frames.
-    """
+    """The intervals of every frame's region, target by target; the most probable bin where a set is empty."""
     # a score that cuts bins into cells gives regions over cells: each holds its share of the bin's probability
     cells = [k // p.shape[1] for k, p in zip(regions.bins.sizes, proba, strict=True)]
     proba = [np.repeat(p / c, c, axis=1) if c > 1 else p for c, p in zip(cells, proba, strict=True)]

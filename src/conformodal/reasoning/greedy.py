@@ -35,16 +35,9 @@ class Greedy:
         self._quat: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
 
     def push(self, here: Sequence[BinRuns], motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
-        """The pose (a path of one) of the next frame.
+        """The pose (a path of one) of the next frame, from its :func:`~conformodal.reasoning.candidates.interval_runs`.
 
-        Parameters
-        ----------
-        here
-            The intervals of its region, target by target, from :func:`~conformodal.reasoning.candidates.interval_runs`.
-        motion
-            From the frame before to it; None where nothing is known of it.
-        timestamp_s
-            Seconds.
+        `motion` leads from the frame before to it; None where nothing is known of it.
         """
         best = [int(np.argmax(runs.log_mass)) for runs in here]
         means = [runs.mean for runs in here]
@@ -69,17 +62,7 @@ class Greedy:
 def greedy(
     intervals: Sequence[Sequence[BinRuns]], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
 ) -> PosePath:
-    """:class:`Greedy` on n frames of one recording.
-
-    Parameters
-    ----------
-    intervals
-        Of each frame, from :func:`~conformodal.reasoning.candidates.interval_runs`.
-    motions
-        ``motions[t]`` leads from frame t - 1 to frame t; the first is ignored.
-    timestamps_s
-        (n,) seconds.
-    """
+    """:class:`Greedy` on n frames of one recording; ``motions[t]`` leads from frame t - 1 to frame t."""
     times = np.asarray(timestamps_s, dtype=np.float64)
     if not 0 < len(intervals) == len(motions) == len(times):
         raise ReasoningError(

@@ -25,20 +25,10 @@ def smooth_orientations(
     prior: MotionPrior,
     submaps: Sequence[Submap] = (),
 ) -> FloatArray:
-    """Orientations (n, 4) wxyz that agree with the chosen ones and with the relative rotations.
+    """Orientations (n, 4) wxyz that agree with the chosen ones, their spreads (n,), and the relative rotations.
 
-    Parameters
-    ----------
-    quats_wxyz, spreads_rad
-        (n, 4) and (n,): each frame's own answer and its spread.
-    motions
-        ``motions[t]`` leads from frame t - 1 to frame t.
-    timestamps_s
-        (n,) seconds; only used where a rotation is unknown.
-    prior
-        Turning rates to expect there.
-    submaps
-        Of these frames: rotations over more than one step.
+    ``motions[t]`` leads from frame t - 1 to frame t. Where its rotation is unknown, times (n,) and the prior tell how
+    far the camera may have turned. Submaps have rotations over more than one step.
     """
     n = len(quats_wxyz)
     if n < 2:

@@ -50,14 +50,8 @@ class Place:
 def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     """The places of a posterior, most probable first; their probabilities and that of elsewhere sum to one.
 
-    Going down from the most probable hypothesis, each joins the first place whose most probable hypothesis is near.
-
-    Parameters
-    ----------
-    posterior
-        Of a frame.
-    prior
-        Gives the scene's depth, of which near is a share, see the settings of the filter.
+    Going down from the most probable hypothesis, each joins the first place whose most probable hypothesis is near: by
+    a share of the scene's depth, which the prior gives.
     """
     its = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
     free = np.argsort(-its.log_mass, kind="stable")
@@ -108,17 +102,10 @@ def choose_places(
 
 
 def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
-    """The hypotheses of single images that a path stands for, with the spreads that the images give them.
+    """The hypotheses of single images that a path of :func:`choose_places` stands for, with spreads of the images.
 
     This is what a smoother starts from: it weighs in the neighbours in time itself. An image that shows no known place
     says little of its pose, and gets wide spreads.
-
-    Parameters
-    ----------
-    path
-        From :func:`choose_places`.
-    seen, prior
-        What it was chosen from.
     """
     positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
     quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()

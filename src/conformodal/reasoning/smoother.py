@@ -26,16 +26,9 @@ from .submap_alignment import SubmapAlignment
 
 
 def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
-    """A path finer than hypotheses: orientations first, then positions; spreads stay those of the path given.
+    """A path finer than hypotheses, from chosen poses of the frames of `seen`, with their spreads.
 
-    Parameters
-    ----------
-    path
-        Chosen poses of the frames of `seen`.
-    seen
-        Gives the relative motions and submaps.
-    prior
-        See :func:`smooth_positions`.
+    Orientations are smoothed first, then positions, with the relative motions and submaps of `seen`.
     """
     times, motions, submaps = seen.timestamps_s, seen.motions, seen.submaps
     spreads = path.orientation_spreads_rad
@@ -52,19 +45,10 @@ def smooth_positions(
     prior: MotionPrior,
     submaps: Sequence[Submap] = (),
 ) -> FloatArray:
-    """Positions (n, 3) in metres that agree with the chosen ones and with the way the camera moves.
+    """Positions (n, 3) in metres that agree with the chosen ones, their spreads (n, 3), and the way the camera moves.
 
-    Parameters
-    ----------
-    positions_xyz, spreads
-        (n, 3) each frame's own position and its standard deviations.
-    quats_wxyz
-        (n, 4) orientations, which turn submaps into the world.
-    timestamps_s, prior
-        As for :func:`smooth_orientations`; the prior's velocity changes bind three frames at a time.
-    submaps
-        Of these frames. Used where the prior knows what depths to expect: a submap of free scale shrinks to nothing
-        where positions err.
+    The prior's velocity changes bind three frames at a time. Orientations turn submaps into the world; these are used
+    where the prior knows what depths to expect: a submap of free scale shrinks to nothing where positions err.
     """
     n = len(positions_xyz)
     if n < 3:

@@ -21,16 +21,7 @@ _UNKNOWNS = 7  # start (3), scale, rotation (3)
 
 
 class SubmapAlignment:
-    """Submaps among n frames.
-
-    Parameters
-    ----------
-    submaps
-        Frames numbered 0 to n - 1.
-    quats_wxyz
-        (n, 4) orientations of the frames.
-    prior
-        Gives the depths to expect, and so the scales.
+    """Submaps of n frames with orientations (n, 4); the prior gives the depths to expect, and so the scales.
 
     Attributes
     ----------

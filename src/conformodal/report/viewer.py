@@ -61,16 +61,8 @@ def make_viewer(
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
-    Parameters
-    ----------
-    folder
-        What ``conformodal run`` wrote.
-    images
-        JPEG data by frame name. Where there are some, the frames shown are among those that have one.
-    level
-        P-value at or below which an image shows no known place; None draws no line at it.
-    walls
-        (2, 2) segments in x and y; they are drawn where the plan shows x and y.
+    `images` are JPEG data by frame name: where there are some, the frames shown are among these. `level` is the p-value
+    at or below which an image shows no known place. `walls` are (2, 2) segments, drawn where the plan shows x and y.
     """
     answer = read_tum(folder / TRAJECTORY)
     n = len(answer)

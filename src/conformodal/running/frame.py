@@ -14,14 +14,9 @@ from conformodal.poses import PinholeCamera
 
 
 def as_image(image: Any, camera: PinholeCamera) -> UInt8Array | str:
-    """An image in the camera's size, contiguous; or, as text, why it is none.
+    """An image (height, width, 3) in the camera's size, RGB, 8 bits, contiguous; or, as text, why it is none.
 
-    Parameters
-    ----------
-    image
-        (height, width, 3) RGB, 8 bits; an array, or what NumPy makes one of, such as a Pillow image.
-    camera
-        Says the size.
+    It may be what NumPy makes an array of, such as a Pillow image.
     """
     if image is None:
         return "no image"
@@ -56,10 +51,7 @@ def as_frames(frames: npt.ArrayLike, n: int) -> IntArray:
     if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
         raise OdometryError(f"frames must be whole numbers of shape (m,), got {found.dtype} {found.shape}")
     wanted = found.astype(np.int64)
+    few = np.array2string(wanted, threshold=8, edgeitems=3, separator=", ")
     if wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any()):
-        raise OdometryError(f"frames must increase and lie within 0 and {n - 1}, got {_few(wanted)}")
+        raise OdometryError(f"frames must increase and lie within 0 and {n - 1}, got {few}")
     return wanted
-
-
-def _few(values: IntArray) -> str:
-    return np.array2string(values, threshold=8, edgeitems=3, separator=", ")

@@ -119,15 +119,7 @@ def _localize(model: PoseModel, features: Float32Array) -> Localization:
 
 
 def odometry_of(model: PoseModel, match_every: int = 1) -> Odometry:
-    """The system that runs a model, by the model's method.
-
-    Parameters
-    ----------
-    model
-        Trained and calibrated.
-    match_every
-        See :class:`VisualOdometry`; the paper's system looks at no local features.
-    """
+    """The system that runs a model, by the model's method; the paper's looks at no local features to match."""
     if model.method is Method.PAPER:
         return PaperOdometry(model)
     return VisualOdometry(model, match_every=match_every)

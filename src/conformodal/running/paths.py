@@ -20,12 +20,7 @@ PAPERS_METHOD = "greedy"
 def whole_paths(posteriors: Sequence[Posterior], seen: Observations, prior: MotionPrior) -> dict[str, Trajectory]:
     """The paths that need all frames of a recording: the most probable place of each frame, and that path smoothed.
 
-    Parameters
-    ----------
-    posteriors
-        In hindsight, from :func:`~conformodal.reasoning.filter.hindsight_posteriors`.
-    seen, prior
-        What they were worked out from.
+    From posteriors in hindsight, and what they were worked out from.
     """
     best, _ = choose_places(posteriors, seen.timestamps_s, prior)
     smoothed = smooth(own_hypotheses(best, seen, prior), seen, prior)

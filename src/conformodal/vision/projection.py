@@ -36,16 +36,8 @@ def fit_projection(features: Float32Array, n_components: int | None, view: slice
     """Principal components of standardised features (n, F), scaled together to a mean variance of one.
 
     They are not whitened, so that a network and dropout see how much each matters. What they are worth beside all
-    features: benchmarks/ablation.py.
-
-    Parameters
-    ----------
-    features
-        Of the training part only.
-    n_components
-        At most n - 1 and F are computed; None standardises and keeps all features.
-    view
-        Features that are used; the others get weight zero.
+    features: benchmarks/ablation.py. At most n - 1 and F are computed; None keeps all features. Those that are not in
+    the `view` get weight zero.
     """
     offset = features.mean(axis=0)
     if view != slice(None):

@@ -27,19 +27,8 @@ def write_corridor(
 ) -> Path:
     """Fly through the corridor and write ``seq-01/frame-NNNNNN.{color.png,pose.txt}``, intrinsics and frame rate.
 
-    Parameters
-    ----------
-    folder
-        Where to; created if missing.
-    n_modules, n_laps, seed
-        Of world, path and camera noise.
-    progress
-        Called with frames done and frames in all.
-
-    Returns
-    -------
-    Path
-        The folder of the recording.
+    The seed is that of world, path and camera noise. `progress` is called with frames done and frames in all. Returns
+    the folder of the recording.
     """
     world = CorridorWorld(n_modules, seed=seed)
     renderer = Renderer(world)
@@ -61,27 +50,17 @@ def write_flight(
     noise of seed ``noise_seed + i``. The recording is written beside its place and moved there at the end.
     """
     with staged(recording) as part:
-        _write(part, renderer, poses_se3, noise_seed, progress)
+        with ThreadPoolExecutor(max_workers=1) as writer:  # encode one frame while the next is cast
+            pending = []
+            for i, pose in enumerate(poses_se3):
+                image = renderer.render(pose, noise_seed=noise_seed + i)
+                stem = part / f"frame-{i:06d}"
+                pending.append(writer.submit(Image.fromarray(image).save, f"{stem}.color.png", compress_level=1))
+                np.savetxt(f"{stem}.pose.txt", pose, fmt="%.12e")
+                if progress is not None:
+                    progress(i + 1, len(poses_se3))
+            for job in pending:
+                job.result()
         np.savetxt(recording.parent / "camera-intrinsics.txt", renderer.camera.matrix)
         (recording.parent / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
     return recording
-
-
-def _write(
-    recording: Path,
-    renderer: Renderer,
-    poses_se3: FloatArray,
-    noise_seed: int,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    with ThreadPoolExecutor(max_workers=1) as writer:  # encode one frame while the next is cast
-        pending = []
-        for i, pose in enumerate(poses_se3):
-            image = renderer.render(pose, noise_seed=noise_seed + i)
-            stem = recording / f"frame-{i:06d}"
-            pending.append(writer.submit(Image.fromarray(image).save, f"{stem}.color.png", compress_level=1))
-            np.savetxt(f"{stem}.pose.txt", pose, fmt="%.12e")
-            if progress is not None:
-                progress(i + 1, len(poses_se3))
-        for job in pending:
-            job.result()

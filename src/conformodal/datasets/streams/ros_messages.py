@@ -76,16 +76,9 @@ def white_of(message: Any) -> int:
 
 
 def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
-    """The image (height, width, 3) RGB of a message.
+    """The image (height, width, 3) RGB of a ``sensor_msgs/Image`` (:data:`RAW`) or ``CompressedImage`` (`COMPRESSED`).
 
-    Parameters
-    ----------
-    message
-        A ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage``.
-    kind
-        Which of the two, :data:`RAW` or :data:`COMPRESSED`.
-    white
-        Level of 16-bit images that becomes 255; by default that of the bits that this image uses.
+    `white` is the level of 16-bit images that becomes 255; by default that of the bits that this image uses.
 
     Raises
     ------

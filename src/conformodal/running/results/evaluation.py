@@ -74,17 +74,14 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
 def coverage_table(
     statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, matched_all: bool = True, seen: bool = False
 ) -> dict[str, Any]:
-    """Coverage and size of the regions.
+    """Coverage and size of the regions of the frames that were answered.
 
     Parameters
     ----------
-    statistics
-        Of the regions of the frames that were answered.
-    model
-        Gives alpha and the number of calibration frames.
+    statistics, model
+        Of these regions, and what calibrated them.
     exchangeable
-        Whether these frames are exchangeable with the calibration frames: the test part of an ``interleaved``
-        split.
+        Whether the frames are exchangeable with the calibration frames: the test part of an ``interleaved`` split.
     matched_all
         Whether local features were matched in all of them. Otherwise there were two calibrations, each of which keeps
         its guarantee. A band is stated for frames that are exchangeable and have one calibration.
@@ -181,14 +178,7 @@ def path_coverage_table(
 ) -> dict[str, Any]:
     """Coverage and size of the regions from posteriors, by the frames that these rest on.
 
-    Parameters
-    ----------
-    statistics
-        Of n frames each.
-    model
-        Gives alpha and what calibrated the regions.
-    online, truth, reliable
-        The poses that a robot got, the true ones, and (n,) whether each counted as reliable.
+    `online` and `truth` are the poses that a robot got and the true ones, `reliable` whether each counted as reliable.
     """
     by_frame = model.rules.overall.groups_ is None
     found: dict[str, Any] = {
@@ -212,13 +202,7 @@ def path_coverage_table(
 
 
 def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
-    """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is.
-
-    Parameters
-    ----------
-    held, bounded
-        (n,) whether each region holds the whole pose, and whether it is bounded in every target.
-    """
+    """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is."""
     n = int(bounded.sum())
     return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
 
@@ -274,19 +258,7 @@ def radius_table(
     truth: Trajectory | None,
     frames: IntArray | None = None,
 ) -> dict[str, Any] | None:
-    """The chosen pose's radius, what it guarantees, and how many frames it held if the truth is known.
-
-    Parameters
-    ----------
-    radius
-        Of the model; None gives None.
-    trajectories
-        By method.
-    truth
-        Of the same frames, or of `frames`; or None.
-    frames
-        Indices of the frames that `truth` is of; None for all.
-    """
+    """The chosen pose's radius, what it guarantees, and how many frames it held if the truth of `frames` is known."""
     if radius is None:
         return None
     estimate = trajectories[radius.method]

@@ -37,20 +37,10 @@ def region_record(
     places: Sequence[Place] | None = None,
     path_places: Sequence[Place] | None = None,
 ) -> dict[str, Any]:
-    """The record of a frame.
+    """The record of a frame, see :class:`~conformodal.running.estimates.Estimate`.
 
-    Parameters
-    ----------
-    name, timestamp_s, motion
-        Of the frame, and since the frame before.
-    intervals
-        (m, 2) a target.
-    known_p, kind, reliable
-        See :class:`~conformodal.running.estimates.Estimate`.
-    place_p
-        Probability of the chosen place when the frame came; None where it is not known.
-    places, path_places
-        Of the image's region and of that from the frames so far; None for a region that is a product.
+    `intervals` are (m, 2) a target, `place_p` the probability of the chosen place when the frame came, `places` and
+    `path_places` those of the image's region and of that from the frames so far; None for a region that is a product.
     """
     kind = as_member(kind, EvidenceType, "kind", ResultsError)
     return {
@@ -89,14 +79,7 @@ def _place_record(place: Place) -> dict[str, Any]:
 
 
 def read_region_records(path: Path, *, torn: bool = False) -> list[dict[str, Any]]:
-    """Records of ``regions.jsonl``.
-
-    Parameters
-    ----------
-    path
-        The file.
-    torn
-        Whether the last line may be half a record, as a killed run leaves it; it is left out then.
+    """Records of ``regions.jsonl``; of a `torn` file the last line may be half a record, and is left out then.
 
     Raises
     ------

@@ -26,20 +26,9 @@ from .writer import ResultsWriter
 def write_run(
     folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None, command: str = "run"
 ) -> None:
-    """Write a run: ``trajectory.tum`` (the answer), ``regions.jsonl``, ``methods/NAME.tum`` and ``truth.tum``.
+    """Write a run as :class:`~conformodal.running.results.writer.ResultsWriter` does.
 
-    Parameters
-    ----------
-    folder
-        Created if missing.
-    run
-        What to write.
-    frame_names
-        Names of the answered frames.
-    truth
-        True poses of the answered frames, if known.
-    command
-        Whose results they are, see :class:`~conformodal.running.results.writer.ResultsWriter`.
+    `frame_names` and `truth` are names and true poses of the answered frames.
     """
     with ResultsWriter(folder, command, run.answer) as writer:
         for name, trajectory in run.trajectories.items():
