@@ -7,20 +7,20 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3040,
+    "cli": 3010,
     "conformal": 5790,
     "core": 460,
-    "datasets": 6060,
+    "datasets": 6050,
     "localization": 3270,
     "model": 1440,
-    "motion": 1050,
+    "motion": 1040,
     "networks": 720,
     "poses": 1130,
     "quality": 790,
     "reasoning": 1450,
     "report": 860,
     "ros": 710,
-    "running": 2210,
+    "running": 2200,
     "training": 1140,
     "vision": 480,
 }

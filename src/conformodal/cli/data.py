@@ -15,7 +15,7 @@ from rich.table import Table
 from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetCheck, DatasetError, Layout, Sequence, check_sequence
+from conformodal.datasets import DatasetError, Layout, Sequence, check_sequence
 from conformodal.datasets.cameras import camera_beside
 from conformodal.datasets.joining import join_sequences
 from conformodal.datasets.lenses import as_camera
@@ -104,10 +104,12 @@ def _check(
         sides = " x ".join(f"{side:.2f}" for side in found.extent_m)
         table.add_row("poses", f"{found.n_poses}, all rigid motions; within {sides} m, path {found.path_m:.2f} m")
     console.print(table)
-    for finding in found.findings:
-        where = finding.first if finding.count == 1 else f"first {finding.first}"
-        note = "" if finding.wrong else "note: "
-        console.print(f"{note}{finding.count} x {finding.what}: {where}", soft_wrap=True, markup=False)
+    findings = [
+        f"{'' if its.wrong else 'note: '}{its.count} x {its.what}: {'first ' if its.count > 1 else ''}{its.first}"
+        for its in found.findings
+    ]
+    for line in findings:
+        report_line(line)
     wrong = any(finding.wrong for finding in found.findings)
     if not wrong:
         console.print("nothing is wrong with it")
@@ -120,7 +122,7 @@ def _check(
             configuration |= {"model": model_digest(model)}
         record: dict[str, Any] = {"command": "data check", "provenance": provenance(), "configuration": configuration}
         record |= {"check": asdict(found)} | ({"overlaps": [asdict(its) for its in overlaps]} if overlaps else {})
-        _write_findings(out, quality, sequence, found, record)
+        _write_findings(out, quality, findings, record)
         print_where(out)
     if wrong:
         raise typer.Exit(_FOUND)
@@ -164,14 +166,11 @@ def convert(
     how_many = (
         "with" if done.n_posed == done.n_frames else f"{done.n_posed} of them with" if done.n_posed else "without"
     )
-    console.print(
-        f"{counted(done.n_frames, 'frame')} written as {to}, {how_many} poses; left out: "
-        f"{done.n_unreadable} unreadable"
-        + (f", {done.n_without_time} whose time goes back" if done.n_without_time else ""),
-        soft_wrap=True,
-    )
+    back = f", {done.n_without_time} whose time goes back" if done.n_without_time else ""
+    written = f"{counted(done.n_frames, 'frame')} written as {to}, {how_many} poses"
+    report_line(f"{written}; left out: {done.n_unreadable} unreadable{back}")
     for note in done.notes:
-        console.print(f"note: {note}", soft_wrap=True)
+        report_line(f"note: {note}")
     print_where(out)
 
 
@@ -185,7 +184,7 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     notes: list[Note] = []
     camera = camera_beside(folder, (width, height), None, notes)
     for what, where in notes:
-        console.print(f"{what}: {where}", soft_wrap=True, markup=False)
+        report_line(f"{what}: {where}")
     return camera
 
 
@@ -224,9 +223,7 @@ def _report_quality(found: RecordingQuality) -> None:
         report_line(f"  {number}. {line}")
 
 
-def _write_findings(
-    out: Path, found: RecordingQuality | None, sequence: Sequence, check: DatasetCheck, record: dict[str, Any]
-) -> None:
+def _write_findings(out: Path, found: RecordingQuality | None, findings: list[str], record: dict[str, Any]) -> None:
     """Write ``metrics.json``, and then the page, or none where there is nothing to show."""
     from conformodal.report.quality import PLAN, write_quality_page  # noqa: PLC0415 - what draws takes time to import
 
@@ -237,8 +234,4 @@ def _write_findings(
         return
     whole = {**record, "quality": quality_record(found)}
     write_metrics(out, whole)
-    findings = [
-        f"{'' if finding.wrong else 'note: '}{finding.count} x {finding.what}: {finding.first}"
-        for finding in check.findings
-    ]
     write_quality_page(out, found, whole, findings)

@@ -56,7 +56,8 @@ def export(
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
     loaded = load_model(model)
     if with_head and loaded.localizer.find(HeadSource) is None:
-        raise OptionError(f"--with-head: {model} has no head; its sources are {_names(loaded)}")
+        names = ", ".join(source.name for source in loaded.localizer.sources)
+        raise OptionError(f"--with-head: {model} has no head; its sources are {names}")
     with lock_output(out, "train", apart=[model] if data is None else [model, data]):
         cache_dir = cache_folder(cache)
         if data is None:
@@ -79,10 +80,6 @@ def export(
             write_whole(out / _NETWORK, network_with_head(made.backbone, head.head, TARGET_NAMES))
             console.print(f"network and head, from pixels to probabilities: {_NETWORK}")
     print_where(out)
-
-
-def _names(model: PoseModel) -> str:
-    return ", ".join(source.name for source in model.localizer.sources)
 
 
 def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:

@@ -98,14 +98,9 @@ def run_metrics(
     `whole` is whether every frame of the part was answered, and `matched_all` whether local features were matched in
     all of them, both as in calibration: the guarantee holds for these only.
     """
-    metrics: dict[str, Any] = {
-        "command": "run",
-        "provenance": provenance(),
-        "configuration": {**model.settings, "part": str(part)},
-        "seed": model.split.seed,
+    metrics = _origin(model, part) | {
         "split": str(model.split.kind),
         "split_note": _split_note(model, part, counts["n_answered"]),
-        "sign_reference_quat_wxyz": model.sign_reference.tolist(),
         **counts,
     }
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
@@ -121,7 +116,7 @@ def run_metrics(
         if shown.any() and not shown.all():
             there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
-        whole = whole and counts["n_answered"] == _n_frames(model, part)
+        whole = whole and part is not Part.ALL and counts["n_answered"] == len(model.split.part(str(part)))
         exchangeable, seen = whole and is_exchangeable(model, str(part)), part in (Part.TRAIN, Part.CALIBRATION)
         how = {"exchangeable": exchangeable, "matched_all": matched_all, "seen": seen}
         metrics["coverage"] = coverage_table(known.regions, model, **how)
@@ -131,10 +126,12 @@ def run_metrics(
 
 def unfinished_metrics(model: PoseModel, part: Part, digest: str | None) -> dict[str, Any]:
     """What a run that is killed leaves as its metrics: enough to evaluate what it has written."""
+    return _origin(model, part) | {"unfinished": True, "model": digest}
+
+
+def _origin(model: PoseModel, part: Part) -> dict[str, Any]:
     return {
         "command": "run",
-        "unfinished": True,
-        "model": digest,
         "provenance": provenance(),
         "configuration": {**model.settings, "part": str(part)},
         "seed": model.split.seed,
@@ -178,9 +175,10 @@ def report_outcome(metrics: dict[str, Any], *, unbounded: bool) -> None:
         if metrics["n_with_truth"] < metrics["n_answered"]:
             console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
         print_errors(metrics["errors"], metrics["split_note"])
-        coverage = metrics["coverage"]
+        coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
+        between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
         report_line(
-            f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{_band(coverage)}, "
+            f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
             f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
         )
         if metrics.get("path_coverage"):
@@ -217,14 +215,6 @@ def _describe_unknown(metrics: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _band(coverage: dict[str, Any]) -> str:
-    """The joint band, where there is one."""
-    if coverage["joint_band_99"] is None:
-        return ""
-    low, high = coverage["joint_band_99"]
-    return f" (99 % band {low:.3f} to {high:.3f})"
-
-
 def describe_coverage(coverage: dict[str, Any]) -> str:
     """How often bounded regions hold the whole pose, beside the share of regions that are unbounded in some target."""
     n, n_bounded = coverage["n_evaluated"], coverage["n_bounded"]
@@ -232,30 +222,18 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
     unbounded = unbounded.format(noun_for(n - n_bounded, "is", "are"))
     if not n_bounded:
         return f"{unbounded} in some target, which says nothing of coverage"
-    held = round(coverage["bounded_coverage"] * n_bounded)
+    held, parts = round(coverage["bounded_coverage"] * n_bounded), coverage.get("by_size", [])
+    smallest = f", of the {parts[0]['frames']} smallest {100 * parts[0]['coverage']:.0f} %" if len(parts) > 1 else ""
     return (
         f"{held} of {counted(n_bounded, 'bounded region')} ({100 * coverage['bounded_coverage']:.1f} %) "
-        f"{noun_for(held, 'holds', 'hold')} the whole pose{_smallest(coverage)}; {unbounded} in some target"
+        f"{noun_for(held, 'holds', 'hold')} the whole pose{smallest}; {unbounded} in some target"
     )
-
-
-def _smallest(coverage: dict[str, Any]) -> str:
-    """How often the smallest regions hold the pose; nothing where there are too few to tell sizes apart."""
-    parts = coverage.get("by_size", [])
-    if len(parts) < 2:
-        return ""
-    return f", of the {parts[0]['frames']} smallest {100 * parts[0]['coverage']:.0f} %"
 
 
 def _size(radius: dict[str, Any]) -> str:
     if radius["radius_m"] is None or radius["radius_deg"] is None:
         return "infinity: too few recordings calibrate it"
     return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
-
-
-def _n_frames(model: PoseModel, part: Part) -> int | None:
-    """Of a part of the model's data set; None for all of a source."""
-    return None if part is Part.ALL else len(model.split.part(str(part)))
 
 
 def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:

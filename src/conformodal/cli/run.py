@@ -221,7 +221,9 @@ def _stream_through(
             stopped, limited = _push_all(runner, stream, shown, how, stop)
             runner.finish()
         seconds = time.perf_counter() - started
-        _check_answered(runner, stream.name, stopped)
+        if not runner.n_answered:
+            first = next(iter(runner.problems.values()), "it holds no frame")
+            raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
         counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
         counts |= {"signal": stop[0]} if stopped == _INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
@@ -273,12 +275,6 @@ def _check_for(model: PoseModel, novelty_level: float | None, match_every: int |
         raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
     if match_every not in (None, 1) and not model.looks_at_local_features:
         raise OptionError(f"--match-every: the model looks at no local features, got {match_every}")
-
-
-def _check_answered(runner: StreamRunner, name: str, stopped: str) -> None:
-    if not runner.n_answered:
-        first = next(iter(runner.problems.values()), "it holds no frame")
-        raise OdometryError(f"{name}: no frame could be answered: {stopped or first}")
 
 
 def _counts(runner: StreamRunner) -> dict[str, Any]:

@@ -121,12 +121,12 @@ def read_poses(
         notes = list[Note]()
         poses = read_bag_poses(stream, str(source), notes, max_gap_s)
         _report_warnings(notes)
-        return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
-    with warnings.catch_warnings(record=True) as came:
-        warnings.simplefilter("always")
-        poses = read_tum(path)
-    for warning in came:
-        report_line(str(warning.message))
+    else:
+        with warnings.catch_warnings(record=True) as came:
+            warnings.simplefilter("always")
+            poses = read_tum(path)
+        for warning in came:
+            report_line(str(warning.message))
     return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
 
 

@@ -81,7 +81,8 @@ class FrameTable:
         posed = np.zeros(len(self.images), dtype=np.bool_)
         if self.poses is not None:
             posed |= np.isfinite(self.poses).all(axis=1)
-        lacking = {} if self.poses is None else {i: self._pose_fault(i) for i in np.flatnonzero(~posed).tolist()}
+        missing = [] if self.poses is None else np.flatnonzero(~posed).tolist()
+        lacking = {i: f"{self.images[i].name}: {self.why.get(i, 'has no pose')}" for i in missing}
         if require_poses:
             out |= {i: Note(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
             size = camera.width, camera.height
@@ -99,8 +100,9 @@ class FrameTable:
         _warn(self.name, notes)
         recording = np.zeros(len(self.images), dtype=np.int64) if self.recording is None else self.recording
         with_pose = kept[posed[kept]]
-        truth = self._trajectory(with_pose) if with_pose.size else None
-        whole = len(with_pose) == len(kept)
+        truth, whole = None, len(with_pose) == len(kept)
+        if self.poses is not None and with_pose.size:
+            truth = Trajectory(self.times[with_pose], self.poses[with_pose, :3], self.poses[with_pose, 3:])
         return Sequence(
             name=self.name,
             image_paths=tuple(self.images[i] for i in kept),
@@ -146,14 +148,6 @@ class FrameTable:
                 where = f"{self.name}: the camera moves at {speed:.3g} m/s; are positions in metres, times in seconds?"
                 found.append(Note("speed is unlikely", where))
         return found
-
-    def _pose_fault(self, i: int) -> str:
-        return f"{self.images[i].name}: {self.why.get(i, 'has no pose')}"
-
-    def _trajectory(self, frames: IntArray) -> Trajectory:
-        assert self.poses is not None
-        rows = self.poses[frames]
-        return Trajectory(self.times[frames], rows[:, :3], rows[:, 3:])
 
     def _without_time(self) -> dict[int, Note]:
         """Frames that can be used in no way."""

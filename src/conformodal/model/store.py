@@ -244,7 +244,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: byte
         novelty=novelty,
         rules=rules,
         prior=_prior(record["prior"]),
-        camera=_camera(record["camera"]),
+        camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
         configuration=record["configuration"],
@@ -311,10 +311,6 @@ def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty
         if (name := f"novelty.{kind}") in arrays
     }
     return PlaceNovelty(test, grid, **own)
-
-
-def _camera(record: dict[str, Any]) -> PinholeCamera:
-    return PinholeCamera(**{**record, "distortion": tuple(record["distortion"])})
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

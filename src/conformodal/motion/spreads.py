@@ -44,7 +44,8 @@ def motion_spreads(
     by_turn = np.cross(rays_next, -other @ R_prev_next)
     by_direction = np.cross(turned, rays_prev) @ sideways
     jacobian = np.concatenate((by_turn, by_direction), axis=1) / size[:, None]
-    covariance = _clustered(jacobian[:, None], cells, _residual_size(residual, pixel_rad))
+    sigma = max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, MOTION_ERRORS.least_residual_px * pixel_rad)
+    covariance = _clustered(jacobian[:, None], cells, sigma)
     rotation, direction = np.trace(covariance[:3, :3]) / 3, np.trace(covariance[3:, 3:]) / 2
     return MOTION_ERRORS.rotation_factor * float(np.sqrt(rotation)), MOTION_ERRORS.direction_factor * float(
         np.sqrt(direction)
@@ -60,10 +61,6 @@ def turning_spread(
     jacobian = -cross_matrices(turned)  # a turn w in the previous frame moves a ray by w x ray
     size = max(float(np.median(off)) / MEDIAN_OF_NORM2, MOTION_ERRORS.least_residual_px * pixel_rad)
     return MOTION_ERRORS.rotation_factor * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
-
-
-def _residual_size(residual: FloatArray, pixel_rad: float) -> float:
-    return max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, MOTION_ERRORS.least_residual_px * pixel_rad)
 
 
 def _clustered(jacobian: FloatArray, cells: IntArray, sigma: float) -> FloatArray:

@@ -31,6 +31,7 @@ class PinholeCamera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "distortion", tuple(self.distortion))  # JSON has lists
         for name in ("fx", "fy", "cx", "cy", "width", "height"):
             value = getattr(self, name)
             finite = isinstance(value, (int, float, np.number)) and np.isfinite(value)

@@ -33,7 +33,7 @@ from .text import (
 from .trajectory import Trajectory
 
 FRAME_RATE_HZ = 10.0  # of KITTI
-_TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
+TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
 
 
 def tum_lines(trajectory: Trajectory) -> list[str]:
@@ -46,7 +46,7 @@ def tum_lines(trajectory: Trajectory) -> list[str]:
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory, see :func:`tum_lines`."""
-    path.write_text("\n".join([_TUM_HEADER, *tum_lines(trajectory)]) + "\n", encoding="utf-8")
+    path.write_text("\n".join([TUM_HEADER, *tum_lines(trajectory)]) + "\n", encoding="utf-8")
 
 
 def read_tum(path: Path) -> Trajectory:

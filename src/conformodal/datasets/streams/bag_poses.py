@@ -68,7 +68,8 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     """
     place = f"{bag.path}: {topic}"
     with bag_reader(bag.path) as reader:
-        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and _is_posed(c)}
+        posed = [c for c in reader.connections if c.msgtype in (*_WITHIN, *_TRANSFORMS) and not _is_static(c)]
+        kinds = {c.topic: c.msgtype for c in posed if c.msgcount}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
@@ -103,10 +104,6 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     notes.append(Note("poses", f"{told}, moved to {camera} by /{_STATIC}"))
     path = edge.path()
     return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
-
-
-def _is_posed(connection: Any) -> bool:
-    return connection.msgtype in (*_WITHIN, *_TRANSFORMS) and not _is_static(connection)
 
 
 def _is_static(connection: Any) -> bool:

@@ -139,9 +139,8 @@ class LandmarkSource:
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
         settings = state.settings
-        camera = PinholeCamera(**{**settings["camera"], "distortion": tuple(settings["camera"]["distortion"])})
         its = {k: state.arrays[k] for k in _ARRAYS}
-        own = LandmarkMap(camera=camera, depth_m=float(settings["depth_m"]), **its)
+        own = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **its)
         grid = None if settings["grid"] is None else tuple(settings["grid"])
         return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
 

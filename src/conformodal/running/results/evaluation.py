@@ -108,6 +108,8 @@ def coverage_table(
     whole = calibration.joint == "max"
     band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
     each = met if one_law and not whole else None
+    names = " + ".join(source.name for source in model.localizer.sources)
+    where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
     return {
         "alpha": float(calibration.alpha),
         "joint": calibration.joint,
@@ -135,7 +137,7 @@ def coverage_table(
         "by_size": coverage_by_size(statistics),
         "median_length_m": [finite_or_none(x) for x in np.median(statistics.length[:, :3], axis=0)],
         "median_position_volume_m3": finite_or_none(np.median(statistics.length[:, :3].prod(axis=1))),
-        "regions_from": _regions_from(model, matched_all=matched_all),
+        "regions_from": f"one belief from {names}{where}",
         "assumption": _assumption(
             exchangeable and by_frame,
             by_frame,
@@ -279,10 +281,3 @@ def radius_table(
 def is_exchangeable(model: PoseModel, part: str | None) -> bool:
     """Whether the guarantee reaches a part, if all its frames are answered: only the test part of single frames."""
     return part == "test" and model.frames_are_exchangeable
-
-
-def _regions_from(model: PoseModel, *, matched_all: bool) -> str:
-    """What the regions rest on, for people."""
-    names = " + ".join(source.name for source in model.localizer.sources)
-    where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
-    return f"one belief from {names}{where}"

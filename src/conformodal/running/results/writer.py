@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self, TextIO
 
 from conformodal.poses import Trajectory, tum_lines
+from conformodal.poses.formats import TUM_HEADER
 from conformodal.running.paths import METHODS
 
 from .folders import UNFINISHED, discard, holds_results, lock_output, replace_results
@@ -109,5 +110,5 @@ class ResultsWriter:
             # line buffered, so that others can follow a run
             self._open[name] = (self.place / name).open("w", encoding="utf-8", buffering=1)
             if name.endswith(".tum"):
-                self._open[name].write("# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)\n")
+                self._open[name].write(f"{TUM_HEADER}\n")
         self._open[name].writelines(f"{line}\n" for line in lines)
