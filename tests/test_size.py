@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3010,
-    "conformal": 5790,
+    "cli": 3000,
+    "conformal": 5770,
     "core": 460,
-    "datasets": 6050,
+    "datasets": 6020,
     "localization": 3270,
     "model": 1440,
     "motion": 1040,
@@ -21,7 +21,7 @@ BUDGET = {
     "report": 860,
     "ros": 710,
     "running": 2200,
-    "training": 1140,
+    "training": 1130,
     "vision": 480,
 }
 
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21760
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21790
