@@ -37,7 +37,8 @@ def test_seven_scenes_keeps_gaps_by_the_numbers_of_its_frames(tmp_path):
     known = before.truth[np.array([0, 1, 2, 4])]
     done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
     assert (done.n_frames, done.n_posed, done.n_unreadable) == (5, 3, 1)
-    assert done.notes == [
+    (why,) = [note for note in done.notes if note.startswith(f"{before.image_paths[2]}: cannot be decoded")]
+    assert [note for note in done.notes if note != why] == [
         "left out 1 frame without an image: 5.200000.png",
         "kept 2 frames without a pose: 5.300000.png, 5.500000.png",
     ]

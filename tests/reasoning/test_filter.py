@@ -144,11 +144,16 @@ def test_tempering_does_not_favour_a_place_that_is_told_in_many_hypotheses(n):
 def test_images_that_follow_each_other_closely_say_less_together():
     """Ten images that speak for one of two places, 3 to 2: within a second, and within ten minutes."""
     told = hypotheses([0.0, 5.0], [0.6, 0.4])
-    odds = {}
+    odds, still = {}, replace(PRIOR, top_speed_mps=(0.0, 0.0))
     for step_s in (1e-4, 0.1, 60.0):
         seen = Observations([told] * 10, [None] * 10, np.arange(10) * step_s)
-        last = find_places(filter_posteriors(seen, replace(PRIOR, top_speed_mps=(0.0, 0.0)))[-1], PRIOR)
+        last = find_places(filter_posteriors(seen, still)[-1], still)
         odds[step_s] = last[0].probability / last[1].probability
+        in_hindsight = [find_places(its, still) for its in hindsight_posteriors(seen, still)]
+        for k in (0, 4):  # all ten images speak for each frame, and each counts once
+            assert in_hindsight[k][0].probability / in_hindsight[k][1].probability == pytest.approx(
+                odds[step_s], rel=0.1
+            )
     share = 1 - FILTER.alike
     assert odds[1e-4] == pytest.approx(1.5 ** (1 + 9 * share), rel=0.05)
     assert odds[1e-4] < 0.6 * odds[0.1] < odds[0.1] < 0.5 * odds[60.0]

@@ -1,5 +1,6 @@
 import pickle
 
+import cv2
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -93,8 +94,11 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
     online, truth = run.trajectories["online"], sequence.truth[frames]
     wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     wrong &= ~run.path_regions["online"].contains(targets, joint=True)
-    n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
-    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
+    n_sure = np.sum(wrong & (run.certainty >= model.reliable_p["online"]))
+    assert (
+        n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1)
+        or model.reliable_p["online"] == FILTER.most_reliable
+    )
     other = model.path_rules["online"].at(0.5)
     assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
 
@@ -175,6 +179,19 @@ def test_the_look_alone_makes_no_pose_unreliable_where_a_place_was_just_recognis
             told.setdefault((now.matched, seen), set()).add("like no place that is known" in now.problem)
     assert told.pop((False, False), {True}) == {True}
     assert told == {(True, False): {True}, (False, True): {False}}
+
+
+@pytest.mark.parametrize("match_every", [FILTER.seldom, 1000])
+def test_after_a_cut_to_another_scene_no_pose_is_reliable(small_world, match_every):
+    sequence, model = read_sequence(small_world.folder), load_model(small_world.model)
+    odometry, rng = VisualOdometry(model, match_every=match_every), np.random.default_rng(0)
+    shape, last = sequence.image(0).shape, sequence.timestamps_s[31]
+    for i in range(31):  # the last is just after one that is matched, also every sixth time
+        odometry.step(sequence.image(i), sequence.timestamps_s[i])
+    alien = cv2.resize(rng.integers(0, 255, (9, 12, 3), dtype=np.uint8), shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    after = [odometry.step(np.roll(alien, k, axis=1), last + 0.1 * k) for k in range(20)]
+    assert all(its.evidence is EvidenceType.UNKNOWN for its in after)
+    assert not any(its.reliable for its in after)
 
 
 def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):

@@ -164,7 +164,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
     score = np.arange(n) / n  # tells the frame
     quats = np.tile([1.0, 0, 0, 0], (n, 1))
-    posterior, windows = SimpleNamespace(lost=False), []
+    posterior, windows, told = SimpleNamespace(lost=False), [], []
 
     class Seen(SimpleNamespace):
         def part(self, rows):
@@ -175,7 +175,9 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
         return SimpleNamespace(first=lambda prior: posterior)
 
     stubs = {
-        "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
+        "Observations": lambda candidates, motions, times, known: Seen(
+            candidates=candidates, timestamps_s=told.append(known) or times
+        ),
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
         "hindsight_posteriors": lambda seen, prior, forward: forward,
         "Window": window,
@@ -193,7 +195,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
         overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS),
         known_with_local=every,
         recognised=every,
-        known_p=np.ones(n),
+        known_p=np.where(np.arange(n) % 4 == 0, 0.05, 0.5),
         level=0.1,
     )
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
@@ -218,6 +220,8 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     assert len(paths["online"].scores_) == len(paths["seldom"].scores_) == n
     matched = np.concatenate([np.arange(length) % FILTER.seldom == 0 for length in lengths])
     np.testing.assert_array_equal(without_local.chosen, matched)  # from the first frame of each stream
+    assert np.concatenate(told[::2]).all()  # as local features say
+    np.testing.assert_array_equal(np.concatenate(told[1::2]), matched | (np.arange(n) % 4 != 0))
     its.without_local = its.beliefs  # of a model without local features
     paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
     assert "seldom" not in paths

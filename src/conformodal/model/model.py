@@ -104,7 +104,7 @@ class PoseModel:
     path_rules
         Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
     reliable_p
-        A pose counts as reliable from this probability of its place.
+        A pose counts as reliable from this probability of its place: online, and seldom.
     quality
         Of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated.
     """
@@ -121,7 +121,7 @@ class PoseModel:
     radius: PoseRadius | None = None
     comparison: SourceComparison | None = None
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
-    reliable_p: float = FILTER.reliable
+    reliable_p: dict[str, float] = field(default_factory=lambda: {ONLINE: FILTER.reliable})
     quality: QualityRange | None = None
 
     @property

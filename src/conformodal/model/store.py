@@ -253,7 +253,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: byte
         path_rules={
             path: _path_rule(rules, arrays, name) for path in PATHS if (name := f"calibration.{path}") in arrays
         },
-        reliable_p=float(how["reliable_p"]),
+        reliable_p={path: float(p) for path, p in how["reliable_p"].items()},
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
 

@@ -69,7 +69,6 @@ class Prediction:
     measured: bool  # whether there is a measured rotation
     elsewhere: float  # probability that the camera is anywhere, as after a cut
     unseen_s: float  # seconds since an image showed a known place
-    tempering: float  # what an image says that the neighbour's has not said, see :func:`tempered`
 
 
 def predict(
@@ -120,8 +119,7 @@ def predict(
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
     elsewhere = min(max(elsewhere, jump), 1 - FILTER.least_mass)
-    tempering = 1 - FILTER.alike * float(np.exp(-step_s / FILTER.alike_s))
-    return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s, tempering)
+    return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
 
 
 def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
@@ -212,7 +210,13 @@ def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidat
     off2 = ((its.positions_xyz[:, None] - its.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
     turns = 2 * np.arccos(np.minimum(np.abs(its.orientations_quat_wxyz @ its.orientations_quat_wxyz.T), 1))
     around = np.exp(-0.5 * (off2 + (turns / FILTER.place_rad) ** 2)) @ np.exp(its.log_mass)
+    around = np.maximum(around, np.finfo(float).tiny)  # of a hypothesis that hardly counts
     return replace(its, log_mass=its.log_mass + (power - 1) * np.log(around)).normalised()
+
+
+def new_share(step_s: float) -> float:
+    """Share of an image's evidence that the image so many seconds before has not told, see :func:`tempered`."""
+    return 1 - FILTER.alike * float(np.exp(-step_s / FILTER.alike_s))
 
 
 def start(evidence: Candidates, *, known: bool) -> Posterior:
@@ -370,7 +374,7 @@ class PoseFilter:
             if not step_s > 0:
                 raise ReasoningError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
             ahead = predict(before.posterior, motion, step_s, self.prior)
-            posterior = weigh(ahead, evidence, self.prior, known=known)
+            posterior = weigh(ahead, evidence, self.prior, known=known, share=new_share(step_s))
         self._steps.append(_Step(evidence, known, motion, timestamp_s, posterior))
         return posterior
 
@@ -386,10 +390,13 @@ class PoseFilter:
         return Window(seen, [step.posterior for step in steps])
 
 
-def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool) -> Posterior:
-    """The posterior of a frame from its prediction and its image, which shows a known place or does not."""
+def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool, share: float) -> Posterior:
+    """The posterior of a frame from its prediction and its image, which shows a known place or does not.
+
+    `share` is that of the image's evidence that others have not told.
+    """
     wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
-    found = update(ahead, evidence, prior, wrong=wrong, tempering=ahead.tempering)
+    found = update(ahead, evidence, prior, wrong=wrong, tempering=share)
     return replace(found, unseen_s=0.0 if known else ahead.unseen_s)
 
 
@@ -419,13 +426,19 @@ def hindsight_posteriors(
 
 
 def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:
-    """What all later frames predict of each frame, from the last but one to the first."""
-    later = start(seen.candidates[-1], known=bool(seen.is_known[-1]))  # from this frame on
+    """What all later frames predict of each frame, from the last but one to the first.
+
+    Each image tells the share that the image before it has not, as on the way forward, so that each counts once.
+    """
+    steps_s = np.diff(seen.timestamps_s).tolist()
+    last = tempered(seen.candidates[-1], new_share(steps_s[-1]), prior) if steps_s else seen.candidates[-1]
+    later = start(last, known=bool(seen.is_known[-1]))  # from this frame on
     for t in range(len(seen.candidates) - 2, -1, -1):
-        step_s = float(seen.timestamps_s[t + 1] - seen.timestamps_s[t])
-        ahead = predict(later, seen.motions[t + 1], step_s, prior, back=True)
+        ahead = predict(later, seen.motions[t + 1], steps_s[t], prior, back=True)
         yield t, ahead
-        later = weigh(ahead, seen.candidates[t], prior, known=bool(seen.is_known[t]))
+        if t > 0:
+            share = new_share(steps_s[t - 1])
+            later = weigh(ahead, seen.candidates[t], prior, known=bool(seen.is_known[t]), share=share)
 
 
 def _joined(forward: Posterior, ahead: Prediction, prior: MotionPrior) -> Posterior:

@@ -68,7 +68,7 @@ class VisualOdometry(Odometry):
         self.lag = lag
         self.match_every = match_every
         self._filter = PoseFilter(model.prior, lag)
-        self._last: deque[tuple[Estimate, bool]] = deque(maxlen=lag + 1)  # with whether a known place was just seen
+        self._last: deque[tuple[Estimate, bool | None]] = deque(maxlen=lag + 1)  # with `just_seen`, see _estimate
         self.reset()
 
     @classmethod
@@ -100,12 +100,16 @@ class VisualOdometry(Odometry):
             local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
-        if local is not None or not self._seldom:
-            self._just_seen = bool(found.kinds[0] != EvidenceType.UNKNOWN)
-        path = ONLINE if not self._seldom else SELDOM if self.match_every <= FILTER.seldom else ""
-        now = self._push(self._filter, found, motion, timestamp_s, path, just_seen=self._just_seen)
+        path, just_seen = ONLINE, None
+        if self.seldom:
+            path = SELDOM if self.match_every <= FILTER.seldom else ""
+            followed = motion is not None and motion.R_prev_next is not None and self._seen_s == self._shown_s
+            looked, known = local is not None, bool(found.kinds[0] != EvidenceType.UNKNOWN)
+            self._just_seen = known if looked else self._just_seen and followed and bool(path)
+            just_seen = self._just_seen
+        now = self._push(self._filter, found, motion, timestamp_s, path, just_seen=just_seen)
         now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
-        self._last.append((now, self._just_seen))
+        self._last.append((now, just_seen))
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
@@ -120,7 +124,7 @@ class VisualOdometry(Odometry):
             return None
         (then, just_seen), posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        path = LAGGED if self.lag == FILTER.lag and not self._seldom else ""
+        path = LAGGED if self.lag == FILTER.lag and not self.seldom else ""
         now = self._estimate(
             then.localization, then.relative_motion, then.timestamp_s, posterior, path, just_seen=just_seen
         )
@@ -134,7 +138,7 @@ class VisualOdometry(Odometry):
         timestamp_s: float,
         path: str = ONLINE,
         *,
-        just_seen: bool = False,
+        just_seen: bool | None = None,
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
@@ -148,12 +152,13 @@ class VisualOdometry(Odometry):
         posterior: Posterior,
         path: str,
         *,
-        just_seen: bool,
+        just_seen: bool | None,
     ) -> Estimate:
         """The estimate of a frame from its posterior; `path` says which frames this rests on.
 
-        `just_seen` is whether the last image whose local features were matched, this or one of the few before it,
-        showed a known place: then the look of this one alone makes no pose unreliable.
+        `just_seen` is None where local features of all frames are matched. Elsewhere it is whether the last image that
+        was, this or one of the few from which corners were followed to this, showed a known place: then the look of
+        this one alone makes no pose unreliable.
         """
         places = find_places(posterior, self.model.prior)
         best = places[0]
@@ -161,7 +166,7 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if kind is EvidenceType.UNKNOWN and not just_seen:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < self.model.reliable_p:
+        if best.probability < self.model.reliable_p[ONLINE if just_seen is None else SELDOM]:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
@@ -181,11 +186,6 @@ class VisualOdometry(Odometry):
             posterior=posterior,
             places=places,
         )
-
-    @property
-    def _seldom(self) -> bool:
-        """Whether local features are matched in some frames alone."""
-        return self.match_every > 1 and self.model.looks_at_local_features
 
     def _local_features(self, image: UInt8Array) -> LocalFeatures | None:
         due = self._n_steps % self.match_every == 0
@@ -216,7 +216,7 @@ class VisualOdometry(Odometry):
             submaps=motions.submaps_of(frames),
             trajectories={},
             unreadable=motions.unreadable,
-            reliable_p=self.model.reliable_p,
+            reliable_p=self.model.reliable_p[ONLINE],
         )
         prior, n = self.model.prior, len(frames)
         poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}

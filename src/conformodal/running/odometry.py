@@ -48,6 +48,11 @@ class Odometry(ABC):
     _seen_s: float | None  # of the last frame, usable or not
     _shown_s: float | None  # of the last usable one
 
+    @property
+    def seldom(self) -> bool:
+        """Whether local features are matched in some frames of a stream alone."""
+        return self.match_every > 1 and self.model.looks_at_local_features
+
     @abstractmethod
     def reset(self) -> None:
         """Forget the stream so far."""

@@ -264,7 +264,7 @@ class StreamRunner:
         later = hindsight_posteriors(seen, model.prior, [p.posterior for p in pending])
         for name, trajectory in whole_paths(later, seen, model.prior).items():
             self.writer.poses(name, trajectory[wanted])
-        path = HINDSIGHT if self.odometry.match_every == 1 else ""  # what it is calibrated for
+        path = "" if self.odometry.seldom else HINDSIGHT  # what it is calibrated for
         for p, posterior in zip(pending[wanted], later[wanted], strict=True):
             if p.truth is not None:
                 self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], path), p.truth)

@@ -15,7 +15,7 @@ from conformodal.conformal import QuantileBins, SplitConformal, grouped_quantile
 from conformodal.conformal.calibration.joint import Joint, as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, evenly_spread, rows_by_label
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.datasets import Disturbance
 from conformodal.datasets import Sequence as Frames
@@ -215,13 +215,13 @@ def calibrate_paths(
     calibrated: Calibrated,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-) -> tuple[dict[str, SplitConformal], float]:
+) -> tuple[dict[str, SplitConformal], dict[str, float]]:
     """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
     `motions` are those between held-out frames.
 
-    Also the probability of a place from which its pose counts as reliable: a frame with a wrong place that is at least
-    as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
-    show.
+    Also the probability of a place from which its pose counts as reliable, online and seldom: a frame with a wrong
+    place that is at least as probable, and whose region misses the pose, is as rare as the settings of the filter ask,
+    or as so few units can show.
 
     Regions of streams whose local features are matched in one of ``FILTER.seldom`` frames are calibrated on such
     streams. Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so
@@ -236,38 +236,37 @@ def calibrate_paths(
     # by path, of each fold: scores, whether each posterior is lost, and rows among the held-out frames
     answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]] = {path: [] for path in PATHS}
     truth, n = sequence.require_truth(), len(folds.held_out)
-    probability, right = np.empty(n), np.empty(n, dtype=bool)
+    wrong = {path: np.full(n, -np.inf) for path in (ONLINE, SELDOM)}  # probabilities of wrong places
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
     both = zip(calibrated.beliefs, calibrated.without_local, strict=True)
     for fold, localizer, (own, without_local) in zip(folds.folds, localizers, both, strict=True):
         rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
-        here = slice(start, start + len(held_out))
-        streams = [np.flatnonzero(units[held_out] == unit) for unit in np.unique(units[held_out])]
+        here, streams = slice(start, start + len(held_out)), rows_by_label(units[held_out])
         matched = np.zeros(len(held_out), dtype=bool)
         matched[np.concatenate([at[:: FILTER.seldom] for at in streams])] = True
         seldom = own.mixed(matched, without_local)
         known_seldom = np.where(matched, known[here], rules.known_p[here] > rules.level)
+        seen_by = {ONLINE: (own, known[here])} | ({SELDOM: (seldom, known_seldom)} if own is not without_local else {})
         found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
         for at in streams:
             moved, times = [motions[frame] for frame in held_out[at].tolist()], sequence.timestamps_s[held_out[at]]
-            seen, seen_seldom = (
-                Observations([its.mixtures[i].candidates for i in at.tolist()], moved, times, known=its_known[at])
-                for its, its_known in ((own, known[here]), (seldom, known_seldom))
-            )
-            forward = filter_posteriors(seen, prior)
-            if own is not without_local:
-                found[SELDOM].update(zip(at.tolist(), filter_posteriors(seen_seldom, prior), strict=True))
-            go_on()
-            drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
-            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
-            windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
-            found[ONLINE].update(zip(at.tolist(), forward, strict=True))
-            found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
-            found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
-            best, probability[start + at] = choose_places(forward, seen.timestamps_s, prior)
-            true = truth[held_out[at]]
-            right[start + at] = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
+            for path, (beliefs, its_known) in seen_by.items():
+                candidates = [beliefs.mixtures[i].candidates for i in at.tolist()]
+                seen = Observations(candidates, moved, times, known=its_known[at])
+                forward = filter_posteriors(seen, prior)
+                found[path].update(zip(at.tolist(), forward, strict=True))
+                best, probability = choose_places(forward, times, prior)
+                true = truth[held_out[at]]
+                right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
+                wrong[path][start + at] = np.where(right, -np.inf, probability)
+                if path == ONLINE:
+                    drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
+                    some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
+                    windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
+                    found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
+                    found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
+                go_on()
         for path, posteriors in found.items():
             if not posteriors:
                 continue
@@ -279,17 +278,27 @@ def calibrate_paths(
             scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
             answered[path].append((scores, lost, start + which))
         start += len(held_out)
-    labels, paths = rules.overall.groups_, {}
-    every = {
-        path: [np.concatenate(its) for its in zip(*parts, strict=True)] for path, parts in answered.items() if parts
-    }
-    for path, (scores, lost, rows) in every.items():
+    return _thresholds(rules.overall, answered, wrong)
+
+
+def _thresholds(
+    overall: SplitConformal,
+    answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]],
+    wrong: dict[str, FloatArray],
+) -> tuple[dict[str, SplitConformal], dict[str, float]]:
+    """What :func:`calibrate_paths` gives, from the answers of the folds and the probabilities (n,) of wrong places."""
+    labels, paths, reliable_p = overall.groups_, {}, {}
+    for path, parts in answered.items():
+        if not parts:
+            continue
+        scores, lost, rows = (np.concatenate(its) for its in zip(*parts, strict=True))
         own_labels = None if labels is None else labels[rows]
-        rule = path_rule(rules.overall.bins, rules.overall.alpha).calibrate_scores(scores, own_labels)
+        rule = path_rule(overall.bins, overall.alpha).calibrate_scores(scores, own_labels)
         paths[path] = part_of(rule, ~lost)
-    scores, lost, _ = every[ONLINE]
-    held = (scores <= paths[ONLINE].thresholds_).all(axis=1) | lost
-    return paths, _reliable_p(np.where(right | held, -np.inf, probability), labels)
+        if path in wrong:
+            held = (scores <= paths[path].thresholds_).all(axis=1) | lost
+            reliable_p[path] = _reliable_p(np.where(held, -np.inf, wrong[path]), labels)
+    return paths, reliable_p
 
 
 def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
@@ -312,7 +321,7 @@ def compare_sources(
 
     None if no frame shows a known place.
     """
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_COMPARED)).round().astype(int))]
+    frames = frames[evenly_spread(len(frames), _MOST_COMPARED)]
 
     def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
         local = () if rules.matched is None else data.local_features(frames[rows])

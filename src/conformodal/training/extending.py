@@ -131,7 +131,7 @@ def extend_model(
         radius=None,
         comparison=compare_sources(data, localizers, localizer, novelty, rules, split.test) if compared else None,
         path_rules={path: _both(rule, paths[path]) for path, rule in model.path_rules.items() if path in paths},
-        reliable_p=max(model.reliable_p, reliable_p),
+        reliable_p={path: max(p, reliable_p.get(path, p)) for path, p in model.reliable_p.items()},
         quality=quality,
     )
 

@@ -32,8 +32,7 @@ class TrainingData:
     _shared: SourceData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        grid = self.backbone.config.grid
-        data = SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind, grid=grid)
+        data = SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind)
         object.__setattr__(self, "_shared", data)
 
     @cached_property
@@ -48,6 +47,7 @@ class TrainingData:
         return replace(
             self._shared,
             depth_m=self.depths[0],
+            grid=self.backbone.config.grid,
             n_bins=config.n_bins,
             margin=config.margin,
             sigma_bins=config.sigma_bins,
