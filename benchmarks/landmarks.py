@@ -49,6 +49,8 @@ def sift(image: Any, camera: Any) -> LocalFeatures:
     orb = extract_local_features(image, camera)
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     corners, found = cv2.SIFT.create(local_features.LOCAL_FEATURES.max_corners).detectAndCompute(grey, None)
+    if found is None:
+        return orb._replace(pixels=np.empty((0, 2)), descriptors=np.empty((0, 128), np.uint8))
     return orb._replace(pixels=undistort(np.array([c.pt for c in corners]), camera), descriptors=found.astype(np.uint8))
 
 
