@@ -48,7 +48,7 @@ _ASSUMPTION_STRETCHES = (
 _PATHS_BY_STRETCH = (
     "Regions from posteriors are calibrated on held-out stretches (or recordings), each run as a stream from its first "
     "frame by sources that had not seen it. The guarantee is about a frame drawn at random from a new stretch that is "
-    "run so, with local features matched in as many frames: in all, or in every sixth (or more often)."
+    "run so, with local features matched in as many frames: in all, or in every sixth."
 )
 _PATHS_BY_FRAME = (
     "Regions from posteriors are calibrated on the calibration frames, run as a stream with gaps. Other frames make "
