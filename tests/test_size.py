@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3010,
-    "conformal": 5790,
+    "cli": 3000,
+    "conformal": 5770,
     "core": 460,
-    "datasets": 6050,
+    "datasets": 6020,
     "localization": 3270,
     "model": 1440,
     "motion": 1040,
@@ -20,8 +20,8 @@ BUDGET = {
     "reasoning": 1450,
     "report": 860,
     "ros": 710,
-    "running": 2200,
-    "training": 1140,
+    "running": 2180,
+    "training": 1130,
     "vision": 480,
 }
 

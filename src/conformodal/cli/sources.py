@@ -17,7 +17,7 @@ from conformodal.core.files import check_writable, default_cache_dir
 from conformodal.core.words import counted
 from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
 from conformodal.datasets.joining import join_sequences
-from conformodal.datasets.reading import Note
+from conformodal.datasets.reading import Note, by_what
 from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.bag_poses import read_bag_poses
 from conformodal.datasets.streams.frames import FrameStream
@@ -61,14 +61,11 @@ def cache_folder(cache: Path | None) -> Path:
 
 def _report_warnings(notes: Iterable[Note]) -> None:
     """Name what the reader left out, or found unlikely."""
-    counts: dict[str, int] = {}
-    for what, where in notes:
-        counts[what] = counts.get(what, 0) + 1
-        if counts[what] <= _MOST_NOTES:
+    for what, places in by_what(notes).items():
+        for where in places[:_MOST_NOTES]:
             report_line(f"{what}: {where}")
-    for what, count in counts.items():
-        if count > _MOST_NOTES:
-            report_line(f"{what}: {count - _MOST_NOTES} more")
+        if len(places) > _MOST_NOTES:
+            report_line(f"{what}: {len(places) - _MOST_NOTES} more")
 
 
 def open_sequence(

@@ -18,7 +18,7 @@ from .euroc import SHIFTED
 from .frame_table import CONVERTED, INTERPOLATED
 from .lenses import AS_STORED, OTHER_CAMERA, UNDISTORTED
 from .nerf import ORIGINAL_WORLD
-from .reading import NUMBERS
+from .reading import NUMBERS, by_what
 from .sequence import Sequence
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
@@ -86,7 +86,7 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)
     steps = np.diff(sequence.timestamps_s)[linked]
     usual = float(np.median(steps)) if steps.size else float("nan")
-    found = _warnings(sequence)
+    found = [Finding(what, len(where), where[0], what not in _NOTES) for what, where in by_what(sequence.notes).items()]
 
     def add(what: str, at: list[int], *, wrong: bool = True) -> None:
         if at:
@@ -141,11 +141,3 @@ def check_sequence(sequence: Sequence, progress: Callable[[int, int], None] | No
         path_m=path,
         findings=found,
     )
-
-
-def _warnings(sequence: Sequence) -> list[Finding]:
-    """What the reader found, each kind once."""
-    places: dict[str, list[str]] = {}
-    for note in sequence.notes:
-        places.setdefault(note.what, []).append(note.where)
-    return [Finding(what, len(where), where[0], what not in _NOTES) for what, where in places.items()]

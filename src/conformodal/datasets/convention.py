@@ -31,12 +31,7 @@ _NOT_MODELLED, _TURN_DEG = 0.03, 0.05
 
 
 def fitting_convention(sequence: Sequence) -> tuple[str, dict[str, float]]:
-    """The convention under which matched corners lie on the epipolar lines of the poses.
-
-    Parameters
-    ----------
-    sequence
-        With poses for all of its frames.
+    """The convention under which matched corners lie on the epipolar lines of the poses, which all frames have.
 
     Returns
     -------

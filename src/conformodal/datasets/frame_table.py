@@ -24,7 +24,7 @@ from conformodal.poses.text import is_header
 from .decoding import FLAT, SCALED_BITS, TURNED, WIDEST, image_fault, looked_at, natural_key
 from .errors import DatasetError, DatasetWarning
 from .lenses import AnyCamera, Fisheye, brought
-from .reading import BETWEEN_RECORDINGS_S, Note, read_lines, read_numbers, readable, shown
+from .reading import BETWEEN_RECORDINGS_S, Note, by_what, read_lines, read_numbers, readable, shown
 from .sequence import Sequence
 
 Damaged = dict[int, str]
@@ -97,7 +97,8 @@ class FrameTable:
         notes = [*self.notes, *(out[i] for i in sorted(out)), *self._unlikely(kept, kept[posed[kept]])]
         if not require_poses and posed[kept].any():
             notes += [Note(NO_POSE, lacking[i]) for i in kept.tolist() if i in lacking]
-        _warn(self.name, notes)
+        for what, places in by_what(notes).items():
+            warnings.warn(f"{self.name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=4)
         recording = np.zeros(len(self.images), dtype=np.int64) if self.recording is None else self.recording
         with_pose = kept[posed[kept]]
         truth, whole = None, len(with_pose) == len(kept)
@@ -197,14 +198,6 @@ def _longest_rise(times: FloatArray) -> IntArray:
     while before[rise[-1]] >= 0:
         rise.append(int(before[rise[-1]]))
     return np.array(rise[::-1])
-
-
-def _warn(name: str, notes: list[Note]) -> None:
-    counts: dict[str, list[str]] = {}
-    for note in notes:
-        counts.setdefault(note.what, []).append(note.where)
-    for what, places in counts.items():
-        warnings.warn(f"{name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=5)
 
 
 def listed(

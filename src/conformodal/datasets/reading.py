@@ -38,6 +38,14 @@ class Note(NamedTuple):
     where: str
 
 
+def by_what(notes: Iterable[Note]) -> dict[str, list[str]]:
+    """Where each kind of notes was found."""
+    found: dict[str, list[str]] = {}
+    for note in notes:
+        found.setdefault(note.what, []).append(note.where)
+    return found
+
+
 def readable(name: str) -> bool:
     """Whether a file's name is text: names that are not UTF-8 can be put into no result."""
     try:

@@ -135,11 +135,12 @@ def _poses(images: list[Path], why: Damaged) -> FloatArray:
     poses = np.full((len(images), 4, 4), np.nan)
     for i, path in enumerate(pose_path(image) for image in images):
         try:
-            poses[i] = _read_matrix(path) if path.exists() else np.nan
+            if path.exists():
+                poses[i] = _read_matrix(path)
+            else:
+                why[i] = f"{path}: pose is missing"
         except DatasetError as exc:
             why[i] = str(exc)
-        else:
-            why |= {} if path.exists() else {i: f"{path}: pose is missing"}
     for i, fault in matrix_faults(poses).items():
         why[i] = f"{pose_path(images[i])}: {fault}"
     poses[list(why)] = np.nan

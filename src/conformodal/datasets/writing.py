@@ -70,24 +70,9 @@ def write_layout(
 ) -> ConversionReport:
     """Write the frames of a source, one after the other; images that lie in files are copied as they are.
 
-    They are written beside the folder and moved into its place at the end: a failure leaves nothing there.
-
-    Parameters
-    ----------
-    folder
-        New or empty.
-    layout
-        One of :data:`WRITABLE`.
-    stream
-        Of one recording; ``7scenes`` holds several.
-    camera
-        Intrinsics.
-    poses
-        Of the frames, paired by time. Frames without one are kept without. None writes no poses.
-    progress
-        Called with frames done.
-    max_gap_s
-        Longest time between two poses that one is interpolated from; 0 for poses with the frames' own times.
+    They are written beside the folder, which is new or empty, and moved into its place at the end: a failure leaves
+    nothing there. Poses are paired by time; frames without one are kept without. `max_gap_s` is the longest time
+    between two poses that one is interpolated from; 0 for poses with the frames' own times.
 
     Raises
     ------

@@ -53,21 +53,9 @@ class StreamRunner:
     """Takes frames one by one and writes what a model makes of them.
 
     Regions and poses are written as frames come. Whole paths (hindsight, smoothed) follow for a window of
-    frames at a time; sources of no more than 2000 frames are one window.
-    As a context it ends the thread that answers windows, whatever error ends the stream; :meth:`finish` writes.
-
-    Parameters
-    ----------
-    odometry
-        Of the model; reset here.
-    writer
-        Where results go.
-    truth
-        Of the whole data set, to measure coverage with; or None.
-    posed
-        Increasing indices of the frames that `truth` is of; None for all.
-    window, overlap
-        Frames of a window, and how many of them wait for the next one; less than half of it.
+    frames at a time, of which an overlap, less than half of it, waits for the next window; sources of no more than 2000
+    frames are one. As a context it ends the thread that answers windows, whatever error ends the stream;
+    :meth:`finish` writes. Coverage is measured with the `truth` of the frames `posed` of a data set; None for all.
 
     Attributes
     ----------

@@ -52,16 +52,8 @@ def extend_model(
     Thresholds are no smaller than those of the new recordings alone. The earlier scores are of sources that knew less,
     so the guarantee needs that more frames do not make scores of the earlier places larger. A radius is dropped.
 
-    Parameters
-    ----------
-    model
-        Is not changed.
-    sequence
-        One or several recordings with poses, by the model's camera and in its world frame.
-    cache, progress
-        As for training.
-    check_world
-        Whether to compare the world frames where the map recognises images. Turn it off for places that look alike.
+    The given model is not changed. The recordings have poses, in its world frame, and its camera. With `check_world`
+    world frames are compared where the map recognises images; turn it off for places that look alike.
 
     Raises
     ------

@@ -42,24 +42,10 @@ def worst_slab(
 
     The minimum over many slabs is far below the coverage of any one. The second half is independent of that choice, so
     its band is that of a slab chosen in advance (:func:`coverage_by_group`). The axes are among the directions. Of more
-    than 4000 samples 2000 choose.
+    than 4000 samples 2000 choose. `X` (n_test, p) are inputs, `mass` the least share of the first half's samples in the
+    slab; the rest is as in :func:`check_coverage`.
 
     Source: Cauchois, Gupta and Duchi (2021); split in two as by Romano, Sesia and Candes (2020).
-
-    Parameters
-    ----------
-    inside
-        (n_test,) whether each true value is in its set.
-    X
-        (n_test, p) inputs.
-    n_calibration, alpha, level
-        As in :func:`check_coverage`.
-    mass
-        Least share of the first half's samples in the slab, in (0, 1].
-    directions
-        Number of random directions.
-    random_state
-        Seed of directions and halves.
     """
     inside, inputs = as_flags(inside, "inside", 1), as_doubles(X, "X")
     if inputs.ndim != 2 or inputs.shape[0] != inside.size or not inputs.shape[1] or not np.isfinite(inputs).all():

@@ -25,15 +25,8 @@ class Pace(StrEnum):
 def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Generator[Frame]:
     """Frames of a stream, decoded ahead; its :class:`SourceError` comes after all frames before it.
 
-    Parameters
-    ----------
-    stream
-        Stored sources wait when `depth` frames are ready. A live one, or any at the camera's pace, does not wait: the
-        oldest frame that was not taken yet is lost, as it would be to a robot.
-    depth
-        Frames ready at most.
-    pace
-        ``camera`` plays a stored source by its timestamps.
+    Stored sources wait when `depth` frames are ready; the pace ``camera`` plays them by their timestamps. Then, and
+    where the source is live, nothing waits: the oldest frame that was not taken yet is lost, as it would be to a robot.
     """
     pace = as_member(pace, Pace, "pace", SourceError)
     ready: deque[Frame] = deque()

@@ -58,14 +58,7 @@ def _lock_holders(folder: Path) -> set[str]:
 def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Iterator[None]:
     """Lock a folder for the results of a command; it is writable, and no file of anything else would be overwritten.
 
-    Parameters
-    ----------
-    folder
-        Made if missing.
-    command
-        Whose results it gets.
-    apart
-        Folders that are read, and so must be others.
+    It is made if missing. Folders `apart` are read, and so must be others.
 
     Raises
     ------

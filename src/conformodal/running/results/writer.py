@@ -24,14 +24,7 @@ class ResultsWriter:
     Where the folder holds results already, new ones are written under ``unfinished`` in it, and take their place all
     together at the end. If an error ends the work, earlier results stay, and the new ones stay where they were written.
 
-    Parameters
-    ----------
-    folder
-        Created if missing, and locked until the end; results of an earlier run in it are replaced.
-    command
-        Whose results they are.
-    answer
-        The method whose poses are the answer.
+    The folder is created if missing, and locked until the end. `answer` is the method whose poses are the answer.
 
     Attributes
     ----------
