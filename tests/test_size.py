@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21870
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21900
