@@ -7,10 +7,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3000,
+    "cli": 3010,
     "conformal": 5770,
     "core": 460,
-    "datasets": 6020,
+    "datasets": 6060,
     "localization": 3270,
     "model": 1440,
     "motion": 1040,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21820
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21940

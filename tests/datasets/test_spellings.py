@@ -235,6 +235,23 @@ def test_a_path_that_rests_at_the_identity_keeps_it():
     assert lost_faults(np.zeros((4, 3)), np.ones(4, dtype=bool)) == {}
 
 
+NOISE = 1e-4 * np.random.default_rng(0).normal(size=250)
+
+
+@pytest.mark.parametrize(
+    "x_m",
+    [
+        np.concatenate((np.zeros(100), 0.02 * np.arange(1, 51), 1 + NOISE)),  # noise makes no jump of a step of 2 cm
+        np.append(0, 0.5 + 0.01 * np.arange(99)),  # as SLAM, which needs a baseline first
+    ],
+)
+def test_a_path_that_begins_at_the_identity_keeps_it(x_m):
+    positions = np.column_stack((x_m, *np.zeros((2, len(x_m)))))
+    assert lost_faults(positions, x_m == 0) == {}
+    positions[-9] = 0
+    assert list(lost_faults(positions, positions[:, 0] == 0)) == [len(x_m) - 9]
+
+
 def test_a_matrix_that_is_transposed_says_so():
     pose = np.eye(4)
     pose[:3, 3] = 1, 2, 3
@@ -311,9 +328,15 @@ def test_names_of_other_kinds_are_one_recording(tmp_path, names):
     ("numbers", "times", "told"),
     [
         ((1, 2, 3, 4), (0, 1, 2, 3), ""),
-        ((1, 2, 4, 7), (0, 1, 3, 6), "2.png is followed by f004.png|4.png is followed by f007.png; times have gaps"),
-        ((0, 10, 20, 30), (0, 1, 2, 3), "f000.png is followed by f010.png; times are even"),
+        (
+            (1, 2, 3, 5, 8),
+            (0, 1, 2, 4, 7),
+            "f005.png is followed by f008.png; times have gaps.*: 1 number is one frame",
+        ),
+        ((0, 10, 20, 30), (0, 1, 2, 3), "f000.png is followed by f010.png; times are even: 10 numbers are one frame"),
         ((0, 10, 30), (0, 1, 3), "times have gaps"),
+        ((0, 10, 20, 30, 31, 40), (0, 1, 2, 3, 3.1, 4), "10 numbers are one frame"),  # one step does not decide
+        ((0, 4, 8, 11, 15, 19), (0, 1, 2, 2.75, 3.75, 4.75), "4 numbers are one frame"),  # 8 of 30 per second
     ],
 )
 def test_names_that_skip_numbers_skip_their_times(tmp_path, numbers, times, told):

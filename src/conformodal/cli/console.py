@@ -8,6 +8,7 @@ import io
 import os
 import sys
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -101,6 +102,22 @@ def _report_error(text: str, start: str = "error: ") -> None:
 def report_strongly(text: str) -> None:
     """A line in bold, for what a user must see."""
     console.print(Text(plain(text), style="bold"), soft_wrap=True)
+
+
+@contextmanager
+def warning_lines(category: type[Warning], report: Callable[[str], None] = report_line) -> Iterator[None]:
+    """Report each warning of a category as a line at the end, also where an error follows; others stay warnings."""
+    came = list[warnings.WarningMessage]()
+    try:
+        with warnings.catch_warnings(record=True) as came:
+            warnings.simplefilter("always", category)
+            yield
+    finally:
+        for its in came:
+            if issubclass(its.category, category):
+                report(str(its.message))
+            else:
+                warnings.showwarning(its.message, its.category, its.filename, its.lineno)
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +20,7 @@ from conformodal.running.results.runs import write_metrics
 from conformodal.training.extending import extend_model
 from conformodal.vision.features import FeatureCache
 
-from .console import print_where, progress_bars, report_errors, report_line, report_strongly
+from .console import print_where, progress_bars, report_errors, report_line, report_strongly, warning_lines
 from .model_notes import describe_landmarks
 from .sources import AllData, Cache, DataLayout, FollowOutside, SavedModel, cache_folder, open_sequences
 
@@ -46,14 +45,8 @@ def extend(
     with lock_output(out, "train", apart=data):
         known, features = load_model(model), FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, require_poses=True, follow_outside=follow_outside)
-        with warnings.catch_warnings(record=True) as came, progress_bars(out) as report:
-            warnings.simplefilter("always", DatasetWarning)
+        with warning_lines(DatasetWarning, report_strongly), progress_bars(out) as report:
             extended = extend_model(known, sequence, features, report, check_world=check_world)
-        for its in came:
-            if issubclass(its.category, DatasetWarning):
-                report_strongly(str(its.message))
-            else:
-                warnings.showwarning(its.message, its.category, its.filename, its.lineno)
         before = model_digest(model)
         save_model(extended, out)
         first, split, comparison = len(known.known_frames), extended.split, extended.comparison

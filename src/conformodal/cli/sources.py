@@ -26,7 +26,7 @@ from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.poses import PinholeCamera, Trajectory, read_tum
 from conformodal.poses.metrics import MAX_GAP_S
 
-from .console import report_line
+from .console import report_line, warning_lines
 from .options import OptionError
 
 _MOST_NOTES = 5
@@ -119,11 +119,8 @@ def read_poses(
         poses = read_bag_poses(stream, str(source), notes, max_gap_s)
         _report_warnings(notes)
     else:
-        with warnings.catch_warnings(record=True) as came:
-            warnings.simplefilter("always")
+        with warning_lines(Warning):
             poses = read_tum(path)
-        for warning in came:
-            report_line(str(warning.message))
     return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
 
 

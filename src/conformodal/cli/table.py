@@ -22,7 +22,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
 
-from .console import report_errors, report_line
+from .console import report_errors, report_line, warning_lines
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED, _FEW = 3, 20, 1000  # rows, columns, rows
@@ -72,11 +72,8 @@ def table(
     test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
     joint: Any = "max" if len(target) > 1 else "none"
     reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, groups=group, verbose=True)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train])
-    for warning in caught:
-        report_line(f"note: {warning.message}")
     regions = reg.predict_region(X.iloc[test])
     for row in sorted({*range(_SHOWN), int((regions.n_intervals > 1).any(axis=1).argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):

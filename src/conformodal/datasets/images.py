@@ -35,10 +35,10 @@ def read_image_folder(folder: Path | str, *, require_poses: bool = True, focal_p
     Parameters
     ----------
     folder
-        With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one a line),
+        With the images and ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one per line),
         or the names of the files where all of these are numbers with a fraction or since 1970, no dates, or else even
         (``frame-rate.txt`` in Hz, or 30), with gaps where names skip numbers. Poses: ``poses.tum`` (or
-        ``groundtruth.txt``), interpolated by time; or ``poses.kitti`` (or ``poses.txt``), a line an image.
+        ``groundtruth.txt``), interpolated by time; or ``poses.kitti`` (or ``poses.txt``), one line per image.
     require_poses
         True leaves out images without a pose. False keeps all of them; there is a truth only if every one has a pose.
     focal_px
@@ -111,11 +111,12 @@ def _numbered_times(folder: Path, images: list[Path], notes: list[Note]) -> Floa
     steps = np.diff(numbers)
     if len(images) < _FEW or steps.min() < 1 or steps.max() == 1:
         return even
-    wide = int(np.argmax(steps))
+    wide, usual = int(np.argmax(steps)), np.sort(steps)[(len(steps) - 1) // 2]  # the median, of steps that there are
     told = "times are even" if steps.min() == steps.max() else "times have gaps where numbers have"
-    where = f"{images[wide].name} is followed by {images[wide + 1].name}; {told}. Write others into times.txt"
+    one = f"{counted(int(usual), 'number')} {'is' if usual == 1 else 'are'} one frame"
+    where = f"{images[wide].name} is followed by {images[wide + 1].name}; {told}: {one}. Write others into times.txt"
     notes.append(Note("names skip numbers", f"{folder}: {where}"))
-    return np.asarray(even[0] + (numbers - numbers[0]) / steps.min() * (even[1] - even[0]))
+    return np.asarray(even[0] + (numbers - numbers[0]) / usual * (even[1] - even[0]))
 
 
 def _times(folder: Path, images: list[Path], notes: list[Note]) -> tuple[list[Path], FloatArray]:

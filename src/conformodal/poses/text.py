@@ -22,7 +22,7 @@ from .trajectory import Trajectory
 _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
-_LOST_STEPS = 10  # usual ones, from the identity to the poses around it
+_LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 _FRACTION = re.compile(r"(.*?)([0-9]{1,20})\.([0-9]{1,20})(?:\.[a-z]+)?", re.IGNORECASE)
 _CLEAR = 1.5
@@ -215,7 +215,10 @@ def lost_faults(positions: FloatArray, identity: BoolArray) -> dict[int, str]:
         return {}
     away = np.concatenate(([np.inf], np.linalg.norm(positions[others], axis=1), [np.inf]))
     after = np.searchsorted(others, at)
-    lost = np.minimum(away[after], away[after + 1]) > _LOST_STEPS * np.median(steps[steps > 0])
+    far = _LOST_STEPS * np.percentile(steps[steps > 0], _LARGE)  # not the median, which noise at rest makes small
+    extent = np.linalg.norm(np.ptp(positions[others], axis=0))
+    # a path may begin at the identity and go on after a pause, as that of SLAM, which needs a baseline first
+    lost = np.minimum(away[after], away[after + 1]) > np.where(after == 0, max(far, extent), far)
     why = "is the identity, and those around it are far away: was the camera lost?"
     return dict.fromkeys(at[lost].tolist(), why)
 

@@ -164,10 +164,60 @@ def test_a_pose_that_is_not_a_number_is_left_out(tmp_path):
     assert "1 pose" in output
 
 
+def beside(t):
+    return np.array([[1, 0, 0, 0], [0, 1, 0, 9], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ motion(t)
+
+
+def test_poses_that_are_sent_twice_are_used_once_and_those_of_two_nodes_not(tmp_path):
+    odometry = ("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES)
+    sequence, output = converted(write_posed(tmp_path / "a", [odometry] * 2), tmp_path / "same", "--poses", "/o")
+    check(sequence, motion)
+    assert "several poses at one time" not in output
+    some = (*odometry[:2], beside, "cam", "odom", TIMES[::10])
+    sequence, output = converted(write_posed(tmp_path / "b", [odometry, some]), tmp_path / "some", "--poses", "/o")
+    check(sequence, motion)
+    assert "left out, several poses at one time: " in output
+    assert "of cam in odom: 12 of 64 poses have the time of another; do two nodes send them?" in output
+    both = write_posed(tmp_path / "c", [odometry, (*odometry[:2], beside, "cam", "odom", TIMES)])
+    result = refusal("data", "convert", both, "--poses", "/o", "--out", tmp_path / "both")
+    assert "of cam in odom: 116 of 116 poses have the time of another; do two nodes send them?" in result
+
+
+@pytest.mark.parametrize("topic", ["/o", "/tf"])
+def test_of_two_parents_the_one_of_most_poses_is_used(tmp_path, topic):
+    kind = TF if topic == "/tf" else "nav_msgs/msg/Odometry"
+    few = (topic, kind, beside, "cam", "map", [99.8, 100.01])
+    path = write_posed(tmp_path / "a", [few, (topic, kind, motion, "cam", "odom", TIMES)])
+    sequence, output = converted(path, tmp_path / "out", "--poses", topic)
+    check(sequence, motion)
+    assert "left out, of another parent: " in output
+    assert "2 poses of cam in map, not odom" in output
+
+
+def test_transforms_that_are_sent_seldom_say_what_they_cost(tmp_path):
+    seldom = ("/tf", TF, lambda _: np.eye(4), "odom", "map", [100.0, 101.0, 102.5])
+    path = write_posed(tmp_path / "a", [seldom, ("/tf", TF, motion, "cam", "odom", TIMES)])
+    result = run_ok("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
+    output = " ".join(result.output.split())
+    assert "left out, transforms are apart: " in output
+    assert "55 of 58 poses: cam and odom are not sent within 0.15 s (max_gap_s) of each other" in output
+    sequence, output = converted(path, tmp_path / "more", "--poses", "/tf", "--max-gap", "2")
+    check(sequence, motion)
+
+
+def test_transforms_in_a_circle_are_refused(tmp_path):
+    sent = [("/tf", TF, motion, *frames, TIMES) for frames in (("cam", "odom"), ("odom", "cam"))]
+    path = write_posed(tmp_path / "a", sent)
+    result = refusal("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
+    assert "/tf: leads from cam to odom to cam, in a circle" in result
+
+
 def test_a_topic_without_poses_is_named(tmp_path):
     path = write_posed(tmp_path / "a", [("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES), *STATIC])
     result = refusal("data", "convert", path, "--poses", "/imu", "--out", tmp_path / "out")
     assert result.endswith("holds no poses on /imu, which is no file either; there are /o")
+    result = refusal("data", "convert", path, "--poses", tmp_path / "poses.tum", "--out", tmp_path / "out")
+    assert result.endswith(f"poses.tum: no such file of poses; {path} has poses on /o")
 
 
 @pytest.mark.parametrize("kind", ["mcap", "ros1"])

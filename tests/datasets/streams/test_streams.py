@@ -15,7 +15,7 @@ from conformodal.datasets.streams.bag import BagStream
 from conformodal.datasets.streams.frames import Frame, SourceError
 from conformodal.datasets.streams.opening import open_stream
 from conformodal.datasets.streams.prefetch import Pace, prefetch
-from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, white_of
+from conformodal.datasets.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, is_swapped, white_of
 from conformodal.datasets.streams.stored import SequenceStream
 from conformodal.datasets.streams.video import CameraStream, VideoStream
 from conformodal.poses import PinholeCamera
@@ -137,12 +137,20 @@ def test_pixels_that_are_not_square_are_told(tmp_path):
     assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
 
 
-@pytest.mark.parametrize("head", ["ffconcat version 1.0\nfile 'v.mp4'\n", "v=0\nm=video 5004 RTP/AVP 96\n"])
+@pytest.mark.parametrize(
+    "head", [b"ffconcat version 1.0\nfile 'v.mp4'\n", b"v=0\nm=video 5004 RTP/AVP 96\n", b"v=0\xff\xfe\0\1"]
+)
 def test_a_list_of_other_files_is_no_video(tmp_path, head):
     mp4(tmp_path / "v.mp4")
-    (tmp_path / "list").write_text(head)
+    (tmp_path / "list").write_bytes(head)
     with pytest.raises(SourceError, match="list: is a list of other files"):
         open_stream(tmp_path / "list")
+
+
+def test_a_damaged_header_at_the_end_of_a_video_is_passed_over(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.write_bytes(mp4(path) + (16).to_bytes(4) + b"moov" + (8).to_bytes(4) + b"mvhd")
+    assert len(list(open_stream(path))) == 30
 
 
 def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
@@ -455,11 +463,11 @@ K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
 P_INFO = np.array([70.0, 0, 60, 5, 0, 71, 44, 0, 0, 0, 1, 0])
 
 
-def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0), k=K_INFO):
+def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0), k=K_INFO, p=P_INFO):
     x, y, width, height = roi
     window = SimpleNamespace(x_offset=x, y_offset=y, width=width, height=height, do_rectify=False)
     head = {"width": 128, "height": 96, "binning_x": binning[0], "binning_y": binning[1], "roi": window}
-    return SimpleNamespace(k=k, p=P_INFO, d=np.array(d), distortion_model=model, **head)
+    return SimpleNamespace(k=k, p=p, d=np.array(d), distortion_model=model, **head)
 
 
 @pytest.mark.parametrize(
@@ -469,6 +477,11 @@ def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 
         ("/cam/image_rect", {}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_rect_color/compressed", {}, (70, 71, 60, 44, 128, 96)),
         ("/cam/image_rect", {"k": np.zeros(9)}, (70, 71, 60, 44, 128, 96)),
+        (
+            "/cam/image_rect",
+            {"p": np.zeros(12), "d": np.zeros(4), "model": "equidistant"},
+            (80, 82, 64, 48, 128, 96),
+        ),
         ("/cam/image_raw", {"binning": (2, 2)}, (40, 41, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 24, 64, 48)}, (80, 82, 32, 24, 64, 48)),
         ("/cam/image_raw", {"roi": (32, 16, 64, 64), "binning": (2, 4)}, (40, 20.5, 16, 8, 32, 16)),
@@ -481,7 +494,8 @@ def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, e
     assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == expected
     rectified = "rect" in topic
     assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
-    assert any(("P, for rectified" if rectified else "K and D") in where for _, where in notes)
+    by_p = rectified and "p" not in given
+    assert any(("P, for rectified" if by_p else "K and D") in where for _, where in notes)
 
 
 @pytest.mark.parametrize(("model", "d"), [("plumb_bob", ()), ("", ()), ("equidistant", np.zeros(4))])
@@ -547,7 +561,7 @@ def write_ramps(path, changes, others=()):
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         to = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
         for i, (change, scale) in enumerate(changes):
-            (head, _), *_ = messages(store, header_times=[100.0 + i])
+            (head, _), *_ = messages(store, header_times=[change.get("stamp_s", 100.0 + i)])
             made = camera_info(store, head)
             for name, value in {
                 "d": np.zeros(5),
@@ -559,7 +573,7 @@ def write_ramps(path, changes, others=()):
             pixels = ramp(made.width, made.height, scale)[..., ::-1]
             size = {"height": made.height, "width": made.width, "step": 3 * made.width}
             image = store.types[kinds["/cam/image_raw"]](
-                header=head, encoding="bgr8", is_bigendian=0, data=pixels.ravel(), **size
+                header=head, encoding="bgr8", is_bigendian=0, data=pixels.ravel()[change.get("lost", 0) :], **size
             )
             other = copy(made)
             object.__setattr__(other, "k", 2 * made.k)
@@ -585,11 +599,24 @@ def test_a_camera_info_of_zeros_is_none(tmp_path, first):
 
 def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path):
     twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
-    frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({"k": twice}, 0.5), ({"k": np.zeros(9)}, 1)])))
-    for frame in frames[:2]:
+    zeros = {"k": np.zeros(9)}
+    changes = [({}, 1), ({"k": twice}, 0.5), *[(zeros, 1)] * 3, ({}, 1)]
+    frames = list(BagStream(write_ramps(tmp_path / "a", changes)))
+    for frame in (frames[0], frames[1], frames[5]):
         np.testing.assert_allclose(frame.image[2:-2, 2:-2].astype(int), ramp(64, 48, 1)[2:-2, 2:-2], atol=4)
-    assert frames[2].image is None
-    assert "not calibrated" in frames[2].problem
+    for frame in frames[2:5]:  # none is taken for one of the camera before
+        assert frame.image is None
+        assert "not calibrated" in frame.problem
+
+
+@pytest.mark.parametrize("fault", [{"lost": 9}, {"stamp_s": 1e9}])
+def test_a_camera_info_that_changes_at_a_frame_without_an_image_holds_for_those_after(tmp_path, fault):
+    half = {"k": np.array([20.0, 0, 32, 0, 20.5, 24, 0, 0, 1])}
+    frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({**half, **fault}, 1), (half, 1), (half, 1)])))
+    assert frames[1].image is None
+    x, y = np.meshgrid(32 + (np.arange(64) - 32) / 2, 24 + (np.arange(48) - 24) / 2)
+    for frame in frames[2:]:
+        np.testing.assert_allclose(frame.image[..., :2], np.dstack((4 * x, 5 * y)), atol=4)
 
 
 def test_of_several_cameras_in_one_name_space_the_one_of_the_images_is_used(tmp_path):
@@ -687,6 +714,8 @@ def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
     swapped = image_of(compressed(RED, "rgb8; png compressed rgb8"), COMPRESSED)
     np.testing.assert_array_equal(swapped, RED)
     np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), COMPRESSED), RED)
+    assert not is_swapped("png compressed rgb8")  # of others than image_transport
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "png compressed rgb8"), COMPRESSED), RED)
     done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
     np.testing.assert_array_equal(done, RED)
 

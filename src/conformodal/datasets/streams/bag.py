@@ -25,6 +25,7 @@ from .ros_messages import (
     check_encoding,
     image_of,
     is_calibrated,
+    is_swapped,
     key_of_info,
     stamp_s,
     white_of,
@@ -140,10 +141,11 @@ class BagStream:
         before: _Message | None = None  # the last message in order
         last_s: float | None = None  # its time
         back: float | None = None  # header stamp of the message before, if it was far back
-        lens = self.first_lens
+        lens, info = self.first_lens, None  # and a CameraInfo that no image could be used with yet
         for number, (this, after) in enumerate(_with_next(self._messages())):
             name = f"{self.path.stem}-{number:06d}"
             place = f"{self.path}, message {number} of {self.topic}"
+            info = this.info if this.info is not None else info
             astray = _astray(before, this, after)
             if astray is not None:
                 problem = f"{place}: its stamp, {this.stamp_s:.3f} s, is far from those of its neighbours"
@@ -162,9 +164,9 @@ class BagStream:
             try:
                 white = max(white, white_of(this.content))
                 image = image_of(this.content, this.kind, white)
-                if this.info is not None:
+                if info is not None:
                     size = image.shape[1], image.shape[0]
-                    lens = camera_of_info(this.info, self.infos[0], str(self.topic), size)
+                    lens, info = camera_of_info(info, self.infos[0], str(self.topic), size), None
                 if self.camera is not None and lens is not None:
                     image = seen_by(image, lens, self.camera)
             except ValueError as exc:
@@ -208,7 +210,7 @@ class BagStream:
                 break
             if connection.msgtype == RAW:
                 check_encoding(message.encoding, place)
-            elif "compressed rgb" in message.format.lower():
+            elif is_swapped(message.format):
                 notes.append(
                     Note("red and blue are swapped", f"{place}: as image_transport does for {message.format!r}")
                 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,14 +35,14 @@ class _Edge:
     """Poses of a frame in its parent; of a static one, one."""
 
     parent: str
-    rows: list[list[float]] = field(default_factory=list)  # time x y z qw qx qy qz
+    rows: FloatArray  # (n, 8) time x y z qw qx qy qz
 
     def path(self) -> Trajectory:
-        rows = np.array(self.rows)
-        return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+        return Trajectory(self.rows[:, 0], self.rows[:, 1:4], self.rows[:, 4:])
 
 
 _Tree = dict[str, _Edge]
+_Rows = dict[tuple[str, str], list[list[float]]]  # of a frame in its parent
 
 
 def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: float = MAX_GAP_S) -> Trajectory:
@@ -72,19 +72,22 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         kinds = {c.topic: c.msgtype for c in posed if c.msgcount}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
+            if "." in topic:  # as no name of a topic has
+                raise SourceError(f"{topic}: no such file of poses; {bag.path} has poses on {named}")
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
         camera = _camera_frame(reader, str(bag.topic))
-        moving, static, n_bad = _Tree(), _Tree(), 0
+        rows, fixed, n_bad = _Rows(), _Rows(), 0
         wanted = [c for c in reader.connections if c.topic == topic or _is_static(c)]
         try:
             for connection, received_ns, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
-                tree = moving if connection.topic == topic else static
-                n_bad += _take(tree, message, connection.msgtype, received_ns / 1e9 if bag.received else None)
+                into = rows if connection.topic == topic else fixed
+                n_bad += _take(into, message, connection.msgtype, received_ns / 1e9 if bag.received else None)
         except Exception as exc:  # damaged bytes lead a decoder to any error
             raise SourceError(f"{place}: cannot be read: {exc}") from exc
     if n_bad:
         notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_bad, 'pose')}"))
+    moving, static = _tree(rows, place, notes), _tree(fixed, place, notes)
     if not moving:
         raise SourceError(f"{place}: holds no pose that can be used")
     if kinds[topic] in _TRANSFORMS:
@@ -93,16 +96,16 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         raise SourceError(f"{place}: has poses of several frames ({', '.join(moving)}), expected one")
     ((frame, edge),) = moving.items()
     told = f"{place}: of {frame or 'a frame without a name, taken as the camera'} in {edge.parent or 'the world'}"
+    path = _path(edge, told, notes)
     if frame in ("", camera):
         notes.append(Note("poses", told))
-        return edge.path()
+        return path
     (root, T_root_frame), (other, T_root_cam) = _to_root(static, frame), _to_root(static, camera)
     if root != other:
         lost = "" if static else f", and there is no /{_STATIC}"
         apart = f"and the images are of {camera!r}: no static transform connects them{lost}"
         raise SourceError(f"{told}, {apart}; {_BY_HAND}")
     notes.append(Note("poses", f"{told}, moved to {camera} by /{_STATIC}"))
-    path = edge.path()
     return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
 
 
@@ -120,10 +123,10 @@ def _frame(name: str) -> str:
     return name.strip().lstrip("/")  # as early ROS 1 wrote it
 
 
-def _take(tree: _Tree, message: Any, kind: str, received_s: float | None) -> int:
+def _take(into: _Rows, message: Any, kind: str, received_s: float | None) -> int:
     """Add the poses of a message; how many cannot be used."""
     if kind in _TRANSFORMS:
-        return sum(_take(tree, its, _TRANSFORM, received_s) for its in message.transforms)
+        return sum(_take(into, its, _TRANSFORM, received_s) for its in message.transforms)
     pose = message
     for name in _WITHIN[kind].split("."):
         pose = getattr(pose, name)
@@ -132,12 +135,37 @@ def _take(tree: _Tree, message: Any, kind: str, received_s: float | None) -> int
     values = np.array([row])
     if not np.isfinite(values).all() or pose_faults(values[:, 1:4], values[:, 4:]):
         return 1
-    frame, parent = _frame(getattr(message, "child_frame_id", "")), _frame(message.header.frame_id)
-    edge = tree.setdefault(frame, _Edge(parent))
-    if edge.parent != parent:  # a frame has one parent; another tree's is not mixed in
-        return 1
-    edge.rows.append(row)
+    edge = _frame(getattr(message, "child_frame_id", "")), _frame(message.header.frame_id)
+    into.setdefault(edge, []).append(row)
     return 0
+
+
+def _tree(rows: _Rows, place: str, notes: list[Note]) -> _Tree:
+    """The frames with their parents: those of most poses, as a frame has one."""
+    tree = _Tree()
+    for (frame, parent), its in sorted(rows.items(), key=lambda item: -len(item[1])):
+        if frame not in tree:
+            tree[frame] = _Edge(parent, np.array(its))
+            continue
+        where = (
+            f"{place}: {counted(len(its), 'pose')} of {frame or 'a frame without a name'} in {parent or 'the world'}"
+        )
+        notes.append(Note("left out, of another parent", f"{where}, not {tree[frame].parent or 'the world'}"))
+    return tree
+
+
+def _path(edge: _Edge, told: str, notes: list[Note]) -> Trajectory:
+    """Poses of a frame, without those of which several have one time and differ."""
+    rows = np.unique(edge.rows, axis=0)
+    unclear = np.isin(rows[:, 0], rows[1:, 0][np.diff(rows[:, 0]) == 0])
+    if unclear.any():
+        where = (
+            f"{told}: {unclear.sum()} of {counted(len(rows), 'pose')} have the time of another; do two nodes send them?"
+        )
+        if unclear.all():
+            raise SourceError(where)
+        notes.append(Note("left out, several poses at one time", where))
+    return _Edge(edge.parent, rows[~unclear]).path()
 
 
 def _to_root(static: _Tree, frame: str) -> tuple[str, FloatArray]:
@@ -155,17 +183,20 @@ def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[No
     while frame not in chain and (frame in moving or frame in static):
         chain.append(frame)
         frame = (moving.get(frame) or static[frame]).parent
+    if frame in chain:
+        raise SourceError(f"{place}: leads from {' to '.join([*chain, frame])}, in a circle; {_BY_HAND}")
     driven = [its for its in chain if its in moving]
     if not driven:
         known = ", ".join(f"{its.parent} to {child}" for child, its in moving.items())
         raise SourceError(f"{place}: leads from {known}, and not to {camera!r}, which the images are of; {_BY_HAND}")
-    leader = max(driven, key=lambda its: len(moving[its].rows))
-    times = np.unique(moving[leader].path().timestamps_s)
+    paths = {its: _path(moving[its], f"{place}: of {its} in {moving[its].parent}", notes) for its in driven}
+    leader = max(driven, key=lambda its: len(paths[its]))
+    times = paths[leader].timestamps_s
     poses = np.tile(np.eye(4), (len(times), 1, 1))
     there = np.ones(len(times), dtype=bool)
     for its in chain:
-        if its in moving:
-            rows, _ = poses_at(moving[its].path(), times, max_gap_s)
+        if its in paths:
+            rows, _ = poses_at(paths[its], times, max_gap_s)
             found = np.isfinite(rows).all(axis=1)
             rows[~found] = _NO_MOTION
             there &= found
@@ -174,6 +205,11 @@ def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[No
             poses = static[its].path()[-1:].poses_se3 @ poses
     if not there.any():
         raise SourceError(f"{place}: {' and '.join(driven)} are never within {max_gap_s:g} s of each other")
+    if not there.all():
+        where = (
+            f"{place}: {(~there).sum()} of {counted(len(there), 'pose')}: {' and '.join(driven)} are not sent within"
+        )
+        notes.append(Note("left out, transforms are apart", f"{where} {max_gap_s:g} s (max_gap_s) of each other"))
     through = f", through {', '.join(reversed(chain[1:]))}" if chain[1:] else ""
     notes.append(Note("poses", f"{place}: of {camera} in {frame}{through}"))
     return Trajectory.from_poses_se3(times[there], poses[there])

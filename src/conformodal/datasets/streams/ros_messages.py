@@ -88,7 +88,7 @@ def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
     if kind == COMPRESSED:
         image = decode(bytes(message.data), f"{message.format!r} data", white=white)
         mosaic, _, target = message.format.lower().partition(";")
-        if "compressed rgb" in target:  # image_transport takes such a file's red for blue
+        if is_swapped(message.format):
             return np.ascontiguousarray(image[..., ::-1])
         known = _ENCODINGS.get(f"{mosaic.strip().rstrip('16').rstrip('8')}8")
         if not mosaic.startswith("bayer") or known is None or "8" in target.partition("compressed")[2]:
@@ -103,6 +103,11 @@ def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
     except cv2.error as exc:  # such as an odd side, where two pixels share a colour
         raise ValueError(f"{message.width}x{message.height} pixels cannot be {message.encoding}") from exc
     return np.asarray(found, dtype=np.uint8)
+
+
+def is_swapped(form: str) -> bool:
+    """Whether the file of a ``CompressedImage`` has red for blue: of image_transport, ``; jpeg compressed rgb8``."""
+    return "compressed rgb" in form.lower().partition(";")[2]
 
 
 def _pixels(message: Any) -> AnyArray:
@@ -166,7 +171,7 @@ def camera_of_info(
     if not k.any():
         lost = ", and D, which is not, says that P is of other images" if P.any() else ""
         raise SourceError(f"{place}: the camera is not calibrated: K is zero{lost}")
-    fisheye = model in _FISHEYES and not by_p
+    fisheye = model in _FISHEYES and not (rectified or by_p)
     lens = () if rectified or not (any(lens) or fisheye) else lens
     bad = len(lens) > 4 if fisheye else any(lens[5:]) or bool(lens and model not in _LENSES)
     if bad:

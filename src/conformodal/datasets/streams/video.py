@@ -75,7 +75,7 @@ def _is_mirrored(path: Path) -> bool:
         def determinant(start: int, at: int) -> int:
             """Of the display matrix of a header, which is 12 bytes later where times have 64 bits."""
             file.seek(start)
-            file.seek(start + at + 12 * file.read(1)[0])
+            file.seek(start + at + 12 * (file.read(1) or b"\0")[0])  # nothing at the end of a damaged file
             a, b, _, c, d = (int.from_bytes(file.read(4), signed=True) for _ in range(5))
             return a * d - b * c
 
@@ -95,7 +95,7 @@ def _is_mirrored(path: Path) -> bool:
 
 def _size(file: BinaryIO) -> int:
     """Size of a part of a Matroska file, in as many bytes as the first says; 0 where it is not known."""
-    first = file.read(1)[0]
+    first = (file.read(1) or b"\0")[0]
     more = 8 - first.bit_length()
     value = int.from_bytes(bytes([first & (127 >> more)]) + file.read(more))
     return 0 if value == (1 << 7 * (more + 1)) - 1 else value
@@ -125,7 +125,9 @@ class VideoStream:
             raise SourceError(f"{self.path}: no such video")
         with self.path.open("rb") as file:
             if (head := file.read(8)).startswith(_LISTS):
-                raise SourceError(f"{self.path}: is a list of other files ({head.decode()}...), expected a video")
+                raise SourceError(
+                    f"{self.path}: is a list of other files ({head.decode('ascii', 'replace')}...), expected a video"
+                )
         with self._open() as capture:
             turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
             sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)

@@ -115,9 +115,9 @@ class LandmarkSource:
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
-        if not evidence.local_features:
+        images = evidence.local_features or []
+        if all(image is None for image in images):
             return SourceAnswer(measurements=[[] for _ in evidence.features])
-        images = evidence.local_features
         if self.grid is not None:
             rows = zip(images, global_descriptors(evidence.features, self.grid), strict=True)
             images = [None if f is None else f._replace(global_descriptor=row) for f, row in rows]
