@@ -24,7 +24,7 @@ class _CandidateSettings:
 
 @dataclass(frozen=True)
 class _FilterSettings:
-    """Of the filter over hypotheses. Chosen on seeds 20 and 21 of the demo, 20 to 23 of redkitchen and 20 of fr1."""
+    """Of the filter. Chosen on seeds 20 and 21 of the demo, 11, 13 and 20 to 23 of redkitchen, and 20 of fr1."""
 
     # Images that follow each other err alike: share of an image's evidence that the one directly before has told, and
     # seconds in which this share falls by a factor of e. What is left is the power to which the masses of an image's
