@@ -133,5 +133,5 @@ def test_what_is_not_here_is_not_fetched_but_named():
 def test_without_transformers_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     hub_module._default_block.cache_clear()
-    with pytest.raises(VisionError, match=r"conformodal\[hub\]"):
+    with pytest.raises(MissingPackageError, match=r"conformodal\[hub\]"):
         _ = find_network("hf:anything").block
