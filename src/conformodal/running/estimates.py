@@ -72,8 +72,8 @@ class Estimate:
     localization
         Belief and region of this frame alone; None without an image.
     reliable
-        False where image or motion could not be used, the image shows no place that is known (nor the last one whose
-        local features were matched), or other places than the chosen one are probable; `problem` says why.
+        False where image or motion could not be used, the image shows no place that is known, or other places than the
+        chosen one are probable; `problem` says why.
     """
 
     timestamp_s: float

@@ -68,7 +68,7 @@ class VisualOdometry(Odometry):
         self.lag = lag
         self.match_every = match_every
         self._filter = PoseFilter(model.prior, lag)
-        self._last: deque[tuple[Estimate, bool | None]] = deque(maxlen=lag + 1)  # with `just_seen`, see _estimate
+        self._last: deque[Estimate] = deque(maxlen=lag + 1)
         self.reset()
 
     @classmethod
@@ -89,7 +89,6 @@ class VisualOdometry(Odometry):
         self._last.clear()
         self._seen_s = self._shown_s = None
         self._n_steps = 0
-        self._just_seen = False
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
@@ -100,16 +99,10 @@ class VisualOdometry(Odometry):
             local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
-        path, just_seen = ONLINE, None
-        if self.seldom:
-            path = SELDOM if self.match_every <= FILTER.seldom else ""
-            followed = motion is not None and motion.R_prev_next is not None and self._seen_s == self._shown_s
-            looked, known = local is not None, bool(found.kinds[0] != EvidenceType.UNKNOWN)
-            self._just_seen = known if looked else self._just_seen and followed and bool(path)
-            just_seen = self._just_seen
-        now = self._push(self._filter, found, motion, timestamp_s, path, just_seen=just_seen)
+        path = ONLINE if not self.seldom else SELDOM if self.match_every <= FILTER.seldom else ""
+        now = self._push(self._filter, found, motion, timestamp_s, path, seldom=self.seldom)
         now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
-        self._last.append((now, just_seen))
+        self._last.append(now)
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
@@ -122,12 +115,11 @@ class VisualOdometry(Odometry):
         """
         if len(self._last) <= self.lag:
             return None
-        (then, just_seen), posterior = self._last[0], self._filter.window().first(self.model.prior)
+        then, posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
         path = LAGGED if self.lag == FILTER.lag and not self.seldom else ""
-        now = self._estimate(
-            then.localization, then.relative_motion, then.timestamp_s, posterior, path, just_seen=just_seen
-        )
+        its = then.localization, then.relative_motion, then.timestamp_s
+        now = self._estimate(*its, posterior, path, seldom=self.seldom)
         return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(
@@ -138,11 +130,11 @@ class VisualOdometry(Odometry):
         timestamp_s: float,
         path: str = ONLINE,
         *,
-        just_seen: bool | None = None,
+        seldom: bool = False,
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, path, just_seen=just_seen)
+        return self._estimate(found, motion, timestamp_s, posterior, path, seldom=seldom)
 
     def _estimate(
         self,
@@ -152,21 +144,19 @@ class VisualOdometry(Odometry):
         posterior: Posterior,
         path: str,
         *,
-        just_seen: bool | None,
+        seldom: bool,
     ) -> Estimate:
         """The estimate of a frame from its posterior; `path` says which frames this rests on.
 
-        `just_seen` is None where local features of all frames are matched. Elsewhere it is whether the last image that
-        was, this or one of the few from which corners were followed to this, showed a known place: then the look of
-        this one alone makes no pose unreliable.
+        `seldom` is whether local features are matched in some frames alone.
         """
         places = find_places(posterior, self.model.prior)
         best = places[0]
         kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
-        if kind is EvidenceType.UNKNOWN and not just_seen:
+        if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < self.model.reliable_p[ONLINE if just_seen is None else SELDOM]:
+        if best.probability < self.model.reliable_p[SELDOM if seldom else ONLINE]:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
