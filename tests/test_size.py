@@ -20,7 +20,7 @@ BUDGET = {
     "reasoning": 1460,
     "report": 860,
     "ros": 710,
-    "running": 2200,
+    "running": 2190,
     "training": 1140,
     "vision": 480,
 }
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21940
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21930
