@@ -20,7 +20,7 @@ BUDGET = {
     "reasoning": 1460,
     "report": 860,
     "ros": 710,
-    "running": 2190,
+    "running": 2180,
     "training": 1140,
     "vision": 480,
 }

@@ -100,7 +100,7 @@ class VisualOdometry(Odometry):
         found = self.model.localize(FrameEvidence(features, [local]))
         its = self._front_end.tracks, self._front_end.corners, local is not None
         path = ONLINE if not self.seldom else SELDOM if self.match_every <= FILTER.seldom else ""
-        now = self._push(self._filter, found, motion, timestamp_s, path, seldom=self.seldom)
+        now = self._push(self._filter, found, motion, timestamp_s, path)
         now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
         self._last.append(now)
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
@@ -111,15 +111,14 @@ class VisualOdometry(Odometry):
         None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
         frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames
         whose local features are matched: None for others, and where the model has no such calibration. `reliable` asks
-        for the same probability as online.
+        for the same probability as in :meth:`step`.
         """
         if len(self._last) <= self.lag:
             return None
         then, posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
         path = LAGGED if self.lag == FILTER.lag and not self.seldom else ""
-        its = then.localization, then.relative_motion, then.timestamp_s
-        now = self._estimate(*its, posterior, path, seldom=self.seldom)
+        now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
         return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
 
     def _push(
@@ -129,34 +128,22 @@ class VisualOdometry(Odometry):
         motion: RelativeMotion | None,
         timestamp_s: float,
         path: str = ONLINE,
-        *,
-        seldom: bool = False,
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, path, seldom=seldom)
+        return self._estimate(found, motion, timestamp_s, posterior, path)
 
     def _estimate(
-        self,
-        found: Localization,
-        motion: RelativeMotion | None,
-        timestamp_s: float,
-        posterior: Posterior,
-        path: str,
-        *,
-        seldom: bool,
+        self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
     ) -> Estimate:
-        """The estimate of a frame from its posterior; `path` says which frames this rests on.
-
-        `seldom` is whether local features are matched in some frames alone.
-        """
+        """The estimate of a frame from its posterior; `path` says which frames this rests on."""
         places = find_places(posterior, self.model.prior)
         best = places[0]
         kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < self.model.reliable_p[SELDOM if seldom else ONLINE]:
+        if best.probability < self.model.reliable_p[SELDOM if self.seldom else ONLINE]:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
