@@ -1,4 +1,4 @@
-"""Types of arrays, whose shapes are given where an array is described, and choices of rows."""
+"""Array types, and functions that select rows. Shapes are given where an array is described."""
 
 from __future__ import annotations
 

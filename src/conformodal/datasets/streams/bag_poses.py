@@ -57,9 +57,9 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         lead from the camera's frame to the root of their tree. Poses of another frame are moved to the camera by
         ``/tf_static``; a message that does not name the frame is taken as the camera's.
     notes
-        Takes up whose poses they are, and what was left out.
+        Receives which poses were used, and which were left out.
     max_gap_s
-        Longest time between two transforms that one is interpolated from, where several lead to the camera.
+        Longest gap in seconds over which a transform is interpolated, where several lead to the camera.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _take(into: _Rows, message: Any, kind: str, received_s: float | None) -> int
 
 
 def _tree(rows: _Rows, place: str, notes: list[Note]) -> _Tree:
-    """The frames with their parents: those of most poses, as a frame has one."""
+    """Each frame with its parent: of several, the one with the most poses."""
     tree = _Tree()
     for (frame, parent), its in sorted(rows.items(), key=lambda item: -len(item[1])):
         if frame not in tree:
@@ -155,7 +155,7 @@ def _tree(rows: _Rows, place: str, notes: list[Note]) -> _Tree:
 
 
 def _path(edge: _Edge, told: str, notes: list[Note]) -> Trajectory:
-    """Poses of a frame, without those of which several have one time and differ."""
+    """Poses of a frame; those that differ at the same time are left out."""
     rows = np.unique(edge.rows, axis=0)
     unclear = np.isin(rows[:, 0], rows[1:, 0][np.diff(rows[:, 0]) == 0])
     if unclear.any():
