@@ -21,6 +21,7 @@ from conformodal.localization.neighbours import source as neighbours  # noqa: E4
 from conformodal.model.model import PoseModel  # noqa: E402
 from conformodal.motion.frontend import MotionFrontEnd  # noqa: E402
 from conformodal.reasoning.filter import PoseFilter  # noqa: E402
+from conformodal.running import estimator  # noqa: E402
 from conformodal.running.estimator import VisualOdometry  # noqa: E402
 from conformodal.vision.backbone import Backbone  # noqa: E402
 
@@ -28,17 +29,16 @@ WARM = 10
 PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")
 
 
-def answer(model: Path, images: list[str], match_every: int) -> dict[str, Any]:
+def answer(model: Path, images: list[str]) -> dict[str, Any]:
     """What one stream costs."""
     odometry = VisualOdometry.load(model)
-    odometry.match_every = match_every
     first, spent, frames = 0.0, defaultdict(float), []
     for k, path in enumerate(images):
         image = read_image(Path(path))
         if k == 1:
             first = time.perf_counter() - BEGAN
         if k == WARM:
-            watch(odometry, spent)
+            watch(spent)
         started = time.perf_counter()
         odometry.step(image, k / 30)
         if k >= WARM:
@@ -59,15 +59,16 @@ def peak_mb() -> float:
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1e3
 
 
-def watch(odometry: Any, spent: dict[str, float]) -> None:
+def watch(spent: dict[str, float]) -> None:
     """Time spent in parts of an estimator, from now on."""
     watched = [
         (Backbone, "features_of", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
-        (VisualOdometry, "_local_features", "local features"),
+        (estimator, "extract_local_features", "local features"),
         (landmarks.LandmarkSource, "answer", "landmarks"),
         (neighbours.NeighbourSource, "answer", "neighbours"),
-        (PoseModel, "regions", "regions"),
+        (PoseModel, "image_regions", "regions"),
+        (PoseModel, "path_regions", "regions"),
         (PoseFilter, "push", "filter"),
     ]
 
@@ -86,5 +87,5 @@ def watch(odometry: Any, spent: dict[str, float]) -> None:
 
 
 if __name__ == "__main__":
-    model, images, match_every = json.load(sys.stdin)
-    print(json.dumps(answer(Path(model), images, match_every)))
+    model, images = json.load(sys.stdin)
+    print(json.dumps(answer(Path(model), images)))

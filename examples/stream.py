@@ -27,8 +27,7 @@ def small_model(folder: Path) -> PoseModel:
 
 
 def follow(model: PoseModel, source: Path | str, most: int | None = None) -> None:
-    # local features, which landmarks need, are matched in every sixth frame: that keeps up with a camera
-    vo = VisualOdometry(model, match_every=6)
+    vo = VisualOdometry(model)
     recording = 0
     for number, frame in enumerate(open_stream(source, camera=model.camera), start=1):
         if frame.recording != recording:

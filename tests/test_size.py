@@ -7,12 +7,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3010,
+    "cli": 2990,
     "conformal": 5770,
     "core": 460,
     "datasets": 6060,
-    "localization": 3270,
-    "model": 1440,
+    "localization": 3250,
+    "model": 1430,
     "motion": 1040,
     "networks": 720,
     "poses": 1130,
@@ -20,8 +20,8 @@ BUDGET = {
     "reasoning": 1460,
     "report": 860,
     "ros": 710,
-    "running": 2180,
-    "training": 1140,
+    "running": 2130,
+    "training": 1100,
     "vision": 480,
 }
 
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21930
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21820

@@ -38,9 +38,8 @@ def seen(model, image):
 
 
 def kinds_of(model, p):
-    """Of images whose local features were not extracted."""
-    nothing = np.zeros(len(p), dtype=bool)
-    return model.rules.kinds(p, nothing, nothing)
+    """Of images in which no place is recognised."""
+    return model.rules.kinds(p, np.zeros(len(p), dtype=bool))
 
 
 def test_test_frames_are_known(model, features):
@@ -89,7 +88,8 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     p, strict = model.novelty.p_values(features), replace(model)
     strict.set_novelty_level(0.2)
     np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
-    assert strict.rules.of[EvidenceType.GLOBAL].n_units == (model.rules.known_p > 0.2).sum()
+    known = model.rules.known_p > np.where(model.rules.recognised, 0.1, 0.2)
+    assert strict.rules.both.n_units == known.sum()
     save_model(strict, tmp_path)
     assert load_model(tmp_path).rules.level == 0.2
     strict.set_novelty_level(0.0)
@@ -104,7 +104,9 @@ def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
     blind = replace(model, novelty=None)
     blind.set_novelty_level(0.3)
     assert blind.rules.level == 0
-    found = blind.localize(FrameEvidence(features))
+    with pytest.raises(OdometryError, match="looks at local features"):
+        blind.localize(FrameEvidence(features))
+    found = replace(blind, rules=replace(blind.rules, recognised=None), quality=None).localize(FrameEvidence(features))
     np.testing.assert_array_equal(found.known_p, np.nan)
     assert found.known.all()
     assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64), model.novelty.grid) is None

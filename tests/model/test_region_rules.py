@@ -26,18 +26,17 @@ def bins():
 def rules(bins):
     rng = np.random.default_rng(1)
     matched, known_p = rng.random(80) < 0.6, rng.integers(1, 20, 80) / 20
-    return RegionRules(calibrated(bins), calibrated(bins.refine(3), seed=5), matched, known_p, 0.05)
+    return RegionRules(calibrated(bins, seed=5), matched, known_p, 0.05)
 
 
 def test_kinds_follow_the_p_values_and_what_was_recognised(rules):
     known_p = np.array([1.0, 0.06, 0.05, 0.5, 0.04, 0.02, 0.01])
-    looked, recognised = np.arange(7) < 6, np.array([False, False, False, True, True, True, False])
+    recognised = np.array([False, False, False, True, True, True, False])
     expected = [UNMATCHED, UNMATCHED, UNKNOWN, LANDMARKS, LANDMARKS, UNKNOWN, UNKNOWN]
-    assert rules.kinds(known_p, looked, recognised).tolist() == expected
-    nothing, by_level = np.zeros(7, dtype=bool), [GLOBAL, GLOBAL, UNKNOWN, GLOBAL, UNKNOWN, UNKNOWN, UNKNOWN]
-    assert rules.kinds(known_p, nothing, nothing).tolist() == by_level
-    alone = RegionRules(rules.overall, None, rules.recognised, rules.known_p, rules.level)
-    assert alone.kinds(known_p, looked, recognised).tolist() == by_level
+    assert rules.kinds(known_p, recognised).tolist() == expected
+    by_level = [GLOBAL, GLOBAL, UNKNOWN, GLOBAL, UNKNOWN, UNKNOWN, UNKNOWN]
+    alone = RegionRules(rules.overall, None, rules.known_p, rules.level)
+    assert alone.kinds(known_p, recognised).tolist() == by_level
     assert list(alone.of) == [GLOBAL]
     assert alone.thresholds(np.array([LANDMARKS])).tolist() == [[np.inf] * 7]  # nothing was calibrated for it
 
@@ -45,25 +44,23 @@ def test_kinds_follow_the_p_values_and_what_was_recognised(rules):
 @pytest.mark.parametrize("alpha", [0.2, 0.4])
 def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     rules, known = rules.at(alpha), rules.known_p > 0.05
-    of = {
-        GLOBAL: (rules.overall.scores_, known),
-        UNMATCHED: (rules.matched.scores_, known & ~rules.recognised),
-        LANDMARKS: (rules.matched.scores_, (rules.known_p > 0.025) & rules.recognised),
-    }
-    for kind, (scores, chosen) in of.items():
-        expected = conformal_quantile(scores[chosen].max(axis=1), alpha)
+    of = {UNMATCHED: known & ~rules.recognised, LANDMARKS: (rules.known_p > 0.025) & rules.recognised}
+    for kind, chosen in of.items():
+        expected = conformal_quantile(rules.overall.scores_[chosen].max(axis=1), alpha)
         np.testing.assert_array_equal(rules.thresholds(np.array([kind]))[0], np.full(7, expected))
         assert rules.of[kind].n_units == chosen.sum()
     assert (rules.thresholds(np.array([UNKNOWN])) == np.inf).all()
-    assert rules.overall.alpha == rules.matched.alpha == alpha
+    assert rules.overall.alpha == alpha
+    alone = replace(rules, recognised=None)
+    expected = conformal_quantile(rules.overall.scores_[known].max(axis=1), alpha)
+    np.testing.assert_array_equal(alone.thresholds(np.array([GLOBAL]))[0], np.full(7, expected))
 
 
 def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(rules):
-    copies, p = calibrated(rules.matched.bins, 40, seed=9), np.arange(40) / 40
+    copies, p = calibrated(rules.overall.bins, 40, seed=9), np.arange(40) / 40
     rules = replace(rules, disturbed=copies, disturbed_p=p).at(0.4)
-    looked, dim = np.array([True, True, True, False]), np.array([True, False, True, True])
-    kinds = rules.kinds(np.array([1.0, 1.0, 0.05, 1.0]), looked, np.ones(4, dtype=bool), dim)
-    assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN, GLOBAL]
+    kinds = rules.kinds(np.array([1.0, 1.0, 0.05]), np.ones(3, dtype=bool), np.array([True, False, True]))
+    assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN]
     own = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
     np.testing.assert_array_equal(rules.of[DISTURBED].thresholds_, np.full(7, own))
     for recognised, other in ((True, LANDMARKS), (False, UNMATCHED)):  # never below that of the type it has otherwise
@@ -77,23 +74,22 @@ def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(
 )
 def test_a_type_of_too_few_frames_shares_the_thresholds_of_the_other(bins, n_matched, sharing):
     whole = calibrated(bins)
-    rules = RegionRules(whole, whole, np.arange(80) < n_matched, np.ones(80), 0.01).at(0.1)
+    rules = RegionRules(whole, np.arange(80) < n_matched, np.ones(80), 0.01).at(0.1)
     assert rules.sharing is sharing
-    kinds = np.array([GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN])
-    found = rules.thresholds(kinds)
-    assert np.isfinite(found).all(axis=1).tolist() == [True, True, True, False]
+    found = rules.thresholds(np.array([UNMATCHED, LANDMARKS, UNKNOWN]))
+    assert np.isfinite(found).all(axis=1).tolist() == [True, True, False]
     both = conformal_quantile(whole.scores_.max(axis=1), 0.1)
     own = [conformal_quantile(part.max(axis=1), 0.1) for part in (whole.scores_[n_matched:], whole.scores_[:n_matched])]
     expected = {Sharing.SHARED: [both, both], Sharing.WIDER: np.maximum(own, both), Sharing.OWN: own}[sharing]
-    np.testing.assert_array_equal(found[1:3, 0], expected)
+    np.testing.assert_array_equal(found[:2, 0], expected)
 
 
 def test_types_are_bounded_that_share_stretches_and_weigh_half_of_each(bins):
     """Twelve stretches, half of each recognised: each type weighs six, and both together are enough."""
     whole = calibrated(bins, 48, groups=np.repeat(np.arange(12), 4)).at(0.1)
-    rules = RegionRules(whole, whole, np.tile([True, True, False, False], 12), np.ones(48), 0.0)
-    assert [float(rule.weight) for rule in rules.own.values()] == [12, 6, 6]
-    assert np.isfinite(rules.thresholds(np.array([GLOBAL, UNMATCHED, LANDMARKS]))).all()
+    rules = RegionRules(whole, np.tile([True, True, False, False], 12), np.ones(48), 0.0)
+    assert [float(rule.weight) for rule in rules.own.values()] == [6, 6]
+    assert np.isfinite(rules.thresholds(np.array([UNMATCHED, LANDMARKS]))).all()
 
 
 def drawn(rng, n_units, n_members):
@@ -118,7 +114,7 @@ def test_the_guarantee_holds_however_types_share_thresholds(joint, alpha, n_memb
             others = np.delete(np.arange(n_units), new)
             groups = None if n_members == 1 else np.repeat(others, n_members)
             whole = SplitConformal(cells, alpha, "hpd", joint).calibrate_scores(scores[others].reshape(-1, 2), groups)
-            rules = RegionRules(whole, whole, recognised[others].ravel(), np.ones(len(whole.scores_)), 0.0)
+            rules = RegionRules(whole, recognised[others].ravel(), np.ones(len(whole.scores_)), 0.0)
             missed[new] = scores[new] > rules.thresholds(np.where(recognised[new], LANDMARKS, UNMATCHED))
             decided.add(rules.sharing)
         events = missed.any(axis=2, keepdims=True) if joint != "none" else missed
@@ -132,7 +128,7 @@ def test_the_guarantee_holds_however_types_share_thresholds(joint, alpha, n_memb
 
 def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
     proba = [np.random.default_rng(j).dirichlet(np.ones(5), size=3) for j in range(7)]
-    limits = rules.thresholds(np.array([GLOBAL, UNKNOWN, GLOBAL]))
+    limits = rules.thresholds(np.array([UNMATCHED, UNKNOWN, UNMATCHED]))
     regions = rules.overall.regions_at(proba, limits)
     assert isinstance(regions, Regions)
     np.testing.assert_array_equal(regions.unbounded, np.tile([[False], [True], [False]], 7))
@@ -142,15 +138,9 @@ def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
 @pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])
 def test_thresholds_of_stretches_keep_their_groups(bins, joint):
     groups, matched = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
-    rules = RegionRules(
-        calibrated(bins, joint=joint, groups=groups),
-        calibrated(bins, joint=joint, seed=3, groups=groups),
-        matched,
-        np.ones(80),
-        0.0,
-    )
-    for kind, chosen in ((GLOBAL, np.ones(80, bool)), (LANDMARKS, matched), (UNMATCHED, ~matched)):
-        whole = rules.overall if kind == GLOBAL else rules.matched
+    whole = calibrated(bins, joint=joint, groups=groups)
+    rules = RegionRules(whole, matched, np.ones(80), 0.0)
+    for kind, chosen in ((LANDMARKS, matched), (UNMATCHED, ~matched)):
         sizes = np.full(chosen.sum(), 4)  # of the whole stretches
         again = SplitConformal(bins, 0.2, "hpd", joint).calibrate_scores(whole.scores_[chosen], groups[chosen], sizes)
         np.testing.assert_array_equal(rules.own[kind].thresholds_, again.thresholds_)
@@ -163,7 +153,7 @@ def test_thresholds_of_stretches_keep_their_groups(bins, joint):
 def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins, n_recognised, n_new, law):
     """Of 80 frames that calibrate and 100 new ones, drawn again: the law is exact if the types share them always."""
     whole = calibrated(bins)
-    rules = RegionRules(whole, whole, np.arange(80) < n_recognised, np.ones(80), 0.0).at(0.1)
+    rules = RegionRules(whole, np.arange(80) < n_recognised, np.ones(80), 0.0).at(0.1)
     statistics = RegionStatistics(
         inside=np.ones((100, 7), dtype=bool),
         unbounded=np.zeros((100, 7), dtype=bool),
@@ -174,8 +164,9 @@ def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins,
         n_places=np.ones(100, dtype=np.int64),
     )
     sources = SimpleNamespace(sources=[SimpleNamespace(name="landmarks")])
-    model = SimpleNamespace(rules=rules, n_calibration=80, localizer=sources, comparison=None)
-    model.calibration_of = lambda local: rules.matched
+    model = SimpleNamespace(
+        rules=rules, calibration=rules.overall, n_calibration=80, localizer=sources, comparison=None
+    )
     table = coverage_table(statistics, model, exchangeable=True)
     assert table["joint_band_99"] == (None if law is None else list(grouped_coverage_band(law, 0.1)))
     assert table["by_evidence"]["landmarks"]["thresholds"] == str(rules.sharing)
@@ -185,5 +176,5 @@ def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
     whole = SplitConformal(bins, 0.2, "density", "max")
     whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
     scores = np.random.default_rng(0).normal(size=(60, 7))
-    rules = RegionRules(whole.calibrate_scores(scores), None, np.zeros(60, bool), np.ones(60), 0.0)
+    rules = RegionRules(whole.calibrate_scores(scores), None, np.ones(60), 0.0)
     np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)

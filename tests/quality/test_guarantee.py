@@ -50,14 +50,13 @@ def test_from_the_least_alpha_on_thresholds_are_finite(what):
 def model(split, **how):
     made = rule(60, joint="max", **how)
     recognised = np.arange(60) < 20
-    rules = RegionRules(made, made, recognised, np.ones(60), 0.0)
+    rules = RegionRules(made, recognised, np.ones(60), 0.0)
     return SimpleNamespace(rules=rules, frames_are_exchangeable=split is SplitKind.INTERLEAVED)
 
 
 def test_each_evidence_type_has_a_guarantee_of_its_own():
     found = {one.evidence: one for one in guarantees(model(SplitKind.INTERLEAVED))}
     assert {kind: one.n_frames for kind, one in found.items()} == {
-        EvidenceType.GLOBAL: 60,
         EvidenceType.UNMATCHED: 40,
         EvidenceType.LANDMARKS: 20,
     }
@@ -98,7 +97,7 @@ def test_regions_are_bounded_from_the_least_alpha_on(case, joint):
     n, n_recognised, infinite = SHARED[case]
     groups = np.arange(n) % 16 if case.startswith("stretches") else None
     whole = rule(n, infinite=infinite or 0, joint=joint, groups=groups)
-    rules = RegionRules(whole, whole, np.arange(n) < n_recognised, np.ones(n), 0.0)
+    rules = RegionRules(whole, np.arange(n) < n_recognised, np.ones(n), 0.0)
     for one in guarantees(SimpleNamespace(rules=rules, frames_are_exchangeable=False)):
         kind, least = np.array([one.evidence]), one.least_alpha
         larger = [least, *(least + (1 - least) * Fraction(k, 10) for k in range(1, 10))]
@@ -108,14 +107,14 @@ def test_regions_are_bounded_from_the_least_alpha_on(case, joint):
 
 
 def exactly(rules, alpha):
-    return RegionRules(rules.overall.at(alpha), rules.matched.at(alpha), rules.recognised, rules.known_p, rules.level)
+    return RegionRules(rules.overall.at(alpha), rules.recognised, rules.known_p, rules.level)
 
 
 def stretches(n_units, joint="max"):
     """Regions that are calibrated on stretches in which one of four frames is recognised, and one is unknown."""
     whole = rule(4 * n_units, joint=joint, groups=np.repeat(np.arange(n_units), 4))
     known_p = np.tile([1.0, 1.0, 1.0, 0.0], n_units)
-    rules = RegionRules(whole, whole, np.tile([True, False, False, False], n_units), known_p, 0.0)
+    rules = RegionRules(whole, np.tile([True, False, False, False], n_units), known_p, 0.0)
     return SimpleNamespace(rules=rules, frames_are_exchangeable=False)
 
 
@@ -134,7 +133,7 @@ def test_as_many_stretches_as_are_said_to_be_needed_give_bounded_regions(joint):
 
 def test_more_of_the_same_is_not_advised_where_too_many_frames_lie_beyond_the_range():
     made = rule(60, infinite=7, joint="max")
-    rules = RegionRules(made, None, np.zeros(60, dtype=bool), np.ones(60), 0.0)
+    rules = RegionRules(made, None, np.ones(60), 0.0)
     (one,) = guarantees(SimpleNamespace(rules=rules, frames_are_exchangeable=True))
     assert not one.finite
     assert one.n_needed is None

@@ -90,8 +90,8 @@ def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_fr
     folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
     config = ModelConfig(joint="bonferroni", score="lac")
     rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config).rules
-    assert rules.overall.joint == rules.matched.joint == joint
-    kinds = np.array([EvidenceType.GLOBAL, EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
+    assert rules.overall.joint == joint
+    kinds = np.array([EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
     assert np.isfinite(rules.thresholds(kinds)).all()
 
 
@@ -149,10 +149,6 @@ class ToldBeliefs:
     def part(self, rows):
         return ToldBeliefs(self.rows[rows])
 
-    def mixed(self, chosen, others):
-        others.chosen = chosen  # tells where not the others count
-        return self
-
     def after(self, posteriors):
         assert len(posteriors) == len(self.rows)
         return self
@@ -164,7 +160,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
     score = np.arange(n) / n  # tells the frame
     quats = np.tile([1.0, 0, 0, 0], (n, 1))
-    posterior, windows, told = SimpleNamespace(lost=False), [], []
+    posterior, windows = SimpleNamespace(lost=False), []
 
     class Seen(SimpleNamespace):
         def part(self, rows):
@@ -175,9 +171,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
         return SimpleNamespace(first=lambda prior: posterior)
 
     stubs = {
-        "Observations": lambda candidates, motions, times, known: Seen(
-            candidates=candidates, timestamps_s=told.append(known) or times
-        ),
+        "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
         "hindsight_posteriors": lambda seen, prior, forward: forward,
         "Window": window,
@@ -193,14 +187,11 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
     rules = SimpleNamespace(
         overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS),
-        known_with_local=every,
+        known=every,
         recognised=every,
-        known_p=np.where(np.arange(n) % 4 == 0, 0.05, 0.5),
-        level=0.1,
     )
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
-    own, without_local = ToldBeliefs(np.arange(n)), ToldBeliefs(np.arange(n))
-    its = SimpleNamespace(rules=rules, beliefs=[own], without_local=[without_local])
+    its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     motions = dict.fromkeys(range(n))
     paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
     rule, lag = paths["lagged"], FILTER.lag
@@ -217,11 +208,4 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     else:
         assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
         assert rule.groups_ is None
-    assert len(paths["online"].scores_) == len(paths["seldom"].scores_) == n
-    matched = np.concatenate([np.arange(length) % FILTER.seldom == 0 for length in lengths])
-    np.testing.assert_array_equal(without_local.chosen, matched)  # from the first frame of each stream
-    assert np.concatenate(told[::2]).all()  # as local features say
-    np.testing.assert_array_equal(np.concatenate(told[1::2]), matched | (np.arange(n) % 4 != 0))
-    its.without_local = its.beliefs  # of a model without local features
-    paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
-    assert "seldom" not in paths
+    assert len(paths["online"].scores_) == len(paths["hindsight"].scores_) == n

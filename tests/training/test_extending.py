@@ -12,7 +12,7 @@ from conformodal.localization.local_features import frame_features
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import PATHS, SELDOM
+from conformodal.model.model import PATHS
 from conformodal.model.region_rules import part_of
 from conformodal.model.store import load_model, save_model
 from conformodal.training.extending import _split, _warn_of_copies, extend_model
@@ -99,8 +99,7 @@ def test_earlier_scores_stay_and_new_units_join_them(extended):
     assert len(more.known_frames) == len(first) + len(second)
     for name in ("train", "calibration", "test"):
         assert (more.split.part(name)[len(model.split.part(name)) :] >= len(first)).all()
-    without = set() if model.looks_at_local_features else {SELDOM}
-    assert model.path_rules.keys() == more.path_rules.keys() == {*PATHS} - without
+    assert model.path_rules.keys() == more.path_rules.keys() == {*PATHS}
     for path, rule in more.path_rules.items():
         old = model.path_rules[path].scores_
         np.testing.assert_array_equal(rule.scores_[: len(old)], old)

@@ -91,12 +91,10 @@ def run_metrics(
     counts: dict[str, Any],
     *,
     whole: bool = True,
-    matched_all: bool = True,
 ) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
-    `whole` is whether every frame of the part was answered, and `matched_all` whether local features were matched in
-    all of them, both as in calibration: the guarantee holds for these only.
+    `whole` is whether every frame of the part was answered, as in calibration: the guarantee holds for these only.
     """
     metrics = _origin(model, part) | {
         "split": str(model.split.kind),
@@ -104,7 +102,7 @@ def run_metrics(
         **counts,
     }
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if whole and matched_all and part is Part.ALL else None
+    radius = model.radius if whole and part is Part.ALL else None
     truth, frames = (None, None) if known is None else (known.truth, known.frames)
     metrics["radius"] = radius_table(radius, trajectories, truth, frames)
     if known is not None:
@@ -118,8 +116,7 @@ def run_metrics(
             metrics["errors_known_places"] = error_table(there, known.truth[shown])
         whole = whole and part is not Part.ALL and counts["n_answered"] == len(model.split.part(str(part)))
         exchangeable, seen = whole and is_exchangeable(model, str(part)), part in (Part.TRAIN, Part.CALIBRATION)
-        how = {"exchangeable": exchangeable, "matched_all": matched_all, "seen": seen}
-        metrics["coverage"] = coverage_table(known.regions, model, **how)
+        metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, seen=seen)
         metrics["path_coverage"] = known.paths
     return metrics
 

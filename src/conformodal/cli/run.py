@@ -26,7 +26,6 @@ from conformodal.model.model import PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, model_digest
 from conformodal.poses import Trajectory
-from conformodal.reasoning.settings import FILTER
 from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
@@ -47,7 +46,6 @@ from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
 # Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
-MATCH_EVERY_LIVE = FILTER.seldom
 
 
 @report_errors
@@ -78,12 +76,6 @@ def run(
     pace: Annotated[
         Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
     ] = Pace.FAST,
-    match_every: Annotated[
-        int | None,
-        typer.Option(
-            help=f"Match local features in every so many frames; 1, or {MATCH_EVERY_LIVE} at a camera's pace."
-        ),
-    ] = None,
     limit: Annotated[int | None, typer.Option(help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
@@ -101,8 +93,9 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
-        _check_for(loaded, novelty_level, match_every)
         if novelty_level is not None:
+            if novelty_level and loaded.novelty is None:
+                raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
             loaded.set_novelty_level(novelty_level)
         assumed = loaded.camera if part is Part.ALL else None  # of sources without calibration, which have no parts
         open_one = partial(open_source, topic=topic, as_trained=part is not Part.ALL, follow_outside=follow_outside)
@@ -112,7 +105,7 @@ def run(
             stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
         elif part is not Part.ALL:
             raise OdometryError(f"{stream.name}: only a data set has a {part} part; run on all of it")
-        how = _StreamOptions(part, pace, limit, match_every, model_digest(model))
+        how = _StreamOptions(part, pace, limit, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
     report_outcome(metrics, unbounded=unbounded)
@@ -180,7 +173,6 @@ class _StreamOptions:
     part: Part = Part.ALL
     pace: Pace = Pace.FAST
     limit: int | None = None
-    match_every: int | None = None
     digest: str | None = None
 
 
@@ -211,7 +203,7 @@ def _stream_through(
     sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
-    odometry = odometry_of(model, how.match_every or (MATCH_EVERY_LIVE if lossy else 1))
+    odometry = odometry_of(model)
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
@@ -258,8 +250,8 @@ def _write_results(
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
     needed = known is not None or (model.radius is not None and part is Part.ALL)
-    trajectories, matched_all = read_trajectories(writer.place) if needed else {}, runner.matched_all
-    metrics = run_metrics(model, part, trajectories, known, counts, whole=whole, matched_all=matched_all)
+    trajectories = read_trajectories(writer.place) if needed else {}
+    metrics = run_metrics(model, part, trajectories, known, counts, whole=whole)
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(writer.place)
@@ -269,19 +261,9 @@ def _write_results(
     return metrics
 
 
-def _check_for(model: PoseModel, novelty_level: float | None, match_every: int | None) -> None:
-    """Refuse options that have no effect with this model."""
-    if novelty_level and model.novelty is None:
-        raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
-    if match_every not in (None, 1) and not model.looks_at_local_features:
-        raise OptionError(f"--match-every: the model looks at no local features, got {match_every}")
-
-
 def _counts(runner: StreamRunner) -> dict[str, Any]:
     return {
         "n_answered": runner.n_answered,
-        "match_every": runner.odometry.match_every,
-        "n_matched": runner.n_matched,
         "results": result_digests(runner.writer.place),
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,

@@ -67,7 +67,6 @@ RANGES = {
     "first_seed": _whole(0, 2**30),
     "workers": _whole(1, 1024),
     "limit": _whole(1),
-    "match_every": _whole(1),
     "metres_per_radian": _POSITIVE,
     "max_gap": Range(0),
 }

@@ -54,12 +54,6 @@ class Beliefs:
         mixtures, estimates = [self.mixtures[i] for i in its], [self.estimates[i] for i in its]
         return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
 
-    def mixed(self, chosen: BoolArray, others: Beliefs) -> Beliefs:
-        """These beliefs where `chosen` (n,), and others about the same images, with the same softmax, elsewhere."""
-        its = [self if own else others for own in chosen]
-        mixtures, estimates = ([getattr(one, of)[i] for i, one in enumerate(its)] for of in ("mixtures", "estimates"))
-        return Beliefs(self.proba, mixtures, estimates)
-
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
         """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.
 

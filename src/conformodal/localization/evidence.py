@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray
+from conformodal.core.arrays import Float32Array, FloatArray
 
 from .errors import LocalizationError
-from .image_quality import NOT_MEASURED
 from .local_features import LocalFeatures
 
 
@@ -23,11 +22,11 @@ class FrameEvidence:
     features
         (n, F) of the network, see :class:`~conformodal.vision.backbone.Backbone`.
     local_features
-        Image by image; None where they were not extracted.
+        Image by image; empty where they were not extracted.
     """
 
     features: Float32Array
-    local_features: Sequence[LocalFeatures | None] = ()
+    local_features: Sequence[LocalFeatures] = ()
 
     def __post_init__(self) -> None:
         if len(self.local_features) not in (0, len(self.features)):
@@ -39,21 +38,6 @@ class FrameEvidence:
         return len(self.features)
 
     @property
-    def has_local_features(self) -> BoolArray:
-        """(n,) whether local features of each image were extracted."""
-        if not self.local_features:
-            return np.zeros(len(self), dtype=np.bool_)
-        return np.array([found is not None for found in self.local_features], dtype=np.bool_)
-
-    @property
     def quality(self) -> FloatArray:
-        """(n, 3) quality of each image, see :func:`~conformodal.localization.image_quality.image_quality`.
-
-        NaN where local features were not extracted.
-        """
-        found = self.local_features or [None] * len(self)
-        return np.array([NOT_MEASURED if its is None else its.quality for its in found]).reshape(len(self), -1)
-
-    def without_local_features(self) -> FrameEvidence:
-        """The same images, as if their local features had not been extracted."""
-        return FrameEvidence(self.features)
+        """(n, 3) quality of each image, see :func:`~conformodal.localization.image_quality.image_quality`."""
+        return np.array([its.quality for its in self.local_features])

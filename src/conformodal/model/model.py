@@ -35,9 +35,9 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import EvidenceType, RegionRules
 
-# What posteriors rest on: the frames up to each (online; seldom: local features are matched in one of a few), also as
-# many after it as the lag (lagged), or all frames of its recording (hindsight).
-PATHS = ONLINE, SELDOM, LAGGED, HINDSIGHT = "online", "seldom", "lagged", "hindsight"
+# What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
+# its recording (hindsight).
+PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
 
 
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
@@ -104,7 +104,7 @@ class PoseModel:
     path_rules
         Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
     reliable_p
-        A pose counts as reliable from this probability of its place: online, and seldom.
+        A pose counts as reliable from this probability of its place.
     quality
         Of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated.
     """
@@ -121,7 +121,7 @@ class PoseModel:
     radius: PoseRadius | None = None
     comparison: SourceComparison | None = None
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
-    reliable_p: dict[str, float] = field(default_factory=lambda: {ONLINE: FILTER.reliable})
+    reliable_p: float = FILTER.reliable
     quality: QualityRange | None = None
 
     @property
@@ -163,7 +163,7 @@ class PoseModel:
 
     @property
     def calibration(self) -> SplitConformal:
-        """Calibration on beliefs without local features, of all evidence types together."""
+        """Calibration on the frames of all evidence types together."""
         return self.rules.overall
 
     @property
@@ -174,7 +174,7 @@ class PoseModel:
     @property
     def looks_at_local_features(self) -> bool:
         """Whether local features of an image are used."""
-        return self.localizer.local and self.rules.matched is not None
+        return self.rules.recognised is not None
 
     @property
     def landmarks(self) -> LandmarkSource | None:
@@ -182,15 +182,22 @@ class PoseModel:
         return self.localizer.find(LandmarkSource)
 
     def localize(self, evidence: FrameEvidence) -> Localization:
-        """Beliefs and calibrated regions of n images."""
+        """Beliefs and calibrated regions of n images.
+
+        Raises
+        ------
+        OdometryError
+            If the model looks at local features, and the evidence has none.
+        """
         if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
-            evidence = evidence.without_local_features()
-        beliefs = self.localizer.beliefs(evidence)
-        looked, p = evidence.has_local_features, np.full(len(evidence), np.nan)
+            evidence = FrameEvidence(evidence.features)
+        elif not evidence.local_features:
+            raise OdometryError("the model looks at local features, and the images come without")
+        beliefs, p = self.localizer.beliefs(evidence), np.full(len(evidence), np.nan)
         disturbed = self.quality is not None and self.quality.left_by(evidence.quality)
         if self.novelty is not None:
-            p = self.novelty.p_values(evidence.features, np.where(looked, beliefs.recognition, np.nan), disturbed)
-        kinds = self.rules.kinds(p, looked, beliefs.recognised, disturbed)
+            p = self.novelty.p_values(evidence.features, beliefs.recognition, disturbed)
+        kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
         return Localization(beliefs, self.image_regions(beliefs, kinds), p, kinds)
@@ -224,10 +231,6 @@ class PoseModel:
         lost = [posterior.lost or its.out_of_range for posterior, its in zip(posteriors, supports, strict=True)]
         thresholds = np.where(np.array(lost)[:, None], np.inf, rule.thresholds_)
         return self._level_sets(rule, after, supports, thresholds)
-
-    def calibration_of(self, *, local: bool) -> SplitConformal:
-        """The calibration on all frames: on beliefs with local features, or without."""
-        return self.rules.matched if local and self.rules.matched is not None else self.rules.overall
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores.

@@ -24,7 +24,7 @@ class PlaceNovelty:
 
     test: NoveltyTest  # of the image's appearance: its distance to the most similar known frame
     grid: tuple[int, int]  # rows and columns of the network's map
-    # of images whose local features were matched: those in which a place was recognised rank below all others, the more
+    # with local features: images in which a place was recognised rank below all others, the more
     # strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None without local
     # features
     matched: NoveltyTest | None = None
@@ -69,18 +69,17 @@ class PlaceNovelty:
     ) -> FloatArray:
         """(n,) p-values of features (n, F); a small one indicates an unknown place.
 
-        `recognition` (n,) is :attr:`~conformodal.localization.belief.Beliefs.recognition`, NaN where local features
-        were not extracted; None if nowhere. `disturbed` (n,) says whether an image's quality is out of range.
+        `recognition` (n,) is :attr:`~conformodal.localization.belief.Beliefs.recognition`, None for appearance alone.
+        `disturbed` (n,) says whether an image's quality is out of range.
         """
         distances = self.distances(features)
-        p = self.test.p_values(distances)
         if self.matched is None or recognition is None:
-            return p
-        looked, scores = np.isfinite(recognition), self.ranked(distances, recognition)
-        p[looked] = self.matched.p_values(scores[looked])
+            return self.test.p_values(distances)
+        scores = self.ranked(distances, recognition)
+        p = self.matched.p_values(scores)
         if self.disturbed is not None:
-            looked &= disturbed & (recognition > 0)  # others are as novel as their appearance
-            p[looked] = self.disturbed.p_values(scores[looked])
+            its = disturbed & (recognition > 0)  # others are as novel as their appearance
+            p[its] = self.disturbed.p_values(scores[its])
         return p
 
     def level(self, asked: float | None) -> float:

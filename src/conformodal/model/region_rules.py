@@ -18,7 +18,7 @@ from conformodal.localization.settings import NOVELTY
 class EvidenceType(IntEnum):
     """What a region is based on; each type has its own thresholds."""
 
-    GLOBAL = 0  # the image as a whole: local features were not matched
+    GLOBAL = 0  # the image as a whole: the model uses no local features
     UNMATCHED = 1  # local features were matched, and no place was recognised
     LANDMARKS = 2  # a place was recognised
     UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
@@ -58,13 +58,11 @@ class RegionRules:
     at most half of it, see :meth:`is_known`.
     """
 
-    overall: SplitConformal  # calibrated on beliefs without local features, on all frames
-    matched: SplitConformal | None  # on beliefs with local features, on all frames; None if no source uses them
-    recognised: BoolArray  # (n,) whether a place was recognised in each frame
-    known_p: FloatArray  # (n,) p-values of each frame by its appearance, see PlaceNovelty
+    overall: SplitConformal  # calibrated on all frames
+    recognised: BoolArray | None  # (n,) whether a place was recognised in each; None without local features
+    known_p: FloatArray  # (n,) p-values of the frames, see PlaceNovelty
     level: float  # significance level of the novelty test
-    matched_p: FloatArray | None = None  # (n,) p-values with local features; None for those by appearance
-    disturbed: SplitConformal | None = None  # on beliefs with local features, on m disturbed frames
+    disturbed: SplitConformal | None = None  # on m disturbed frames
     disturbed_p: FloatArray | None = None  # (m,) their p-values
 
     def is_known(self, p: FloatArray, recognised: BoolArray | bool = False) -> BoolArray:
@@ -75,19 +73,17 @@ class RegionRules:
         return np.asarray(p > np.where(recognised, NOVELTY.share_recognised * self.level, self.level))
 
     @property
-    def known_with_local(self) -> BoolArray:
-        """(n,) whether each frame shows a known place, its local features matched."""
-        return self.is_known(self.known_p if self.matched_p is None else self.matched_p, self.recognised)
+    def known(self) -> BoolArray:
+        """(n,) whether each frame shows a known place."""
+        return self.is_known(self.known_p, False if self.recognised is None else self.recognised)
 
     @cached_property
     def own(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
-        known = self.known_p > self.level
-        rules = {EvidenceType.GLOBAL: part_of(self.overall, known)}
-        if self.matched is not None:
-            known = self.known_with_local
-            rules[EvidenceType.UNMATCHED] = part_of(self.matched, known & ~self.recognised)
-            rules[EvidenceType.LANDMARKS] = part_of(self.matched, known & self.recognised)
+        if self.recognised is None:
+            return {EvidenceType.GLOBAL: part_of(self.overall, self.known)}
+        told = dict(zip(MATCHED_TYPES, (~self.recognised, self.recognised), strict=True))
+        rules = {kind: part_of(self.overall, self.known & its) for kind, its in told.items()}
         if self.disturbed is not None and self.disturbed_p is not None:
             rules[EvidenceType.DISTURBED] = part_of(self.disturbed, self.disturbed_p > self.level)
         return rules
@@ -95,7 +91,7 @@ class RegionRules:
     @cached_property
     def both(self) -> SplitConformal | None:
         """Calibrated on the frames of ``UNMATCHED`` and ``LANDMARKS`` together; None without local features."""
-        return None if self.matched is None else part_of(self.matched, self.known_with_local)
+        return None if self.recognised is None else part_of(self.overall, self.known)
 
     @cached_property
     def sharing(self) -> Sharing:
@@ -103,7 +99,7 @@ class RegionRules:
 
         A threshold is finite if the weight, with the new unit, is at least ``1 / alpha`` units.
         """
-        if self.matched is None:
+        if self.recognised is None:
             return Sharing.OWN
         needed = 1 / self.overall.alpha_per_target
         least = min(self.own[kind].weight for kind in MATCHED_TYPES)
@@ -123,17 +119,16 @@ class RegionRules:
             for kind, rule in self.own.items()
         }
 
-    def kinds(
-        self, known_p: FloatArray, looked: BoolArray, recognised: BoolArray, disturbed: BoolArray | bool = False
-    ) -> IntArray:
+    def kinds(self, known_p: FloatArray, recognised: BoolArray, disturbed: BoolArray | bool = False) -> IntArray:
         """(m,) evidence types of new images, from their p-values, NaN if not tested.
 
-        `looked` says whether local features were extracted, `recognised` whether a place was recognised by them,
-        `disturbed` whether the image's quality is out of range.
+        `recognised` says whether a place was recognised by local features, `disturbed` whether the image's quality is
+        out of range.
         """
-        matched = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
-        kinds = np.where(looked & (self.matched is not None), matched, EvidenceType.GLOBAL)
-        kinds = np.where(looked & disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
+        kinds = np.full(len(known_p), EvidenceType.GLOBAL)
+        if self.recognised is not None:
+            kinds = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
+        kinds = np.where(disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
         tested_unknown = np.isfinite(known_p) & ~self.is_known(known_p, kinds == EvidenceType.LANDMARKS)
         return np.where(tested_unknown, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
@@ -158,8 +153,8 @@ class RegionRules:
         Regions at a lower rate contain those at a higher one, unless the types share thresholds at only one of them.
         """
         rate = float(as_alpha(alpha))
-        matched, disturbed = (None if own is None else own.at(rate) for own in (self.matched, self.disturbed))
-        return replace(self, overall=self.overall.at(rate), matched=matched, disturbed=disturbed)
+        disturbed = None if self.disturbed is None else self.disturbed.at(rate)
+        return replace(self, overall=self.overall.at(rate), disturbed=disturbed)
 
 
 def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:

@@ -42,7 +42,7 @@ from .place_novelty import PlaceNovelty
 from .radius import PoseRadius
 from .region_rules import RegionRules
 
-_FORMAT = "conformodal-model-18"
+_FORMAT = "conformodal-model-19"
 _JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
 _NETWORKS = "network-*.onnx"
 _ATTEMPTS = 2
@@ -117,16 +117,13 @@ def _calibration_arrays(model: PoseModel) -> dict[str, AnyArray]:
     arrays: dict[str, AnyArray] = {
         "calibration.overall": rules.overall.scores_,
         "calibration.known_p": rules.known_p,
-        "calibration.recognised": rules.recognised,
     }
-    if rules.matched_p is not None:
-        arrays["calibration.matched_p"] = rules.matched_p
+    if rules.recognised is not None:
+        arrays["calibration.recognised"] = rules.recognised
     if rules.overall.groups_ is not None:
         arrays["calibration.groups"] = rules.overall.groups_
     if rules.overall.batches_ is not None:
         arrays["calibration.batches"] = rules.overall.batches_
-    if rules.matched is not None:
-        arrays["calibration.matched"] = rules.matched.scores_
     for path, rule in model.path_rules.items():
         arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
         if rule.groups_ is not None and rule.group_sizes_ is not None:
@@ -253,7 +250,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: byte
         path_rules={
             path: _path_rule(rules, arrays, name) for path in PATHS if (name := f"calibration.{path}") in arrays
         },
-        reliable_p={path: float(p) for path, p in how["reliable_p"].items()},
+        reliable_p=float(how["reliable_p"]),
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
 
@@ -273,13 +270,9 @@ def _source(name: str, settings: dict[str, Any], arrays: dict[str, AnyArray]) ->
 def _rules(
     cells: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray], novelty: PlaceNovelty | None
 ) -> RegionRules:
-    matched = None
-    if "calibration.matched" in arrays:
-        matched = _calibration(cells, how, arrays, "calibration.matched")
-    overall = _calibration(cells, how, arrays, "calibration.overall")
-    recognised, known_p = arrays["calibration.recognised"], arrays["calibration.known_p"]
-    level, matched_p = float(how["novelty_level"]), arrays.get("calibration.matched_p")
-    rules = RegionRules(overall, matched, recognised, known_p, level, matched_p)
+    overall = _calibration(cells, how, arrays)
+    recognised, known_p = arrays.get("calibration.recognised"), arrays["calibration.known_p"]
+    rules = RegionRules(overall, recognised, known_p, float(how["novelty_level"]))
     if novelty is None or novelty.disturbed is None:
         return rules
     groups = None if overall.groups_ is None else novelty.disturbed.groups
@@ -287,12 +280,12 @@ def _rules(
     return replace(rules, disturbed=disturbed, disturbed_p=arrays["calibration.disturbed_p"])
 
 
-def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray], scores: str) -> SplitConformal:
+def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray]) -> SplitConformal:
     calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
     groups, batches = (arrays.get(f"calibration.{its}") for its in ("groups", "batches"))
-    return calibration.calibrate_scores(arrays[scores], groups, batches=batches)
+    return calibration.calibrate_scores(arrays["calibration.overall"], groups, batches=batches)
 
 
 def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], name: str) -> SplitConformal:

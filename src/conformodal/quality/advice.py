@@ -18,7 +18,7 @@ from .settings import QUALITY
 from .view_coverage import Stretch
 
 WHERE = {
-    EvidenceType.GLOBAL: "where local features are not matched",
+    EvidenceType.GLOBAL: "in all images",
     EvidenceType.UNMATCHED: "where landmarks recognise no place",
     EvidenceType.LANDMARKS: "where landmarks recognise the place",
     EvidenceType.DISTURBED: "where images are blurred, dark, bright or noisy as none in training",

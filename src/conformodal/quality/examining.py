@@ -108,7 +108,8 @@ def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress:
             except ImageError:
                 continue
             usable.append(i)
-            local.append(frame_features(sequence, i) if model.looks_at_local_features else None)
+            if model.looks_at_local_features:
+                local.append(frame_features(sequence, i))
             if report is not None:
                 report(done, len(wanted))
         files = [sequence.image_paths[i] for i in usable]

@@ -66,7 +66,6 @@ class _FilterSettings:
     # `wrong_if_unknown` and `least_own` were chosen on seeds 20 to 22 of redkitchen `blocks` and 20 of the demo
     common: float = 1.0
     least_own: float = 0.02  # least share of the image's own belief in a region from a posterior
-    seldom: int = 6  # frames of a stream of which the first is matched with landmarks, where a computer is slow
     lag: int = 10  # frames of a stream whose answer is revised in hindsight
     lagged: int = 200  # held-out frames that calibrate regions at this lag, about: each takes `lag` steps
 

@@ -23,7 +23,6 @@ from conformodal.datasets.streams.frames import SourceError
 from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
 from conformodal.model.errors import OdometryError
 from conformodal.model.store import load_model
-from conformodal.reasoning.settings import FILTER
 from conformodal.running.estimates import Estimate
 from conformodal.running.odometry import Odometry
 from conformodal.running.paper_odometry import odometry_of
@@ -44,7 +43,6 @@ class Parameters:
     model: str = ""  # folder of a saved model
     world_frame: str = "map"  # see :class:`Conventions`
     covariance: str = Covariance.MIXTURE.value
-    match_every: int = FILTER.seldom  # local features are matched in every so many images: it takes time
     compressed: bool = False  # whether images are ``sensor_msgs/CompressedImage``
     # after so many seconds without an image the pose counts as lost; also the time between two such messages
     silent_s: float = 1.0
@@ -201,7 +199,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         given = _parameters_of(node)
         how = Conventions(world_frame=given.world_frame, covariance=Covariance(given.covariance))
-        odometry = odometry_of(load_model(given.model), given.match_every)
+        odometry = odometry_of(load_model(given.model))
         PoseNode(node, odometry, how, compressed=given.compressed, silent_s=given.silent_s)
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -51,8 +51,7 @@ class Estimate:
     corners
         All corners here, or None without an image.
     estimates
-        Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none or local features
-        were not matched.
+        Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none.
     known_p
         Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
         tested. The region is unbounded where it is small.
@@ -61,8 +60,6 @@ class Estimate:
     position_spread_m, orientation_spread_rad
         Standard deviations of the most probable place; None without an image. They grow while motion alone tells where
         the camera is.
-    matched
-        Whether local features were matched.
     posterior
         Hypotheses given all frames so far, and the probability that none is right; or None without an image.
     places
@@ -91,7 +88,6 @@ class Estimate:
     evidence: EvidenceType | None = None
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
-    matched: bool = False
     posterior: Posterior | None = None
     places: list[Place] = field(default_factory=list)
     path_region: PoseRegions | None = None

@@ -11,15 +11,14 @@ import numpy as np
 
 from conformodal.core.arrays import Float32Array, IntArray, UInt8Array, rows_by_label
 from conformodal.core.progress import StageProgress
-from conformodal.core.ranges import check_ranges
 from conformodal.datasets import Sequence
 from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import LocalFeatures, extract_local_features
+from conformodal.localization.local_features import extract_local_features
 from conformodal.localization.motions import MotionRecord, measure_motions
 from conformodal.localization.regions import PoseRegions
 from conformodal.model.config import Method
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, SELDOM, Localization, PoseModel
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, Localization, PoseModel
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model
 from conformodal.motion.flow import affine_flow
@@ -46,27 +45,21 @@ class VisualOdometry(Odometry):
         Trained and calibrated.
     lag
         Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
-    match_every
-        Local features are matched in every so many frames of a stream: it takes time, and motion bridges a few frames.
-        Regions of the others are wider. Those after motion (``path_region``) have two calibrations: for 1, and for 6,
-        which 2 to 5 use too; they are None with more. :meth:`run` matches them in all.
 
     Raises
     ------
     OdometryError
-        If `match_every` is less than 1, or the model is the paper's, which :class:`PaperOdometry` runs.
+        If the model is the paper's, which :class:`PaperOdometry` runs.
     """
 
     answer = METHODS[0]
     whole_paths = True  # better answers than those of a stream follow, from whole paths
 
-    def __init__(self, model: PoseModel, lag: int = FILTER.lag, match_every: int = 1) -> None:
-        check_ranges({"match_every": match_every}, OdometryError)
+    def __init__(self, model: PoseModel, lag: int = FILTER.lag) -> None:
         if model.method is Method.PAPER:
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
         self.lag = lag
-        self.match_every = match_every
         self._filter = PoseFilter(model.prior, lag)
         self._last: deque[Estimate] = deque(maxlen=lag + 1)
         self.reset()
@@ -88,20 +81,19 @@ class VisualOdometry(Odometry):
         self._filter.reset()
         self._last.clear()
         self._seen_s = self._shown_s = None
-        self._n_steps = 0
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         features = self.model.backbone.features_of(image)
         motion = self._front_end.measure(image)
-        local = self._local_features(image)
-        if local is not None and self._shown_s is not None:
-            seconds = timestamp_s - self._shown_s
-            local = local._replace(flow=affine_flow(self._front_end.tracker.step, seconds, self.model.camera))
-        found = self.model.localize(FrameEvidence(features, [local]))
-        its = self._front_end.tracks, self._front_end.corners, local is not None
-        path = ONLINE if not self.seldom else SELDOM if self.match_every <= FILTER.seldom else ""
-        now = self._push(self._filter, found, motion, timestamp_s, path)
-        now = replace(now, tracks=its[0], corners=its[1], matched=its[2])
+        local = []
+        if self.model.looks_at_local_features:
+            local = [extract_local_features(image, self.model.camera)]
+            if self._shown_s is not None:
+                flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._shown_s, self.model.camera)
+                local = [local[0]._replace(flow=flow)]
+        found = self.model.localize(FrameEvidence(features, local))
+        now = self._push(self._filter, found, motion, timestamp_s)
+        now = replace(now, tracks=self._front_end.tracks, corners=self._front_end.corners)
         self._last.append(now)
         return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
 
@@ -109,29 +101,24 @@ class VisualOdometry(Odometry):
         """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
 
         None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
-        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames
-        whose local features are matched: None for others, and where the model has no such calibration. `reliable` asks
-        for the same probability as in :meth:`step`.
+        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames:
+        None for others, and where the model has no such calibration. `reliable` asks for the same probability as in
+        :meth:`step`.
         """
         if len(self._last) <= self.lag:
             return None
         then, posterior = self._last[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        path = LAGGED if self.lag == FILTER.lag and not self.seldom else ""
+        path = LAGGED if self.lag == FILTER.lag else ""
         now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
-        return replace(now, tracks=then.tracks, corners=then.corners, matched=then.matched)
+        return replace(now, tracks=then.tracks, corners=then.corners)
 
     def _push(
-        self,
-        pose_filter: PoseFilter,
-        found: Localization,
-        motion: RelativeMotion | None,
-        timestamp_s: float,
-        path: str = ONLINE,
+        self, pose_filter: PoseFilter, found: Localization, motion: RelativeMotion | None, timestamp_s: float
     ) -> Estimate:
         """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
         posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, path)
+        return self._estimate(found, motion, timestamp_s, posterior, ONLINE)
 
     def _estimate(
         self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
@@ -143,7 +130,7 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if kind is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < self.model.reliable_p[SELDOM if self.seldom else ONLINE]:
+        if best.probability < self.model.reliable_p:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
@@ -164,13 +151,6 @@ class VisualOdometry(Odometry):
             places=places,
         )
 
-    def _local_features(self, image: UInt8Array) -> LocalFeatures | None:
-        due = self._n_steps % self.match_every == 0
-        self._n_steps += 1
-        if not (due and self.model.looks_at_local_features):
-            return None
-        return extract_local_features(image, self.model.camera)
-
     def measure_motions(
         self, sequence: Sequence, frames: IntArray, progress: StageProgress | None = None
     ) -> MotionRecord:
@@ -180,7 +160,7 @@ class VisualOdometry(Odometry):
     def _answered(
         self, sequence: Sequence, frames: IntArray, features: Float32Array, motions: MotionRecord
     ) -> OdometryRun:
-        local = [motions.local_features.get(i) for i in frames.tolist()]
+        local = [motions.local_features[i] for i in frames.tolist()]
         found = self.model.localize(FrameEvidence(features, local))
         moved = [motions.motions[i] for i in frames.tolist()]
         times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
@@ -193,7 +173,7 @@ class VisualOdometry(Odometry):
             submaps=motions.submaps_of(frames),
             trajectories={},
             unreadable=motions.unreadable,
-            reliable_p=self.model.reliable_p[ONLINE],
+            reliable_p=self.model.reliable_p,
         )
         prior, n = self.model.prior, len(frames)
         poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}

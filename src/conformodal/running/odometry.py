@@ -35,23 +35,15 @@ class Odometry(ABC):
         Whether better answers than those of a stream follow, from whole paths.
     lag
         Frames of a stream whose answer may still change.
-    match_every
-        Interval, in frames of a stream, at which local features are matched.
     """
 
     model: PoseModel
     answer: str
     whole_paths: bool
     lag: int
-    match_every: int
     _front_end: FrontEnd
     _seen_s: float | None  # of the last frame, usable or not
     _shown_s: float | None  # of the last usable one
-
-    @property
-    def seldom(self) -> bool:
-        """Whether local features are matched in some frames of a stream alone."""
-        return self.match_every > 1 and self.model.looks_at_local_features
 
     @abstractmethod
     def reset(self) -> None:

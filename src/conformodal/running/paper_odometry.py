@@ -40,7 +40,7 @@ class PaperOdometry(Odometry):
     """
 
     answer = PAPERS_METHOD
-    lag, match_every = 0, 1
+    lag = 0
     whole_paths = False  # what a stream is told is final
 
     def __init__(self, model: PoseModel) -> None:
@@ -118,8 +118,6 @@ def _localize(model: PoseModel, features: Float32Array) -> Localization:
     return Localization(beliefs, regions, np.full(n, np.nan), kinds)
 
 
-def odometry_of(model: PoseModel, match_every: int = 1) -> Odometry:
-    """The system that runs a model, by the model's method; the paper's looks at no local features to match."""
-    if model.method is Method.PAPER:
-        return PaperOdometry(model)
-    return VisualOdometry(model, match_every=match_every)
+def odometry_of(model: PoseModel) -> Odometry:
+    """The system that runs a model, by the model's method."""
+    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model)

@@ -59,9 +59,9 @@ class StreamRunner:
 
     Attributes
     ----------
-    n_answered, n_unreliable, n_matched, n_localized, n_unknown
-        Frames so far; the last three: those whose local features were matched, those with an absolute pose estimate
-        from landmarks, and those that show no known place.
+    n_answered, n_unreliable, n_localized, n_unknown
+        Frames so far; the last two: those with an absolute pose estimate from landmarks, and those that show no known
+        place.
     answered
         Places in the data set of those whose true pose is known.
     known
@@ -86,8 +86,7 @@ class StreamRunner:
     ) -> None:
         self.odometry, self.writer = odometry, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_matched = self.n_localized = 0
-        self.n_unknown = self.n_problems = 0
+        self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
         self.known: list[int] = []
         self.motion: Counter[str] = Counter()
@@ -122,11 +121,6 @@ class StreamRunner:
             return None
         online, reliable = concatenate(self._online), np.array(self._reliable)
         return path_coverage_table(its, self.odometry.model, online, self.truth, reliable)
-
-    @property
-    def matched_all(self) -> bool:
-        """Whether local features of all answered frames were matched, if the model looks at them."""
-        return self.odometry.match_every == 1 or self.n_matched == self.n_answered
 
     @property
     def truth(self) -> Trajectory | None:
@@ -199,7 +193,6 @@ class StreamRunner:
         assert estimate.evidence is not None
         self.n_answered += 1
         self.n_unreliable += not estimate.reliable
-        self.n_matched += estimate.matched
         self.n_localized += bool(estimate.estimates)
         if motion is not None:
             self.motion[str(motion.status)] += 1
@@ -264,10 +257,9 @@ class StreamRunner:
         later = hindsight_posteriors(seen, model.prior, [p.posterior for p in pending])
         for name, trajectory in whole_paths(later, seen, model.prior).items():
             self.writer.poses(name, trajectory[wanted])
-        path = "" if self.odometry.seldom else HINDSIGHT  # what it is calibrated for
         for p, posterior in zip(pending[wanted], later[wanted], strict=True):
             if p.truth is not None:
-                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], path), p.truth)
+                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], HINDSIGHT), p.truth)
         release_freed_memory()
 
     def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:

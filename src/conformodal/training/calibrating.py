@@ -30,7 +30,7 @@ from conformodal.localization.source_data import SourceData
 from conformodal.model.comparison import SourceComparison
 from conformodal.model.config import ModelConfig
 from conformodal.model.errors import OdometryError
-from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, PATHS, SELDOM, path_rule
+from conformodal.model.model import HINDSIGHT, LAGGED, ONLINE, PATHS, path_rule
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.model.region_rules import EvidenceType, RegionRules, part_of
 from conformodal.poses import RelativeMotion
@@ -56,15 +56,11 @@ def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold.
-
-    Also those without local features, which are the same where no source uses them.
-    """
+    """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold."""
 
     rules: RegionRules
     novelty: PlaceNovelty | None
     beliefs: list[Beliefs]
-    without_local: list[Beliefs]
 
 
 def calibrate_regions(
@@ -85,7 +81,7 @@ def calibrate_regions(
         _check_unseen(localizer, folds.first + fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    local = all(its.local for its in localizers) and (extended is None or extended[0].matched is not None)
+    local = all(its.local for its in localizers) and (extended is None or extended[0].recognised is not None)
 
     def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
         made = SplitConformal(cells, config.alpha, config.score, joint)
@@ -99,55 +95,35 @@ def calibrate_regions(
 
     asked = as_joint(config.joint)
     joints: list[Joint] = [asked, "max"] if asked == "bonferroni" and extended is None else [asked]
-    overall: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
-    matched: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
+    scores: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
-    without_local: list[Beliefs] = []
-    beyond: dict[bool, list[bool]] = {False: [], True: []}  # by whether local features were matched
+    beyond: list[bool] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         frames = fold.held_out
-        targets, own_rules = data.targets[frames], {joint: rule(localizer.cells, joint) for joint in joints}
-        images = FrameEvidence(data.features[frames])
-        beliefs = localizer.beliefs(images)
-        beyond[False] += [its.out_of_range for its in localizer.supports(beliefs)]
-        for joint, own in own_rules.items():
-            overall[joint].append(score_beliefs(own, localizer, beliefs, targets))
-        without_local.append(beliefs)
-        if local:  # in all folds: otherwise beliefs with them cannot be calibrated
-            beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames)))
-            beyond[True] += [its.out_of_range for its in localizer.supports(beliefs)]
-            for joint, own in own_rules.items():
-                matched[joint].append(score_beliefs(own, localizer, beliefs, targets))
+        beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames) if local else ()))
+        for joint, its in scores.items():
+            its.append(score_beliefs(rule(localizer.cells, joint), localizer, beliefs, data.targets[frames]))
+        beyond += [its.out_of_range for its in localizer.supports(beliefs)]
         found.append(beliefs)
     cells = belief_cells(data.bins_of(folds.region_frames)) if extended is None else extended[1]
-    recognised = np.concatenate([its.recognised for its in found]) if local else np.zeros(len(held_out), dtype=bool)
-    known_p, matched_p = np.ones(len(held_out)), np.ones(len(held_out)) if local else None
+    known_p = np.ones(len(held_out))
     if novelty is not None:
         known_p, distances = _appearance(novelty, folds, data)
         if local:
             recognition = np.concatenate([its.recognition for its in found])
-            groups = np.arange(len(held_out)) if units is None else units
-            novelty = replace(novelty, matched=novelty.calibrated(distances, recognition, groups))
-            assert novelty.matched is not None
-            matched_p = novelty.matched.left_out_p_values()
-    # of the evidence type of unknown places, as such images will be
-    known_p = np.where(beyond[False], 0.0, known_p)
-    matched_p = None if matched_p is None else np.where(beyond[True], 0.0, matched_p)
+            matched = novelty.calibrated(distances, recognition, np.arange(len(held_out)) if units is None else units)
+            novelty, known_p = replace(novelty, matched=matched), matched.left_out_p_values()
+    known_p = np.where(beyond, 0.0, known_p)  # of the evidence type of unknown places, as such images will be
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
+    recognised = np.concatenate([its.recognised for its in found]) if local else None
 
     def calibrated(joint: Joint) -> RegionRules:
-        return RegionRules(
-            overall=rule(cells, joint).calibrate_scores(np.concatenate(overall[joint]), units),
-            matched=rule(cells, joint).calibrate_scores(np.concatenate(matched[joint]), units) if local else None,
-            recognised=recognised,
-            known_p=known_p,
-            matched_p=matched_p,
-            level=level,
-        )
+        own = rule(cells, joint).calibrate_scores(np.concatenate(scores[joint]), units)
+        return RegionRules(own, recognised, known_p, level)
 
     rules = calibrated(asked)
     rules = calibrated("max") if len(joints) > 1 and _has_type_for_max_only(rules) else rules
-    return Calibrated(rules, novelty, found, without_local)
+    return Calibrated(rules, novelty, found)
 
 
 def calibrate_disturbed(
@@ -167,7 +143,7 @@ def calibrate_disturbed(
     or with too few copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
-    if rules.matched is None or novelty is None:
+    if rules.recognised is None or novelty is None:
         return calibrated, None
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
@@ -215,64 +191,54 @@ def calibrate_paths(
     calibrated: Calibrated,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-) -> tuple[dict[str, SplitConformal], dict[str, float]]:
+) -> tuple[dict[str, SplitConformal], float]:
     """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
     `motions` are those between held-out frames.
 
-    Also the probability of a place from which its pose counts as reliable, online and seldom: a frame with a wrong
-    place that is at least as probable, and whose region misses the pose, is as rare as the settings of the filter ask,
-    or as so few units can show.
+    Also the probability of a place from which its pose counts as reliable: a frame with a wrong place that is at least
+    as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
+    show.
 
-    Regions of streams whose local features are matched in one of ``FILTER.seldom`` frames are calibrated on such
-    streams. Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so
-    many follow: as many of each stretch, or in proportion to their number where frames calibrate.
+    Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so many
+    follow: as many of each stretch, or in proportion to their number where frames calibrate.
 
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
     """
     rules = calibrated.rules
     units = sequence.recording if folds.units is None else folds.units
-    known = rules.known_with_local | rules.recognised
+    known = rules.known if rules.recognised is None else rules.known | rules.recognised
     # by path, of each fold: scores, whether each posterior is lost, and rows among the held-out frames
     answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]] = {path: [] for path in PATHS}
     truth, n = sequence.require_truth(), len(folds.held_out)
-    wrong = {path: np.full(n, -np.inf) for path in (ONLINE, SELDOM)}  # probabilities of wrong places
+    wrong = np.full(n, -np.inf)  # probabilities of wrong places online
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
-    both = zip(calibrated.beliefs, calibrated.without_local, strict=True)
-    for fold, localizer, (own, without_local) in zip(folds.folds, localizers, both, strict=True):
+    for fold, localizer, own in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
         rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
-        here, streams = slice(start, start + len(held_out)), rows_by_label(units[held_out])
-        matched = np.zeros(len(held_out), dtype=bool)
-        matched[np.concatenate([at[:: FILTER.seldom] for at in streams])] = True
-        seldom = own.mixed(matched, without_local)
-        known_seldom = np.where(matched, known[here], rules.known_p[here] > rules.level)
-        seen_by = {ONLINE: (own, known[here])} | ({SELDOM: (seldom, known_seldom)} if own is not without_local else {})
         found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
-        for at in streams:
+        for at in rows_by_label(units[held_out]):
             moved, times = [motions[frame] for frame in held_out[at].tolist()], sequence.timestamps_s[held_out[at]]
-            for path, (beliefs, its_known) in seen_by.items():
-                candidates = [beliefs.mixtures[i].candidates for i in at.tolist()]
-                seen = Observations(candidates, moved, times, known=its_known[at])
-                forward = filter_posteriors(seen, prior)
-                found[path].update(zip(at.tolist(), forward, strict=True))
-                best, probability = choose_places(forward, times, prior)
-                true = truth[held_out[at]]
-                right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
-                wrong[path][start + at] = np.where(right, -np.inf, probability)
-                if path == ONLINE:
-                    drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
-                    some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
-                    windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
-                    found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
-                    found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
-                go_on()
+            candidates = [own.mixtures[i].candidates for i in at.tolist()]
+            seen = Observations(candidates, moved, times, known=known[start + at])
+            forward = filter_posteriors(seen, prior)
+            found[ONLINE].update(zip(at.tolist(), forward, strict=True))
+            found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
+            drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
+            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
+            windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
+            found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
+            best, probability = choose_places(forward, times, prior)
+            true = truth[held_out[at]]
+            right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
+            wrong[start + at] = np.where(right, -np.inf, probability)
+            go_on()
         for path, posteriors in found.items():
             if not posteriors:
                 continue
             which = np.array(sorted(posteriors))
             its = [posteriors[i] for i in which.tolist()]
-            after = (seldom if path == SELDOM else own).part(which).after(its)
+            after = own.part(which).after(its)
             supports = localizer.supports(after)
             lost = np.array([one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)])
             scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
@@ -284,10 +250,10 @@ def calibrate_paths(
 def _thresholds(
     overall: SplitConformal,
     answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]],
-    wrong: dict[str, FloatArray],
-) -> tuple[dict[str, SplitConformal], dict[str, float]]:
+    wrong: FloatArray,
+) -> tuple[dict[str, SplitConformal], float]:
     """What :func:`calibrate_paths` gives, from the answers of the folds and the probabilities (n,) of wrong places."""
-    labels, paths, reliable_p = overall.groups_, {}, {}
+    labels, paths, reliable_p = overall.groups_, {}, FILTER.reliable
     for path, parts in answered.items():
         if not parts:
             continue
@@ -295,9 +261,9 @@ def _thresholds(
         own_labels = None if labels is None else labels[rows]
         rule = path_rule(overall.bins, overall.alpha).calibrate_scores(scores, own_labels)
         paths[path] = part_of(rule, ~lost)
-        if path in wrong:
+        if path == ONLINE:
             held = (scores <= paths[path].thresholds_).all(axis=1) | lost
-            reliable_p[path] = _reliable_p(np.where(held, -np.inf, wrong[path]), labels)
+            reliable_p = _reliable_p(np.where(held, -np.inf, wrong), labels)
     return paths, reliable_p
 
 
@@ -324,16 +290,15 @@ def compare_sources(
     frames = frames[evenly_spread(len(frames), _MOST_COMPARED)]
 
     def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
-        local = () if rules.matched is None else data.local_features(frames[rows])
+        local = () if rules.recognised is None else data.local_features(frames[rows])
         images = FrameEvidence(data.features[frames[rows]], local)
-        beliefs, looked = own.beliefs(images), images.has_local_features
-        p = np.ones(len(rows))
+        beliefs, p = own.beliefs(images), np.ones(len(rows))
         if novelty is not None:
-            p = novelty.p_values(images.features, np.where(looked, beliefs.recognition, np.nan))
+            p = novelty.p_values(images.features, beliefs.recognition)
         scorer = SplitConformal(own.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
         scorer.rule = rules.overall.rule
         scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
-        kinds = rules.kinds(p, looked, beliefs.recognised)
+        kinds = rules.kinds(p, beliefs.recognised)
         held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
         return held, rules.overall.rule.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
 
@@ -372,10 +337,8 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     _check_unseen(localizer, held_out)
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
     rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
-    n = len(held_out)
-    known_p = np.ones(n)
     rule.calibrate(proba, data.targets[held_out])
-    return RegionRules(rule, None, np.zeros(n, dtype=bool), known_p, 0.0)
+    return RegionRules(rule, None, np.ones(len(held_out)), 0.0)
 
 
 def _has_type_for_max_only(rules: RegionRules) -> bool:

@@ -131,7 +131,7 @@ def extend_model(
         radius=None,
         comparison=compare_sources(data, localizers, localizer, novelty, rules, split.test) if compared else None,
         path_rules={path: _both(rule, paths[path]) for path, rule in model.path_rules.items() if path in paths},
-        reliable_p={path: max(p, reliable_p.get(path, p)) for path, p in model.reliable_p.items()},
+        reliable_p=max(model.reliable_p, reliable_p),
         quality=quality,
     )
 
@@ -218,32 +218,24 @@ def _pooled(model: PoseModel, its: Calibrated) -> tuple[Calibrated, Calibrated]:
     assert before is not None
     assert novelty is not None
     labels, groups = old.overall.groups_, _end_to_end(old.overall.groups_, new.overall.groups_)
-    known_p, matched_p, at = old.known_p, old.matched_p, None
+    known_p, at = old.known_p, None
     if labels is not None:  # the frames that calibrate are those of the references, in another order of units
         at = np.empty(len(labels), dtype=np.int64)
         at[np.argsort(labels, kind="stable")] = np.argsort(before.test.groups, kind="stable")
-        known_p = np.where(known_p > 0, novelty.test.left_out_p_values()[at], 0.0)
-    rules = replace(
-        old,
-        overall=_both(old.overall, new.overall),
-        matched=None if old.matched is None or new.matched is None else _both(old.matched, new.matched),
-        recognised=np.concatenate((old.recognised, new.recognised)),
-        known_p=np.concatenate((known_p, new.known_p)),
-        matched_p=None,
-    )
-    if before.matched is not None and novelty.matched is not None and matched_p is not None:
-        assert new.matched_p is not None
+        if before.matched is None:
+            known_p = np.where(known_p > 0, novelty.test.left_out_p_values()[at], 0.0)
+    known_p = np.concatenate((known_p, new.known_p))
+    if before.matched is not None and novelty.matched is not None:
         scores = before.matched.scores_  # below 0 where a place was recognised, else distances
         scores = scores if at is None else np.where(scores < 0, scores, novelty.test.scores_[at])
-        test = novelty.test.rescored(
-            np.concatenate((scores, novelty.matched.scores_)),
-            np.arange(len(rules.known_p)) if groups is None else groups,
-        )
-        beyond = np.concatenate((matched_p, new.matched_p)) == 0
+        scores = np.concatenate((scores, novelty.matched.scores_))
+        test = novelty.test.rescored(scores, np.arange(len(scores)) if groups is None else groups)
         novelty = replace(novelty, matched=test)
-        all_p = np.where(beyond, 0.0, test.left_out_p_values())
-        rules = replace(rules, matched_p=all_p)
-        new = replace(new, matched_p=all_p[len(known_p) :])
+        known_p = np.where(known_p > 0, test.left_out_p_values(), 0.0)
+        new = replace(new, known_p=known_p[len(old.known_p) :])
+    rules = replace(old, overall=_both(old.overall, new.overall), known_p=known_p)
+    if old.recognised is not None and new.recognised is not None:
+        rules = replace(rules, recognised=np.concatenate((old.recognised, new.recognised)))
     return replace(its, rules=new, novelty=novelty), replace(its, rules=rules, novelty=novelty)
 
 

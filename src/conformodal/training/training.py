@@ -19,7 +19,7 @@ from conformodal.localization.source import PoseSource
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method, ModelConfig, Runtime, record_of
 from conformodal.model.identity import identify
-from conformodal.model.model import ONLINE, PoseModel
+from conformodal.model.model import PoseModel
 from conformodal.model.place_novelty import PlaceNovelty
 from conformodal.poses import RelativeMotion, sign_reference
 from conformodal.reasoning.prior import MotionPrior, fit_motion_prior
@@ -114,7 +114,7 @@ def train_model(
     if config.method is Method.PAPER:  # without a novelty test
         novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
         paths: dict[str, SplitConformal] = {}
-        reliable_p, quality = {ONLINE: FILTER.reliable}, None
+        reliable_p, quality = FILTER.reliable, None
     else:
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)

@@ -93,7 +93,7 @@ def test_the_networks_map_retrieves_places_where_thumbnails_cannot(
         source, found = LandmarkSource.fit(data, FRAMES), []
         source = LandmarkSource.from_state(source.state())
         assert source.map.global_descriptors.shape == (len(FRAMES), 768)
-        unmatched = FrameEvidence(np.zeros((2, 1), np.float32), [None, None])  # needs no features
+        unmatched = FrameEvidence(np.zeros((2, 1), np.float32))
         assert source.answer(unmatched).measurements == [[], []]
         with monkeypatch.context() as patched:
             patched.setattr(

@@ -1,4 +1,4 @@
-"""Landmarks as a pose source: estimates, their errors, what they add to a region, and streams that match seldom."""
+"""Landmarks as a pose source: estimates, their errors, and what they add to a region."""
 
 from dataclasses import replace
 
@@ -11,7 +11,6 @@ from conformodal.localization.local_features import extract_local_features
 from conformodal.localization.source_data import SourceData
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import ModelConfig
-from conformodal.model.errors import OdometryError
 from conformodal.model.region_rules import EvidenceType
 from conformodal.model.store import load_model, save_model
 from conformodal.poses import Trajectory, sign_reference
@@ -94,23 +93,6 @@ def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, blind, sequ
     assert median_error(model) < 0.5 * median_error(blind)
 
 
-def test_a_stream_is_matched_as_often_as_asked(model, sequence, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        "conformodal.running.estimator.extract_local_features",
-        lambda image, camera: asked.append(image) or extract_local_features(image, camera),
-    )
-    odometry = VisualOdometry(model, match_every=3)
-    for i in range(7):
-        odometry.step(sequence.image(i), sequence.timestamps_s[i])
-    assert len(asked) == 3
-    odometry.reset()
-    odometry.step(sequence.image(0), 0.0)
-    assert len(asked) == 4  # the first frame of every recording
-    with pytest.raises(OdometryError, match="match_every"):
-        VisualOdometry(model, match_every=0)
-
-
 def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):
     assert LandmarkSource.fit(data_of(sequence, split, 3.0), split.train[:5]) is None
     assert LandmarkSource.fit(data_of(sequence, split, float("nan")), split.train) is None
@@ -150,33 +132,6 @@ def test_regions_with_landmarks_are_smaller_and_as_sure(model, blind, sequence, 
         assert low <= table["joint_coverage"] <= high
     # the scores say the same as the sets
     targets = pose_targets(truth, model.sign_reference)
-    scores = score_beliefs(model.rules.matched, model.localizer, run.localization.beliefs, targets)
+    scores = score_beliefs(model.rules.overall, model.localizer, run.localization.beliefs, targets)
     held = (scores <= model.rules.thresholds(run.kinds)).all(axis=1)
     np.testing.assert_array_equal(held, with_landmarks.held)
-
-
-def test_frames_that_are_not_matched_have_the_regions_of_the_image_as_a_whole(model, blind, sequence):
-    frames = range(60, 64)
-
-    def answered(which, **options):
-        odometry = VisualOdometry(which, **options)
-        return [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames]
-
-    seldom = answered(model, match_every=2)
-    every, second, none = ([e.region for e in its] for its in (answered(model), seldom, answered(blind)))
-    assert [e.evidence is EvidenceType.GLOBAL for e in seldom] == [False, True, False, True]
-    for k in (0, 2):
-        np.testing.assert_array_equal(second[k].length, every[k].length)
-    for k in (1, 3):
-        np.testing.assert_allclose(second[k].length, none[k].length)
-        assert second[k].n_intervals.tolist() == none[k].n_intervals.tolist()
-    assert len(type(every[0]).concatenate(second)) == 4  # one grid for both kinds
-    statistics = RegionStatistics.concatenate(
-        [
-            RegionStatistics.of(e.region, sequence.truth[60:61], model.sign_reference, np.array([e.evidence]))
-            for e in seldom
-        ]
-    )
-    table = coverage_table(statistics, model, exchangeable=True, matched_all=False)
-    assert "two calibrations" in table["assumption"]
-    assert all("band_99" not in row for row in table["targets"].values())

@@ -115,13 +115,13 @@ class LandmarkSource:
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
-        images = evidence.local_features or []
-        if all(image is None for image in images):
+        images = evidence.local_features
+        if not images:
             return SourceAnswer(measurements=[[] for _ in evidence.features])
         if self.grid is not None:
             rows = zip(images, global_descriptors(evidence.features, self.grid), strict=True)
-            images = [None if f is None else f._replace(global_descriptor=row) for f, row in rows]
-        return SourceAnswer(measurements=in_threads(lambda f: [] if f is None else self.localize(f), images))
+            images = [its._replace(global_descriptor=row) for its, row in rows]
+        return SourceAnswer(measurements=in_threads(self.localize, images))
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""

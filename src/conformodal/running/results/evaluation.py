@@ -30,7 +30,8 @@ _ASSUMPTION_EACH = (
 )
 _ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and the guarantee holds. "
-    "Local features were matched in some frames only: there are two calibrations, and no exact band for the count."
+    "Some images are blurred, dark, bright or noisy as no training image is. Copies that were disturbed at random "
+    "calibrate their regions, so there is no exact band for the count."
 )
 _ASSUMPTION_SHARED = (
     "Frames were split at random, so calibration and test frames are exchangeable. One of the two evidence types of "
@@ -48,7 +49,7 @@ _ASSUMPTION_STRETCHES = (
 _PATHS_BY_STRETCH = (
     "Regions from posteriors are calibrated on held-out stretches (or recordings), each run as a stream from its first "
     "frame by sources that had not seen it. The guarantee is about a frame drawn at random from a new stretch that is "
-    "run so, with local features matched in as many frames: in all, or in every sixth."
+    "run so."
 )
 _PATHS_BY_FRAME = (
     "Regions from posteriors are calibrated on the calibration frames, run as a stream with gaps. Other frames make "
@@ -72,7 +73,7 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
 
 
 def coverage_table(
-    statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, matched_all: bool = True, seen: bool = False
+    statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, seen: bool = False
 ) -> dict[str, Any]:
     """Coverage and size of the regions of the frames that were answered.
 
@@ -82,9 +83,6 @@ def coverage_table(
         Of these regions, and what calibrated them.
     exchangeable
         Whether the frames are exchangeable with the calibration frames: the test part of an ``interleaved`` split.
-    matched_all
-        Whether local features were matched in all of them. Otherwise there were two calibrations, each of which keeps
-        its guarantee. A band is stated for frames that are exchangeable and have one calibration.
     seen
         Whether they are of the training or the calibration part.
     """
@@ -98,18 +96,16 @@ def coverage_table(
     met = [(n, count) for n, count in laws.values() if count]
     met += [(0, int((statistics.kinds == EvidenceType.UNKNOWN).sum()))]  # always covered
     by_frame = rules.overall.groups_ is None
-    # beliefs without local features are calibrated on the frames of the other kinds too: counts are not independent
-    one_law = exchangeable and by_frame and (matched_all or rules.matched is None)
+    one_law = exchangeable and by_frame
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
     one_law = one_law and not (statistics.kinds == EvidenceType.DISTURBED).any()
-    shared = rules.matched is not None and rules.sharing is not Sharing.OWN
+    shared = rules.sharing is not Sharing.OWN
     one_law = one_law and (not shared or _shared_whatever(rules, kinds))
-    calibration = model.calibration_of(local=matched_all)
+    calibration = model.calibration
     whole = calibration.joint == "max"
     band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
     each = met if one_law and not whole else None
     names = " + ".join(source.name for source in model.localizer.sources)
-    where = "" if matched_all or not model.looks_at_local_features else " (landmarks in some frames only)"
     return {
         "alpha": float(calibration.alpha),
         "joint": calibration.joint,
@@ -137,14 +133,14 @@ def coverage_table(
         "by_size": coverage_by_size(statistics),
         "median_length_m": [finite_or_none(x) for x in np.median(statistics.length[:, :3], axis=0)],
         "median_position_volume_m3": finite_or_none(np.median(statistics.length[:, :3].prod(axis=1))),
-        "regions_from": f"one belief from {names}{where}",
+        "regions_from": f"one belief from {names}",
         "assumption": _assumption(
             exchangeable and by_frame,
             by_frame,
             whole,
             one_law,
             seen,
-            shared=shared and matched_all,
+            shared=shared,
             comparison=model.comparison,
         ),
     }
