@@ -70,3 +70,20 @@ def test_pairs_are_one_to_one():
     pairs = match(doubled, others)
     assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs) == 50
     np.testing.assert_array_equal(doubled[pairs[:, 0]], others[pairs[:, 1]])
+
+
+def test_matches_are_those_of_the_definition():
+    """Nearest by differing bits, clearly nearer than the second, and the best of those that share it."""
+    rng = np.random.default_rng(1)
+    others = rng.integers(0, 256, (70, 32), dtype=np.uint8)
+    noise = (rng.random((120, 32)) < rng.choice([0.05, 0.3, 0.6], (120, 1))).astype(np.uint8)
+    some = others[rng.integers(0, 70, 120)] ^ noise * rng.integers(1, 256, (120, 32), dtype=np.uint8)
+    bits = [np.unpackbits(its, axis=1).astype(int) for its in (some, others)]
+    distances = np.abs(bits[0][:, None] - bits[1]).sum(axis=2)
+    first, second = np.sort(distances, axis=1)[:, :2].T
+    found = {}
+    for i in np.lexsort((np.arange(120), first)):
+        if first[i] < 0.85 * second[i]:
+            found.setdefault(int(distances[i].argmin()), int(i))
+    assert 20 < len(found) < 70
+    assert {int(j): int(i) for i, j in match(some, others)} == found

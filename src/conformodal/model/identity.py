@@ -116,8 +116,10 @@ def _digests(path: Path, decoded: dict[bytes, bytes]) -> tuple[bytes, bytes]:
         if of_pixels is None:
             image = read_image(path)
             digest = hashlib.blake2b(str(image.shape).encode(), digest_size=_BYTES)
-            digest.update(image.tobytes())
-            of_pixels = digest.digest() if np.ptp(image, axis=(0, 1)).any() else _BLANK + digest.digest()[len(_BLANK) :]
+            content, pixel = image.tobytes(), image[0, 0].tobytes()
+            digest.update(content)
+            blank = content == pixel * (len(content) // len(pixel))
+            of_pixels = _BLANK + digest.digest()[len(_BLANK) :] if blank else digest.digest()
             if len(_DECODED) >= _MOST_DECODED:
                 _DECODED.clear()
             _DECODED[of_file] = of_pixels
