@@ -404,13 +404,8 @@ def regions(trained: Trained, seen: Frames) -> dict[str, Any]:
     lac = SplitConformal(model.bins, ALPHA, "lac", "max")
     lac.rule.keep_scale()  # probabilities of all targets are on one scale
     lac.calibrate(trained.proba(held_out), targets[held_out])
-    without = model.localize(FrameEvidence(paths.evidence.features))
-    found = {
-        "overall": without.regions,
-        "lac": lac.predict(without.beliefs.proba),
-        "all": paths.localization(ALL).regions,
-    }
-    known = without.known
+    localized = paths.localization(ALL)
+    found, known = {"lac": lac.predict(localized.beliefs.proba), "all": localized.regions}, localized.known
     return {
         name: [float(r.contains(truth, joint=True)[known].mean()), float((r.length / spread)[known, :3].mean())]
         for name, r in found.items()
@@ -529,7 +524,7 @@ def costs(numbers: Numbers, part: str) -> list[str]:
 
 
 def region_rows(numbers: Numbers) -> list[list[str]]:
-    labels = {"all": "all sources", "overall": "without local features", "lac": "softmax alone, score `lac`"}
+    labels = {"all": "all sources", "lac": "softmax alone, score `lac`"}
     rows = []
     for name in dict.fromkeys(n for one in numbers.values() for n in one["regions"]):
         for key, label in labels.items():

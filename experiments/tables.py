@@ -60,8 +60,7 @@ def tidy(rows: Sequence[Row], tasks: Sequence[TrainingTask], results: Sequence[R
             if (row.used, row.network) != (task.used, task.network):
                 continue
             tested = result["noise"][f"{row.sigma:g}"]
-            alone = {f"region_alone_{k}": v for k, v in tested["region"].get("alone", {}).items()}
-            region = {f"region_{k}": v for k, v in tested["region"].items() if k != "alone"} | alone
+            region = {f"region_{k}": v for k, v in tested["region"].items()}
             for method, errors in tested["errors"].items():
                 papers = name if method == answer else f"paper_{method}"
                 records.append(
@@ -140,13 +139,11 @@ class Tables:
         return Table(["method", *(row.label for row in self.rows)], lines)
 
     def regions(self, split: str) -> Table:
-        """Coverage and size of the regions of every system, and of ours without local features."""
-        kinds = [(name, label, "region_") for _, name, label, _, _ in self.systems]
-        kinds += [(name, f"{label}, without landmarks", "region_alone_") for name, label, _ in kinds if label == "ours"]
+        """Coverage and size of the regions of every system."""
         lines = []
         for row in self.rows:
-            for method, label, prefix in kinds:
-                found = [self._cell(row, split, method, prefix + key, 2) for key in _REGIONS]
+            for _, method, label, *_ in self.systems:
+                found = [self._cell(row, split, method, f"region_{key}", 2) for key in _REGIONS]
                 lines.append([row.label, label, *found])
         return Table(["condition", "system", *_REGIONS.values()], lines)
 

@@ -110,7 +110,7 @@ class Table1Worker:
             write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": model.settings})
         return {
             "errors": error_table(run.trajectories, truth),
-            "region": region_numbers(run, model, features, truth),
+            "region": region_numbers(run, model, truth),
             "n_unreliable": int(np.sum(~run.reliable)),
         }
 
@@ -172,7 +172,8 @@ def add_trajectories(
             model.localizer.update(own, [its]).candidates
             for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
         ]
-        choices = {"no_landmarks": model.localize(FrameEvidence(features)).candidates, "tuned_landmarks": single}
+        without = [mixture.candidates for mixture in model.localizer.beliefs(FrameEvidence(features)).mixtures]
+        choices = {"no_landmarks": without, "tuned_landmarks": single}
         for name, candidates in choices.items():
             seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
             found[name] = concatenate(
@@ -196,13 +197,8 @@ def _as_candidates(tuned: TunedRegressor, features: npt.NDArray[np.float32]) -> 
     ]
 
 
-def region_numbers(
-    run: OdometryRun, model: PoseModel, features: npt.NDArray[np.float32], truth: Trajectory
-) -> dict[str, Any]:
-    """Coverage and size of the regions: of the whole pose as calibrated, and of each target at alpha as in the paper.
-
-    Under ``alone`` those of our system without local features.
-    """
+def region_numbers(run: OdometryRun, model: PoseModel, truth: Trajectory) -> dict[str, Any]:
+    """Coverage and size of the regions: of the pose as calibrated, and of each target at alpha as in the paper."""
     targets = pose_targets(truth, model.sign_reference)
     error = np.linalg.norm(run.trajectory.positions_xyz - truth.positions_xyz, axis=1)
 
@@ -219,18 +215,12 @@ def region_numbers(
             "size_error_rank_correlation": rank_correlation(size, error),
         }
 
-    counts = {"n_calibration": model.n_calibration, "n_test": len(targets)}
-    if model.method is Method.PAPER:
-        return numbers(run.regions, run.regions) | counts
-
-    def each_at_alpha(beliefs: Any, *, local: bool) -> Regions:
-        rule = model.calibration_of(local=local)
+    each: Regions = run.regions
+    if model.method is not Method.PAPER:
+        rule, parts = model.calibration, model.localizer.marginals_by_part(run.localization.beliefs)
         single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
-        return Regions.concatenate([single.predict(proba) for _, proba in model.localizer.marginals_by_part(beliefs)])
-
-    plain = model.localize(FrameEvidence(features))
-    alone = numbers(plain.regions, each_at_alpha(plain.beliefs, local=False))
-    return numbers(run.regions, each_at_alpha(run.localization.beliefs, local=True)) | counts | {"alone": alone}
+        each = Regions.concatenate([single.predict(proba) for _, proba in parts])
+    return numbers(run.regions, each) | {"n_calibration": model.n_calibration, "n_test": len(targets)}
 
 
 def rank_correlation(one: FloatArray, other: FloatArray) -> float | None:

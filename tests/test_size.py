@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2990,
+    "cli": 2980,
     "conformal": 5770,
     "core": 460,
     "datasets": 6060,
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7520
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7500
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21820
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21830

@@ -45,7 +45,6 @@ from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics
 from .sources import FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
-# Frames that do not wait leave no time to match local features in each: at 30 Hz they are matched five times a second.
 
 
 @report_errors
