@@ -33,7 +33,7 @@ OTHERS = {
     ("FILTER", "alike_s"): (0.1, 1.0),
     ("FILTER", "wrong_if_unknown"): (0.1, 0.99),
     ("FILTER", "rotation_sigma_factor"): (1.0, 4.0, 8.0),
-    ("BELIEF", "alone"): (0.01, 0.2),
+    ("BELIEF", "agree"): (0.0, 4.0, 16.0, 1e9),
 }
 PRESENT = {"CANDIDATES": CANDIDATES, "FILTER": FILTER, "BELIEF": BELIEF}
 READERS = {

@@ -17,6 +17,7 @@ from conformodal.conformal import Regions, SplitConformal
 from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.datasets import PixelNoise, Sequence
 from conformodal.localization.evidence import FrameEvidence
+from conformodal.localization.fusion import fuse
 from conformodal.localization.motions import MotionRecord
 from conformodal.localization.targets import pose_targets
 from conformodal.model.config import Method
@@ -169,8 +170,7 @@ def add_trajectories(
         for name, baseline in trained.baselines.items():
             found[name] = trajectory_of(baseline.predict(features), times)
         single = [
-            model.localizer.update(own, [its]).candidates
-            for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
+            fuse(own, [its]).candidates for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
         ]
         without = [mixture.candidates for mixture in model.localizer.beliefs(FrameEvidence(features)).mixtures]
         choices = {"no_landmarks": without, "tuned_landmarks": single}

@@ -11,7 +11,7 @@ BUDGET = {
     "conformal": 5770,
     "core": 460,
     "datasets": 6060,
-    "localization": 3250,
+    "localization": 3240,
     "model": 1430,
     "motion": 1040,
     "networks": 720,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21830
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21840

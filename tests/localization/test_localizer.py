@@ -111,10 +111,9 @@ def test_each_image_has_the_mixture_of_its_modes_and_of_its_estimates_in_order_o
     second = told(Other, measurements=[[], [], [estimate(8.0)]])
     localizer = Localizer((told(Local, proba=proba), first, second), bins, SIGN)
     found = localizer.beliefs(images(3))
-    volume = 10.0**3  # of the range of positions
     answers = ([[estimate(2.0)], []], [[], []], [[estimate(2.0)], [estimate(8.0)]])
     for mixture, modes, its in zip(found.mixtures, mode_candidates(proba, bins), answers, strict=True):
-        expected = fuse(modes, its, volume)
+        expected = fuse(modes, its)
         np.testing.assert_array_equal(mixture.candidates.log_mass, expected.candidates.log_mass)
         np.testing.assert_array_equal(mixture.candidates.positions_xyz, expected.candidates.positions_xyz)
         np.testing.assert_array_equal(mixture.measured, expected.measured)

@@ -2,17 +2,17 @@
 
 The sources are not independent, so probabilities are added, never multiplied: an estimate is weighted by its inlier
 probability, the softmax by the probability that all estimates are outliers. Where estimates of two sources agree, the
-product of their normal densities replaces the later one, which makes it more precise, not more probable.
+product of their normal densities replaces the later one, which makes it more precise, not more probable. Others stay as
+they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import logsumexp
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.reasoning.candidates import Candidates
@@ -20,8 +20,6 @@ from conformodal.reasoning.settings import CANDIDATES
 
 from .measurement import PoseMeasurement
 from .settings import BELIEF
-
-_ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +30,15 @@ class Mixture:
     measured: BoolArray  # (m,) whether a hypothesis is an absolute pose estimate; the others are modes of the softmax
 
 
-def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]], volume_m3: float) -> Mixture:
+def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mixture:
     """The mixture of one image from the modes of the softmax and the estimates, source by source.
 
-    Of one source's estimates, at most one is right. `volume_m3` is that of all possible positions.
+    Of one source's estimates, at most one is right.
     """
     mixture = Mixture(modes, np.zeros(len(modes.log_mass), dtype=np.bool_))
-    anywhere = float(-np.log(volume_m3 * _ROTATIONS))
     for estimates in answers:
         if estimates:
-            mixture = _with(mixture, estimates, anywhere)
+            mixture = _with(mixture, estimates)
     return mixture
 
 
@@ -55,41 +52,36 @@ def inlier_odds(estimates: Sequence[PoseMeasurement]) -> tuple[float, FloatArray
     return float(-np.log(total)), np.asarray(np.log(odds / total))
 
 
-def _with(mixture: Mixture, estimates: Sequence[PoseMeasurement], anywhere: float) -> Mixture:
+def _with(mixture: Mixture, estimates: Sequence[PoseMeasurement]) -> Mixture:
     """The mixture once the estimates of one more source are added."""
     none, log_right = inlier_odds(estimates)
-    before = mixture.candidates
-    parts, marks = [before.normalised(none)], [mixture.measured]
-    earlier = before.normalised(float(np.log1p(-BELIEF.alone))).take(np.flatnonzero(mixture.measured))
+    earlier, parts = mixture.candidates.take(np.flatnonzero(mixture.measured)), [mixture.candidates.normalised(none)]
     for estimate, right in zip(estimates, log_right, strict=True):
-        refined, overlap = _product(earlier, estimate)
-        agreement = np.append(earlier.log_mass + overlap, np.log(BELIEF.alone) + anywhere)
-        shares = right + agreement - logsumexp(agreement)
-        parts += [replace(refined, log_mass=shares[:-1]), _single(estimate, shares[-1])]
-        marks.append(np.ones(len(shares), dtype=np.bool_))
-    return _most_probable(parts, np.concatenate(marks))
+        refined = _refined(estimate, earlier)
+        parts.append(refined.normalised(right) if len(refined.log_mass) else _single(estimate, right))
+    marks = np.ones(sum(len(part.log_mass) for part in parts), dtype=np.bool_)
+    marks[: len(mixture.measured)] = mixture.measured
+    return _most_probable(parts, marks)
 
 
-def _product(old: Candidates, estimate: PoseMeasurement) -> tuple[Candidates, FloatArray]:
-    """Products of normal densities, and the logarithms of their overlap."""
-    own, its = old.position_spreads**2, estimate.sigma_m**2
-    share = its / (own + its)
-    off = (old.positions_xyz - estimate.position_xyz) ** 2 / (own + its)
-    overlap = -0.5 * (off + np.log(2 * np.pi * (own + its))).sum(axis=1)
-    own_angle, its_angle = old.orientation_spreads_rad**2, estimate.sigma_rad**2
-    total = own_angle + its_angle
+def _refined(estimate: PoseMeasurement, old: Candidates) -> Candidates:
+    """Products of an estimate's normal density with those that it agrees with, by how much they overlap."""
     centre = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True)
     apart = (centre.inv() * Rotation.from_quat(old.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
-    between = centre * Rotation.from_rotvec((its_angle / total)[:, None] * apart)
-    overlap -= 0.5 * ((apart**2).sum(axis=1) / total + 3 * np.log(2 * np.pi * total))
-    product = replace(
-        old,
-        positions_xyz=share * old.positions_xyz + (1 - share) * estimate.position_xyz,
-        position_spreads=np.sqrt(own * share),
-        orientations_quat_wxyz=between.as_quat(scalar_first=True).reshape(-1, 4),
-        orientation_spreads_rad=np.sqrt(own_angle * its_angle / total),
+    own, its = old.position_spreads**2, estimate.sigma_m**2
+    own_angle, its_angle = old.orientation_spreads_rad**2, estimate.sigma_rad**2
+    total = own_angle + its_angle
+    square = ((old.positions_xyz - estimate.position_xyz) ** 2 / (own + its)).sum(axis=1)
+    square += (apart**2).sum(axis=1) / total
+    share, between = its / (own + its), Rotation.from_rotvec((its_angle / total)[:, None] * apart)
+    product = Candidates(
+        share * old.positions_xyz + (1 - share) * estimate.position_xyz,
+        np.sqrt(own * share),
+        (centre * between).as_quat(scalar_first=True).reshape(-1, 4),
+        np.sqrt(own_angle * its_angle / total),
+        old.log_mass - 0.5 * (square + np.log(own + its).sum(axis=1) + 3 * np.log(total)),
     )
-    return product, overlap
+    return product.take(np.flatnonzero(square <= BELIEF.agree))
 
 
 def _single(estimate: PoseMeasurement, log_mass: float) -> Candidates:

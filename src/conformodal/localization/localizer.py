@@ -11,13 +11,12 @@ import numpy as np
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
-from conformodal.reasoning.candidates import Candidates, mode_candidates
+from conformodal.reasoning.candidates import mode_candidates
 
 from .belief import Beliefs, belief_cells, widened
 from .errors import LocalizationError
 from .evidence import FrameEvidence
-from .fusion import Mixture, fuse
-from .measurement import PoseMeasurement
+from .fusion import fuse
 from .parallel import go_on, in_threads
 from .regions import Support
 from .source import PoseSource, SourceAnswer, find_source
@@ -133,14 +132,9 @@ class Localizer:
         proba = self._density(answers, len(evidence))
         measured = [answer.measurements for answer in answers if answer.measurements]
         modes = mode_candidates(proba, self.bins)
-        mixtures = [self.update(own, [its[i] for its in measured]) for i, own in enumerate(modes)]
+        mixtures = [fuse(own, [its[i] for its in measured]) for i, own in enumerate(modes)]
         local = [a.measurements for a, s in zip(answers, self.sources, strict=True) if s.local and a.measurements]
         return Beliefs(proba, mixtures, [[one for its in local for one in its[i]] for i in range(len(evidence))])
-
-    def update(self, modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mixture:
-        """The mixture of one image, from candidates and absolute pose estimates, source by source."""
-        volume = float(np.prod([max(e[-1] - e[0], 1e-3) for e in self.bins.edges_[:3]]))
-        return fuse(modes, answers, volume)
 
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""

@@ -13,9 +13,10 @@ class _BeliefSettings:
     """How sources become one belief."""
 
     least_probability: float = 0.01  # of an inlier and of an outlier
-    # Prior probability that an inlier of a later source agrees with no estimate of an earlier one. Values from 0.01 to
-    # 0.2 give nearly the same on seeds 20 and 21 (benchmarks/results/choices.md).
-    alone: float = 0.05
+    # Squared distance in standard deviations, of position and orientation together, up to which two estimates agree;
+    # honest ones are further apart in a quarter of the images. Larger: sources that err by more than they claim pull at
+    # better ones
+    agree: float = 8.0
     cells: int = 800  # per target, at least: estimates are more precise than bins
     # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
     # frame was. They reach 2.4 times as far as the 800 cells
