@@ -63,7 +63,7 @@ def make_folds(
     whole = conformal_rank(n_recordings, alpha) <= n_recordings
     if not whole:
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
-    return Folds(_folds(used, units, split.seed, FOLDS.most), used, units, units, whole_recordings=whole)
+    return Folds(_folds(used, units, split.seed), used, units, units, whole_recordings=whole)
 
 
 def make_added_folds(sequence: Sequence, split: Split, model: PoseModel, n_blocks: int) -> Folds:
@@ -80,12 +80,12 @@ def make_added_folds(sequence: Sequence, split: Split, model: PoseModel, n_block
     whole = bool(model.configuration.get("whole_recordings"))
     units = sequence.recording if whole else held_out_together(sequence.recording, SplitKind.BLOCKS, n_blocks)
     units = next_piece + units
-    return Folds(_folds(used, units, split.seed, FOLDS.most_added), used, units, units, first, whole)
+    return Folds(_folds(used, units, split.seed), used, units, units, first, whole)
 
 
-def _folds(used: IntArray, units: IntArray, seed: int, most: int) -> list[Fold]:
+def _folds(used: IntArray, units: IntArray, seed: int) -> list[Fold]:
     names, folds = np.random.default_rng(seed).permutation(np.unique(units[used])), []
-    for part in np.array_split(names, min(most, len(names))):
+    for part in np.array_split(names, min(FOLDS.most, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
     return folds

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 class _FoldSettings:
     """How frames are held out where stretches calibrate."""
 
-    most: int = 5  # folds; with five, their sources learn from 80 % of the frames of the model's own
-    # of recordings that are added: their sources know the earlier recordings too, and each fold takes a map
-    most_added: int = 3
+    # folds: each takes a map, most of the time of a training. With five, regions are as long, and coverage is alike
+    most: int = 3
 
 
 @dataclass(frozen=True)
