@@ -14,6 +14,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -61,6 +62,7 @@ from conformodal.localization.source_data import SourceData
 from conformodal.localization.targets import pose_targets, target_scale
 from conformodal.model.config import Calibration, ModelConfig
 from conformodal.model.model import Localization, PoseModel
+from conformodal.model.region_rules import RegionRules
 from conformodal.model.store import load_model, save_model
 from conformodal.motion.frontend import EssentialFrontEnd
 from conformodal.poses import Trajectory, trajectory_errors
@@ -72,6 +74,7 @@ from conformodal.reasoning.places import choose_places, own_hypotheses
 from conformodal.reasoning.smoother import smooth
 from conformodal.running.paper_odometry import PaperOdometry
 from conformodal.running.results.provenance import provenance
+from conformodal.training.calibrating import score_beliefs
 from conformodal.training.training import prepare_training_data, train_model
 from conformodal.vision.backbone import BackboneConfig, feature_views
 from conformodal.vision.features import FeatureCache
@@ -356,8 +359,21 @@ class Paths:
             if "neighbours" in sources:
                 sources["neighbours"] = self.others.get(parts.neighbours) or sources["neighbours"]
             localizer = Localizer(tuple(sources.values()), model.bins, model.sign_reference)
-            self._cached[key] = replace(model, localizer=localizer).localize(self.evidence)
+            model = replace(model, localizer=localizer) if localizer.local else self._without_landmarks(localizer)
+            self._cached[key] = model.localize(self.evidence)
         return self._cached[key]
+
+    def _without_landmarks(self, localizer: Localizer) -> PoseModel:
+        """The model with a localizer that uses no local features, calibrated by its answers to the held-out frames."""
+        model, features = self.trained.model, self.trained.features[self.trained.model.split.calibration]
+        truth, own, novelty = self.seen.sequence.require_truth(), copy(model.calibration), model.novelty
+        targets = pose_targets(truth, model.sign_reference)[model.split.calibration]
+        scores = score_beliefs(own, localizer, localizer.beliefs(FrameEvidence(features)), targets)
+        p = np.ones(len(features)) if novelty is None else novelty.p_values(features)
+        rules = RegionRules(own.calibrate_scores(scores), None, p, model.rules.level)
+        if novelty is not None:
+            novelty = replace(novelty, matched=None, disturbed=None)
+        return replace(model, localizer=localizer, rules=rules, novelty=novelty, quality=None)
 
     def greedy(self, rule: SplitConformal | None = None, motions: MotionRecord | None = None) -> PosePath:
         """The paper's reasoning over regions of the softmax alone, by the model's own rule or one over its bins."""

@@ -65,7 +65,8 @@ def main() -> None:
     note = (
         f"{asked.frames} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
         "a second; 1280x720: enlarged and cropped. Time of a frame: from decoded image to pose and region; parts are "
-        "within it, the rest is fusion, candidates and the novelty test. First answer: from the start of the imports."
+        "within it, the rest is fusion, candidates and the novelty test. First answer: from the start of the imports. "
+        "The rows of one size are of two models."
     )
     title, command = "A stream on a small computer", "python benchmarks/streaming.py"
     write_table("streaming", title, command, header, rows, note)

@@ -34,7 +34,7 @@ def estimate(place, turn=(0.1, 0.2, -0.1), sigma_m=0.02, sigma_rad=0.01, probabi
 def mixture(*answers):
     """Of one mode and of what sources say."""
     mode = Candidates(np.zeros((1, 3)), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
-    return fuse(mode, answers, 50.0)
+    return fuse(mode, answers)
 
 
 def beliefs(proba, *mixtures):

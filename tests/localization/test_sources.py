@@ -15,7 +15,7 @@ from conformodal.localization.localizer import Localizer
 from conformodal.localization.measurement import PoseMeasurement
 from conformodal.localization.neighbours.source import NeighbourSource
 from conformodal.localization.source import SourceAnswer, SourceState, find_source, register_source
-from conformodal.model.errors import ModelFileError
+from conformodal.model.errors import ModelFileError, OdometryError
 from conformodal.model.store import load_model, save_model
 
 GLOBAL = (HeadSource, NeighbourSource)
@@ -174,7 +174,11 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small
         assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(
             0.75, rel=1e-2
         )  # but for modes too improbable to keep
-    model = replace(load_model(small_world.model), localizer=localizer)
+    model = load_model(small_world.model)
+    with pytest.raises(OdometryError, match="no source uses them"):
+        replace(model, localizer=localizer)
+    rules = replace(model.rules, recognised=None, disturbed=None)
+    model = replace(model, localizer=localizer, rules=rules, quality=None)
     save_model(model, tmp_path)
     back = load_model(tmp_path).localizer
     assert [type(source) for source in back.sources] == [HeadSource, MeanSource]

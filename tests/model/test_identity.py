@@ -123,14 +123,18 @@ def test_frames_that_look_the_same_are_told_apart_by_their_poses(tmp_path):
     assert (twice.moved == -1).all()
 
 
-def test_images_of_one_colour_make_no_recording_known(tmp_path):
+@pytest.mark.parametrize("colour", [(0, 0, 0), (10, 200, 30)])
+def test_images_of_one_colour_make_no_recording_known(tmp_path, colour):
     """As those before a camera starts: two recordings have them."""
     one, other = frames(tmp_path / "a", [1, 2, 3]), frames(tmp_path / "b", [4, 5, 3])
-    for sequence, k in ((one, 0), (other, 1)):
-        Image.new("RGB", (8, 6), (0, 0, 0)).save(sequence.image_paths[k])
-    known = identify(one)
-    assert known.known(identify(other)).tolist() == [False, False, True]
-    assert known.find(identify(one)).at.tolist() == [0, 1, 2]  # one's own, also by its pose
+    image = Image.new("RGB", (8, 6), colour)
+    for last, is_known in ((colour, False), ((*colour[:2], colour[2] + 1), True)):
+        image.putpixel((7, 5), last)
+        for sequence, k in ((one, 0), (other, 1)):
+            image.save(sequence.image_paths[k])
+        known = identify(one)
+        assert known.known(identify(other)).tolist() == [False, is_known, True]
+        assert known.find(identify(one)).at.tolist() == [0, 1, 2]  # one's own, also by its pose
 
 
 def test_the_digest_of_a_data_set_knows_what_results_rest_on(tmp_path):

@@ -197,7 +197,8 @@ def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path)
         VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
 
 
-def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp_path):
+@pytest.mark.parametrize("local", [True, False])
+def test_what_stretches_calibrate_survives_saving(model, tmp_path, local):
     """Scores per unit of a target have scales of their own, and frames the stretches' labels."""
     rng, cells = np.random.default_rng(0), model.calibration.bins
     groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
@@ -206,10 +207,11 @@ def test_what_stretches_calibrate_with_local_features_survives_saving(model, tmp
     overall = SplitConformal(cells, 0.2, "linear_density", "max")
     overall.rule.loc_, overall.rule.scale_ = shift, scale
     overall.calibrate_scores(rng.normal(size=(80, 7)), groups)
-    rules = RegionRules(overall, recognised, rng.random(80), 0.1)
+    rules = RegionRules(overall, recognised if local else None, rng.random(80), 0.1)
     save_model(replace(model, rules=rules, path_rules={}), tmp_path)
     back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
-    assert np.isfinite(rules.thresholds(kinds[1:3])).all()
+    assert np.isfinite(rules.thresholds(kinds[1:3] if local else kinds[:1])).all()
+    np.testing.assert_array_equal(back.recognised, rules.recognised)
     np.testing.assert_array_equal(back.overall.groups_, groups)
     np.testing.assert_array_equal(back.overall.thresholds_, overall.thresholds_)

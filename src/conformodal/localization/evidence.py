@@ -39,5 +39,7 @@ class FrameEvidence:
 
     @property
     def quality(self) -> FloatArray:
-        """(n, 3) quality of each image, see :func:`~conformodal.localization.image_quality.image_quality`."""
+        """(n, 3) quality of images with local features, see
+        :func:`~conformodal.localization.image_quality.image_quality`.
+        """
         return np.array([its.quality for its in self.local_features])

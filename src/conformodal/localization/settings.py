@@ -13,9 +13,9 @@ class _BeliefSettings:
     """How sources become one belief."""
 
     least_probability: float = 0.01  # of an inlier and of an outlier
-    # Squared distance in standard deviations, of position and orientation together, up to which two estimates agree;
-    # honest ones are further apart in a quarter of the images. Larger: sources that err by more than they claim pull at
-    # better ones
+    # Squared Mahalanobis distance (six degrees of freedom) up to which two estimates agree; of those that are right and
+    # independent, 24 % are further apart. Larger: sources that err by more than they claim pull at better ones
+    # (benchmarks/results/choices.md)
     agree: float = 8.0
     cells: int = 800  # per target, at least: estimates are more precise than bins
     # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training

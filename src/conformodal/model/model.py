@@ -124,6 +124,10 @@ class PoseModel:
     reliable_p: float = FILTER.reliable
     quality: QualityRange | None = None
 
+    def __post_init__(self) -> None:
+        if self.looks_at_local_features and not self.localizer.local:
+            raise OdometryError("the calibration is that of beliefs with local features, and no source uses them")
+
     @property
     def method(self) -> Method:
         """Whether the model is this project's system or the paper's."""
@@ -194,7 +198,9 @@ class PoseModel:
         elif not evidence.local_features:
             raise OdometryError("the model looks at local features, and the images come without")
         beliefs, p = self.localizer.beliefs(evidence), np.full(len(evidence), np.nan)
-        disturbed = self.quality is not None and self.quality.left_by(evidence.quality)
+        disturbed: BoolArray | bool = False
+        if self.quality is not None and evidence.local_features:
+            disturbed = self.quality.left_by(evidence.quality)
         if self.novelty is not None:
             p = self.novelty.p_values(evidence.features, beliefs.recognition, disturbed)
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)

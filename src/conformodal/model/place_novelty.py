@@ -24,9 +24,8 @@ class PlaceNovelty:
 
     test: NoveltyTest  # of the image's appearance: its distance to the most similar known frame
     grid: tuple[int, int]  # rows and columns of the network's map
-    # with local features: images in which a place was recognised rank below all others, the more
-    # strongly the lower, so that no change of light makes them novel. Calibrated on held-out frames; None without local
-    # features
+    # with local features: images in which a place was recognised rank below all others, the more strongly the lower, so
+    # that no change of light makes them novel. Calibrated on held-out frames; None without local features
     matched: NoveltyTest | None = None
     # of disturbed images in which a place was recognised, which is harder in them; None if they are not calibrated
     disturbed: NoveltyTest | None = None

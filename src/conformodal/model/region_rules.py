@@ -19,10 +19,10 @@ class EvidenceType(IntEnum):
     """What a region is based on; each type has its own thresholds."""
 
     GLOBAL = 0  # the image as a whole: the model uses no local features
-    UNMATCHED = 1  # local features were matched, and no place was recognised
-    LANDMARKS = 2  # a place was recognised
+    UNMATCHED = 1  # local features recognised no place
+    LANDMARKS = 2  # they recognised a place
     UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
-    DISTURBED = 4  # local features were matched; the image is blurred, dark, bright or noisy as no training image is
+    DISTURBED = 4  # the model uses local features; the image is blurred, dark, bright or noisy as no training image is
 
 
 # Their thresholds may be shared.

@@ -160,7 +160,7 @@ class VisualOdometry(Odometry):
     def _answered(
         self, sequence: Sequence, frames: IntArray, features: Float32Array, motions: MotionRecord
     ) -> OdometryRun:
-        local = [motions.local_features[i] for i in frames.tolist()]
+        local = [motions.local_features[i] for i in frames.tolist() if i in motions.local_features]
         found = self.model.localize(FrameEvidence(features, local))
         moved = [motions.motions[i] for i in frames.tolist()]
         times, recording = sequence.timestamps_s[frames], sequence.recording[frames]

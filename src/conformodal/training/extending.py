@@ -233,9 +233,11 @@ def _pooled(model: PoseModel, its: Calibrated) -> tuple[Calibrated, Calibrated]:
         novelty = replace(novelty, matched=test)
         known_p = np.where(known_p > 0, test.left_out_p_values(), 0.0)
         new = replace(new, known_p=known_p[len(old.known_p) :])
-    rules = replace(old, overall=_both(old.overall, new.overall), known_p=known_p)
+    assert (old.recognised is None) == (new.recognised is None)  # the sources are the same
+    recognised = None
     if old.recognised is not None and new.recognised is not None:
-        rules = replace(rules, recognised=np.concatenate((old.recognised, new.recognised)))
+        recognised = np.concatenate((old.recognised, new.recognised))
+    rules = replace(old, overall=_both(old.overall, new.overall), recognised=recognised, known_p=known_p)
     return replace(its, rules=new, novelty=novelty), replace(its, rules=rules, novelty=novelty)
 
 

@@ -1,7 +1,5 @@
 """Landmarks as a pose source: estimates, their errors, and what they add to a region."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -45,21 +43,22 @@ def source(sequence, split):
     return LandmarkSource.fit(data_of(sequence, split), split.train)
 
 
-@pytest.fixture(scope="module")
-def model(small_world, sequence, tmp_path_factory):
-    """One whose network has hardly learnt anything."""
-    config = ModelConfig(sources=("head", "landmarks"), training=TrainingConfig(epochs=2))
+def trained(sources, small_world, sequence, folder):
+    """A model whose network has hardly learnt anything."""
+    config = ModelConfig(sources=sources, training=TrainingConfig(epochs=2))
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
-    folder = tmp_path_factory.mktemp("landmarks") / "model"
     save_model(train_model(data, config), folder)
     return load_model(folder)
 
 
 @pytest.fixture(scope="module")
-def blind(model):
-    """The same without landmarks: what it was calibrated with stays for beliefs without local features."""
-    kept = tuple(s for s in model.localizer.sources if not s.local)
-    return replace(model, localizer=replace(model.localizer, sources=kept), rules=replace(model.rules, matched=None))
+def model(small_world, sequence, tmp_path_factory):
+    return trained(("head", "landmarks"), small_world, sequence, tmp_path_factory.mktemp("landmarks") / "model")
+
+
+@pytest.fixture(scope="module")
+def blind(small_world, sequence, tmp_path_factory):
+    return trained(("head",), small_world, sequence, tmp_path_factory.mktemp("blind") / "model")
 
 
 def images(sequence, frames):
