@@ -1,6 +1,7 @@
 """Arguments that stand for a member of an enumeration: text is read as the member, anything else is refused."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ ROWS = np.arange(4)
 STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
 PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
 LOST = (None,) * 4
+BARE = (*(None,) * 3, SimpleNamespace(recognised=None), *(None,) * 4)
 TASK = {"seed": 0, "used": 0.8, "network": "efficientnet_lite0", "sigmas": (0.0,), "epochs": 1, "data": ""}
 
 # name: how a value gets there, and what the message calls it
@@ -50,7 +52,10 @@ ENTRIES = {
     "ModelConfig.split": (lambda v: ModelConfig(split=v), "split"),
     "ModelConfig.calibrate_on": (lambda v: ModelConfig(calibrate_on=v), "calibrate_on"),
     "ModelConfig.runtime": (lambda v: ModelConfig(runtime=v), "runtime"),
-    "PoseModel.method": (lambda v: PoseModel(*(None,) * 8, configuration={"method": v}).method, "method"),
+    "PoseModel.method": (
+        lambda v: PoseModel(*BARE, configuration={"method": v}).method,
+        "method",
+    ),
     "PoseRadius.guarantee": (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "guarantee"),
     "fit_pose_radius": (lambda v: fit_pose_radius([([1.0], [1.0])], 0.1, v, "online"), "guarantee"),
     "calibrate_selection": (lambda v: calibrate_selection(None, None, guarantee=v), "guarantee"),
