@@ -1,6 +1,6 @@
 """What the settings of belief and filter were chosen by: errors with other values over errors with the present ones.
 
-python benchmarks/choices.py [--seeds 20 21] [--runs FOLDER]
+python benchmarks/choices.py [--seeds 20 21] [--places ...] [--runs FOLDER] [--workers 2]
 
 Seeds 20 and 21 served to choose by; models are those of benchmarks/ablation.py, cached in the folder of runs.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -21,6 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 import numpy as np
 from ablation import ALL, EVERY, Frames, Models, Paths
 from common import ROOT, write_table
+from joblib import Parallel, delayed
 
 from conformodal.localization.settings import BELIEF
 from conformodal.reasoning.settings import CANDIDATES, FILTER
@@ -73,23 +75,29 @@ def ratios(place: str, seed: int, runs: Path) -> dict[str, list[list[float]]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[20, 21])
+    parser.add_argument("--places", nargs="+", choices=PLACES, default=list(PLACES))
     parser.add_argument("--runs", type=Path, default=ROOT / "ablation-out")
+    parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
-    of = {place: [ratios(place, seed, asked.runs) for seed in asked.seeds] for place in PLACES}
+    jobs = [delayed(ratios)(place, seed, asked.runs) for place in asked.places for seed in asked.seeds]
+    found = iter(Parallel(asked.workers)(jobs))
+    of = {place: [next(found) for _ in asked.seeds] for place in asked.places}
     rows = []
     for (name, attribute), values in OTHERS.items():
         for value in values:
             row = [attribute, f"{getattr(PRESENT[name], attribute):g}", f"{value:g}"]
-            for place in PLACES:
+            for place in asked.places:
                 logs = np.log([one[f"{attribute} {value:g}"] for one in of[place]]).mean(axis=0)
                 row += [f"{position:.2f} / {angle:.2f}" for position, angle in np.exp(logs)]
             rows.append(row)
-    header = ["setting", "present", "other", *(f"{place}, {every}" for place in PLACES for every in EVERY)]
+    header = ["setting", "present", "other", *(f"{place}, {every}" for place in asked.places for every in EVERY)]
     note = (
         f"Ratio of position errors / of orientation errors, geometric means over seeds {asked.seeds}; above 1 the "
         "present value is the better one. Models, frames, intervals as in ablation.md; frames calibrate in both splits."
     )
     line = f"python benchmarks/choices.py --seeds {' '.join(map(str, asked.seeds))}"
+    if asked.places != list(PLACES):
+        line += f" --places {' '.join(map(shlex.quote, asked.places))}"
     write_table("choices", "Settings of belief and filter", line, header, rows, note)
 
 

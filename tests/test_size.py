@@ -40,7 +40,7 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7520
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7530
 
 
 def test_tests_keep_to_their_budget():
