@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class _FoldSettings:
     """How frames are held out where stretches calibrate."""
 
-    # folds: each takes a map, most of the time of a training. With five, redkitchen `blocks` (seeds 20 and 22) has
-    # regions of the same length and coverage
+    # Number of folds. Each needs a map, which takes most of the training time. Five gave the same coverage and lengths
+    # on redkitchen `blocks` (seed 20)
     most: int = 3
 
 
