@@ -12,5 +12,7 @@ def main() -> None:
     except ModuleNotFoundError as exc:
         if (exc.name or "").startswith("conformodal"):
             raise
-        sys.exit(f"error: the command line needs {exc.name}, which is not installed: pip install 'conformodal[run]'")
+        extra = "table" if sys.argv[1:2] == ["table"] else "run"
+        command = f"pip install 'conformodal[{extra}]'"
+        sys.exit(f"error: the command line needs {exc.name}, which is not installed: {command}")
     app()

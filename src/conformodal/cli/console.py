@@ -9,12 +9,11 @@ import os
 import sys
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, ParamSpec, Self
+from typing import Any, ParamSpec
 
 import typer
 from rich.console import Console
@@ -23,9 +22,6 @@ from rich.table import Table
 from rich.text import Text
 
 from conformodal.core.progress import StageProgress
-from conformodal.core.words import counted
-from conformodal.model.region_rules import EvidenceType
-from conformodal.running.estimates import Estimate
 
 from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
 from .options import check_options
@@ -58,7 +54,7 @@ class PlainConsole(Console):
 
 
 console = PlainConsole()
-_errors = PlainConsole(stderr=True)
+errors_console = PlainConsole(stderr=True)
 
 
 def report_errors(command: Callable[P, None]) -> Callable[P, None]:
@@ -96,7 +92,7 @@ def report_line(text: str) -> None:
 
 def _report_error(text: str, start: str = "error: ") -> None:
     """One line on stderr."""
-    _errors.print(Text(start, style="bold red") + Text(plain(text)), soft_wrap=True)
+    errors_console.print(Text(start, style="bold red") + Text(plain(text)), soft_wrap=True)
 
 
 def report_strongly(text: str) -> None:
@@ -128,7 +124,7 @@ def progress_bars(out: Path | None = None) -> Iterator[StageProgress]:
     results, if there is one. Another program's file of that name, or that of a pipe into it, stays as it is.
     """
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_errors) as progress:
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=errors_console) as progress:
         tasks: dict[str, int] = {}
 
         def report(stage: str, done: int, total: int) -> None:
@@ -184,46 +180,3 @@ def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
 def print_where(folder: Path) -> None:
     """The last line: where the results are."""
     report_line(f"results: {folder.resolve()}")
-
-
-class StatusLine:
-    """One line that changes while a stream runs: frames, frames per second, known place or not, reliable or not."""
-
-    def __init__(self, n_frames: int | None) -> None:
-        columns = (
-            TextColumn("{task.fields[fps]:5.1f} fps"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[state]}", markup=False),
-        )
-        self._progress = Progress(*columns, TimeRemainingColumn(), console=_errors)
-        self._task = self._progress.add_task("frames", total=n_frames, fps=0.0, state="")
-        self._recent: deque[float] = deque(maxlen=30)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def update(self, done: int, estimate: Estimate) -> None:
-        """Show the outcome of the newest frame."""
-        self._recent.append(time.perf_counter())
-        passed = self._recent[-1] - self._recent[0]
-        fps = (len(self._recent) - 1) / passed if passed > 0 else 0.0
-        self._progress.update(self._task, completed=done, fps=fps, state=plain(state_of(estimate)))
-
-
-def state_of(estimate: Estimate) -> str:
-    """The outcome of a frame, in a few words."""
-    if estimate.region is None:
-        return f"no answer: {estimate.problem}"
-    if estimate.evidence is EvidenceType.UNKNOWN:
-        motion = estimate.relative_motion
-        lost = "" if motion is None or motion.reliable else f", {motion.status}"
-        return f"unknown place (p = {estimate.known_p:.2g}){lost}"
-    region = estimate.path_region or estimate.region
-    places = counted(int(region.n_places[0]), "place")
-    p = "" if estimate.known_p is None else f", known p {estimate.known_p:.2f}"
-    return f"{'reliable' if estimate.reliable else estimate.problem}{p}, {places}"

@@ -38,11 +38,12 @@ from conformodal.running.results.runs import read_trajectories, write_metrics
 from conformodal.running.results.writer import ResultsWriter
 from conformodal.running.streaming import StreamRunner
 
-from .console import StatusLine, print_where, report_errors, report_line, report_strongly
+from .console import print_where, report_errors, report_line, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
 from .options import ROS_SUFFIX, OptionError
 from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics, summary, unfinished_metrics
 from .sources import FollowOutside, SavedModel, open_source
+from .status_line import StatusLine
 
 _INTERRUPTED = "interrupted"
 
