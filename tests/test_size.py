@@ -7,8 +7,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 2995,
-    "conformal": 5770,
+    "cli": 3000,
+    "conformal": 5900,
     "core": 460,
     "datasets": 6060,
     "localization": 3240,
@@ -40,8 +40,8 @@ def test_a_package_keeps_to_its_budget(package):
 
 
 def test_experiments_and_benchmarks_keep_to_their_budget():
-    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7530
+    assert sum(lines_of(ROOT / folder) for folder in ("experiments", "benchmarks")) <= 7630
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21850
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21980

@@ -4,6 +4,7 @@ from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.exceptions import NotFittedError
 from sklearn.tree import DecisionTreeClassifier
@@ -29,6 +30,8 @@ SPLIT = cm.SplitConformal(BINS, 0.2).calibrate(P, Y)
 REGIONS = SPLIT.predict(P)
 MONDRIAN = cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, np.arange(N) % 3)
 WEIGHTED = cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
+CONDITIONAL = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, W)
+NAMED = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, pd.DataFrame({"a": W, "b": W}))
 CROSS = cm.CrossConformal(BINS, 0.2).calibrate(P, Y, np.arange(N) % 3)
 NOVELTY = cm.NoveltyTest(X, np.arange(N) % 3)
 MASKS = [np.ones((2, K), bool)] * 2
@@ -174,6 +177,13 @@ REFUSED = [
     (lambda: cm.WeightedConformal(BINS).calibrate(P, Y, -W), "weights must be"),
     (lambda: cm.WeightedConformal(BINS).calibrate(P, Y, W[:3]), "shape"),
     (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
+    (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, W[:3]), "one row per sample"),
+    (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, W * np.nan), "conditions"),
+    (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, [["a"]] * N), "conditions"),
+    (lambda: cm.ConditionalConformal(BINS).thresholds([[1]]), "call calibrate first"),
+    (lambda: CONDITIONAL.predict(P, np.ones((N, 2))), "1 columns as in calibration"),
+    (lambda: CONDITIONAL.predict(P, W[:2]), "one row per row"),
+    (lambda: NAMED.predict(P, pd.DataFrame({"b": W, "a": W})), "another order"),
     (lambda: cm.MondrianConformal(BINS).calibrate(P, Y, [1]), "groups must have one label"),
     (lambda: CROSS.predict(P), "mapping"),
     (lambda: CROSS.predict({}), "must name the folds"),

@@ -60,6 +60,8 @@ def probabilities():
         "y_new": y_new,
         "groups_cal": near[0],
         "groups": near[1],
+        "conditions_cal": X_cal,
+        "conditions": X_new,
         "weights_cal": X_cal[:, 0],
         "weights": X_new[:, 0],
         "person_cal": np.repeat(np.arange(50), 20),

@@ -87,6 +87,7 @@ ENTRIES = {
     "mondrian predict": (P, lambda p: seen(MONDRIAN.predict(p, G))),
     "weights": (W, lambda w: [cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
     "new weights": (W, lambda w: seen(WEIGHTED.predict(P, w))),
+    "conditions": (W, lambda w: [cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
     "cross calibrate": (P, lambda p: list(cm.CrossConformal(BINS, 0.2).calibrate(p, Y, G).scores_.values())),
     "cross predict": (P, lambda p: seen(CROSS.predict({0: p, 1: P, 2: P}))),
     "online run": (P, lambda p: seen(cm.OnlineConformal(BINS, 0.2).run(p, Y))),

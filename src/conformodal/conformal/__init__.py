@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from conformodal.core.extras import lazy_getattr
 
 from .bins import QuantileBins
+from .calibration.conditional import ConditionalConformal
 from .calibration.cross import CrossConformal
 from .calibration.grouped import grouped_maximum_quantile, grouped_quantile
 from .calibration.mondrian import MondrianConformal
@@ -47,11 +48,11 @@ __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
 )
 
 __all__ = [
-    "Aci", "Aps", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac",
-    "LinearDensity", "MaxIntervals", "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal",
-    "PredictiveDensity", "QuantileBins", "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning",
-    "SplitConformal", "StackedDensity", "WeightedConformal", "WholeRangeWarning", "check_coverage",
-    "conformal_quantile", "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
-    "grouped_maximum_quantile", "grouped_quantile", "region_scorers", "weighted_quantile",
+    "Aci", "Aps", "ConditionalConformal", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError",
+    "CoverageCheck", "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LinearDensity", "MaxIntervals",
+    "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins",
+    "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity",
+    "WeightedConformal", "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band",
+    "diagnose", "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "region_scorers",
+    "weighted_quantile",
 ]  # fmt: skip

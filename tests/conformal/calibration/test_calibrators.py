@@ -40,6 +40,7 @@ def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed,
     others = [
         cm.MondrianConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
         cm.WeightedConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
+        cm.ConditionalConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
         cm.CrossConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict({0.1: proba[40:]}),
     ]
     for other in others:
@@ -123,6 +124,7 @@ def test_rows_that_scaled_do_not_calibrate():
         (cm.SplitConformal, ()),
         (cm.MondrianConformal, (np.zeros(9),)),
         (cm.WeightedConformal, (np.ones(9),)),
+        (cm.ConditionalConformal, (np.ones(9),)),
     ):
         cal = kind(bins, 0.1, "density", "max").fit_scale(proba[:9], y[:9])
         with pytest.raises(cm.ConformalError, match="fit_scale saw 9 of the 9 calibration rows"):

@@ -218,8 +218,8 @@ def diagnose(
     elif isinstance(calibrator, SplitConformal):
         regions = calibrator.predict(proba)
     else:
-        hint = "; level sets (joint='density') are not diagnosed: check_coverage takes what they contain"
-        raise ConformalError(f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}{hint}")
+        hint = "for others, check_coverage takes what their regions contain"
+        raise ConformalError(f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}; {hint}")
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if values.shape[0] == 0:
         raise ConformalError("y must hold at least one test sample")
