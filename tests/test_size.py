@@ -7,8 +7,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "conformodal"
 BUDGET = {
-    "cli": 3000,
-    "conformal": 5900,
+    "cli": 3020,
+    "conformal": 5940,
     "core": 460,
     "datasets": 6060,
     "localization": 3240,
@@ -44,4 +44,4 @@ def test_experiments_and_benchmarks_keep_to_their_budget():
 
 
 def test_tests_keep_to_their_budget():
-    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 21980
+    assert lines_of(ROOT / "tests") + lines_of(ROOT / "experiments" / "tests") <= 22060

@@ -1,3 +1,5 @@
+import warnings
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -5,8 +7,8 @@ from scipy.stats import norm
 import conformodal.conformal as cm
 from conformodal.conformal import ConditionalConformal, QuantileBins
 
-BINS = QuantileBins.from_edges([np.linspace(-6, 6, 241)])
-FLAT = np.full((2000, 240), 1 / 240)
+BINS = QuantileBins.from_edges([np.linspace(-30, 30, 601)])
+FLAT = np.full((2000, 600), 1 / 600)
 
 
 @pytest.fixture
@@ -25,7 +27,7 @@ class Size(cm.Score):
 
 def thresholds(scores, conditions, asked, alpha=0.1):
     """Thresholds of given scores, which need no bins."""
-    its = ConditionalConformal(BINS, alpha)
+    its = ConditionalConformal(BINS, alpha, Size())
     its.scores_, its.conditions_, its.names_ = np.asarray(scores)[:, None], np.asarray(conditions, dtype=float), []
     return its.thresholds(asked)[:, 0]
 
@@ -96,23 +98,75 @@ def test_regions_follow_the_conditions_of_each_row(rng):
 def test_a_condition_that_calibration_never_met_leaves_the_region_unbounded(rng):
     y = rng.normal(size=100)
     its = ConditionalConformal(BINS).calibrate(FLAT[:100], y, np.zeros((100, 1)))
-    assert its.predict(FLAT[:2], [[0], [1]]).unbounded[:, 0].tolist() == [False, True]
+    with pytest.warns(UserWarning, match="regions of 1 of 2 samples are unbounded: too few calibration samples"):
+        assert its.predict(FLAT[:2], [[0], [1]]).unbounded[:, 0].tolist() == [False, True]
 
 
 def test_values_beyond_the_bins_count_as_worse_than_all_others(rng):
     y = rng.normal(size=40)
     for beyond in (3, 5):  # of 40: ceil(41 * 0.9) = 37 scores reach the threshold
         y[:beyond] = 99
-        its = ConditionalConformal(BINS, score="density").calibrate(FLAT[:40], y, np.zeros(40))
-        assert its.predict(FLAT[:1], [0]).unbounded[0, 0] == (beyond > 3)
+        its = ConditionalConformal(BINS, score=Size()).calibrate(FLAT[:40], y, np.zeros(40))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore" if beyond > 3 else "error")
+            assert its.predict(FLAT[:1], [0]).unbounded[0, 0] == (beyond > 3)
 
 
-def test_joint_forms_have_a_threshold_for_each_target(rng):
-    bins, y = QuantileBins(20).fit(rng.normal(size=(300, 2))), rng.normal(size=(300, 2))
-    proba, group = [np.full((300, 20), 0.05)] * 2, rng.random((300, 2)) < 0.5
-    for joint in ("none", "bonferroni", "max"):
+@pytest.mark.filterwarnings("ignore:regions of")
+def test_infinite_scores_do_not_weaken_a_shift(rng):
+    """One in ten scores is infinite, more of them at one end, where regions must be unbounded often enough."""
+    n, held, at = 60, [], np.linspace(0.05, 0.95, 10)
+    for _ in range(150):
+        x = rng.random(n)
+        scores = np.where(rng.random(n) < 0.2 * x, np.inf, np.abs(rng.normal(size=n)))
+        found = thresholds(scores, x[:, None], at[:, None])
+        held.append(np.where(np.isinf(found), 1, (2 * norm.cdf(found) - 1) * (1 - 0.2 * at)))
+    covered = np.array(held) @ at / at.sum()
+    assert 0.9 - 4 * covered.std() / np.sqrt(len(covered)) <= covered.mean()
+
+
+@pytest.mark.parametrize(("offset", "factor"), [(2e9, 1), (0, 1e12), (-3, 1e-6)])
+def test_conditions_on_any_scale_give_the_same_thresholds(rng, offset, factor):
+    x, scores, asked = rng.random((60, 2)), np.abs(rng.normal(size=60)), rng.random((5, 2))
+    plain = thresholds(scores, x, asked)
+    np.testing.assert_allclose(thresholds(scores, offset + factor * x, offset + factor * asked), plain, rtol=1e-4)
+    doubled, twice = np.hstack((x, x @ [[1.0], [2.0]])), np.hstack((asked, asked @ [[1.0], [2.0]]))
+    np.testing.assert_allclose(thresholds(scores, doubled, twice), plain, rtol=1e-6)  # a column that adds nothing
+
+
+@pytest.mark.filterwarnings("ignore:regions of")
+def test_other_new_samples_change_no_threshold(rng):
+    x, scores = rng.random((60, 1)), np.abs(rng.normal(size=60))
+    alone = thresholds(scores, x, [[0.3]])
+    assert thresholds(scores, x, [[0.3], [1e10]])[0] == alone[0]
+
+
+@pytest.mark.parametrize("ratio", [1e-7, 1e-4, 1e4, 1e7])
+def test_groups_with_scores_of_other_sizes_keep_their_thresholds(rng, ratio):
+    scores, group = np.abs(rng.normal(size=80)) * 1e-3, np.repeat([0, 1], 40)
+    scores[group == 1] *= ratio if ratio < 1 else 1
+    scores[group == 0] /= ratio if ratio > 1 else 1
+    found = thresholds(scores, group[:, None] == [0, 1], np.eye(2))
+    over = found / [cm.conformal_quantile(scores[group == g], 0.1) for g in (0, 1)]
+    assert (over >= 1).all()
+    assert (over <= 1 + 1e-3).all()
+
+
+def test_overlapping_groups_with_ties_hold_as_many_calibration_samples(rng):
+    scores, groups = rng.integers(0, 5, 200).astype(float), rng.random((200, 3)) < 0.5
+    found = thresholds(scores, groups, groups)
+    for group in (np.ones(200, bool), *groups.T):
+        assert (scores[group] <= found[group]).mean() >= 0.9
+
+
+def test_joint_forms_cover_both_targets(rng):
+    bins, y = QuantileBins(20).fit(rng.normal(size=(3000, 2))), rng.normal(size=(3000, 2))
+    proba, group = [np.full((3000, 20), 0.05)] * 2, rng.random((3000, 2)) < 0.5
+    parts = [slice(0, 100), slice(100, 1100), slice(1100, None)]
+    for joint, least in (("none", 0.6), ("bonferroni", 0.77), ("max", 0.77)):
         its = ConditionalConformal(bins, 0.2, "density", joint)
         if joint == "max":
-            its.fit_scale([p[:100] for p in proba], y[:100])
-        its.calibrate([p[100:] for p in proba], y[100:], group[100:])
-        assert its.thresholds(group[:7]).shape == (7, 2)
+            its.fit_scale([p[parts[0]] for p in proba], y[parts[0]])
+        its.calibrate([p[parts[1]] for p in proba], y[parts[1]], group[parts[1]])
+        regions = its.predict([p[parts[2]] for p in proba], group[parts[2]])
+        assert least <= regions.contains(y[parts[2]]).all(axis=1).mean() < 0.88

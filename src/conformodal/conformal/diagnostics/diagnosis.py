@@ -138,7 +138,7 @@ class Diagnosis:
         for name, s in zip(self.names, self.sizes, strict=True):
             lines.append(
                 f"{name:{width}}  {s.mean:11.4g}  {s.median:6.4g}  {s.q90:8.4g}  {s.intervals:9.2f}  "
-                f"{s.split:5.0%}  {s.empty:5.0%}  {s.unbounded:10.0%}"
+                f"{_percent(s.split):>5}  {_percent(s.empty):>5}  {_percent(s.unbounded):>10}"
             )
         for column in self.columns:
             lines += ["", *_table(column)]
@@ -150,6 +150,10 @@ class Diagnosis:
         words = {"level": f"{100 * level:g} %", "chance": f"{1 - level:.2g}", "of_any": of_any}
         assumption = (_WITHIN_GROUPS if self.within_groups else _ASSUMPTION).format(**words)
         return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
+
+
+def _percent(share: float) -> str:
+    return "<1%" if 0 < share < 0.005 else f"{share:.0%}"
 
 
 def _table(column: ColumnDiagnosis) -> list[str]:
