@@ -276,6 +276,25 @@ def test_other_files_are_not_overwritten(tmp_path, option, name, says):
     assert not (tmp_path / "new.gif").exists()
 
 
+def test_columns_can_be_left_out_and_groups_keep_whole_numbers():
+    whole = frame().assign(site=np.arange(len(frame())) % 2 + 1.0)
+    X, _, lines = choose_columns(whole, ["dose"], "site", "f", ["age"])
+    assert "age" not in X
+    assert "age (excluded)" in " ".join(lines)
+    assert X["site"].dtype.kind == "i"
+    with pytest.raises(TableError, match="has no column 'x'"):
+        choose_columns(whole, ["dose"], None, "f", ["x"])
+    with pytest.raises(TableError, match=r"a column has one part, .*, left out dose"):
+        choose_columns(whole, ["dose"], None, "f", ["dose"])
+
+
+def test_several_groups_are_refused(tmp_path):
+    path = written(tmp_path, "a,b,y\n1,1,2\n")
+    result = invoke("table", path, "--target", "y", "--group", "a", "--group", "b")
+    assert result.exit_code == 2
+    assert "--group names one column" in result.stderr
+
+
 @pytest.mark.parametrize(("option", "package"), [("--plot", "matplotlib"), ("--model", "skops")])
 def test_a_missing_extra_is_told_before_the_file_is_read(tmp_path, monkeypatch, option, package):
     monkeypatch.setitem(sys.modules, package, None)

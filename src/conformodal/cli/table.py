@@ -7,6 +7,7 @@ import io
 import re
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -52,7 +53,10 @@ def table(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names.")],
     target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],
     group: Annotated[
-        str | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")
+        list[str] | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(help="Column to leave out, such as one known after the target; repeatable.")
     ] = None,
     alpha: Annotated[str, typer.Option(help="Miscoverage rate.")] = "0.1",
     seed: Annotated[int, typer.Option(help="Seed of the split and of the learner.")] = 0,
@@ -66,12 +70,15 @@ def table(
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
     _check_outputs(plot, model)
     frame, notes = read_table(file)
-    X, y, more = choose_columns(frame, target, group, str(file))
+    if len(group or []) > 1:
+        raise TableError(f"--group names one column, got {listed(group or [])}; ConditionalConformal takes several")
+    by = group[0] if group else None
+    X, y, more = choose_columns(frame, target, by, str(file), exclude or [])
     for note in (*notes, *more):
         report_line(note)
     test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
     joint: Any = "max" if len(target) > 1 else "none"
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, groups=group, verbose=True)
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, groups=by, verbose=True)
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train])
     regions = reg.predict_region(X.iloc[test])
@@ -325,27 +332,35 @@ def _points(digits: pd.Series) -> str:
     return found
 
 
-def choose_columns(
-    frame: pd.DataFrame, targets: list[str], group: str | None, file: str
-) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
-    """Inputs and targets of the rows that have all targets, and what is used and left out, as lines."""
-    for name in (*targets, *([] if group is None else [group])):
+def _check_columns(
+    frame: pd.DataFrame, targets: list[str], group: str | None, file: str, excluded: Sequence[str]
+) -> None:
+    for name in (*targets, *([] if group is None else [group]), *excluded):
         if name not in frame:
             raise TableError(f"{file}: has no column {name!r}; its columns are {', '.join(map(repr, frame.columns))}")
-    if group in targets or len(set(targets)) < len(targets):
-        raise TableError(f"{file}: a column has one part, got targets {targets} and group {group!r}")
+    parts = [*targets, *([] if group is None else [group]), *set(excluded)]
+    if len(set(parts)) < len(parts):
+        left = f", left out {listed(excluded)}" if excluded else ""
+        raise TableError(f"{file}: a column has one part, got targets {targets} and group {group!r}{left}")
     for name in targets:
         if frame[name].dtype.kind != "f":
             values = frame[name].dropna()
             shown = repr(str(values.iloc[0])) if len(values) else "none at all"
             raise TableError(f"{file}: target {name!r} must hold numbers, found {shown}")
+
+
+def choose_columns(
+    frame: pd.DataFrame, targets: list[str], group: str | None, file: str, excluded: Sequence[str] = ()
+) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
+    """Inputs and targets of the rows that have all targets, and what is used and left out, as lines."""
+    _check_columns(frame, targets, group, file, excluded)
     whole = frame[[*targets, *([] if group is None else [group])]].notna().all(axis=1)
     gaps, notes, used, left_out = np.flatnonzero(~whole), [], [], []
     rows = frame[whole]
     if len(rows) < _FEWEST_ROWS:
         raise TableError(f"{file}: {counted(len(rows), 'row')} with all targets, at least {_FEWEST_ROWS} are needed")
     for name in frame.columns.difference(targets, sort=False):
-        why = "" if name == group else _useless(frame[name])
+        why = "excluded" if name in excluded else "" if name == group else _useless(frame[name])
         missing = rows[name].isna().mean()
         if why:
             left_out.append(f"{name} ({why})")
@@ -366,7 +381,10 @@ def choose_columns(
     if gaps.size:
         first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
         lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
-    return rows[used], rows[targets], lines
+    inputs = rows[used]
+    if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
+        inputs = inputs.astype({group: int})  # group 2, not 2.0
+    return inputs, rows[targets], lines
 
 
 def _useless(column: pd.Series) -> str:
