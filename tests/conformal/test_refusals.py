@@ -178,6 +178,8 @@ REFUSED = [
     (lambda: cm.WeightedConformal(BINS).calibrate(P, Y, W[:3]), "shape"),
     (lambda: WEIGHTED.predict(P, W[:2]), "one entry per row"),
     (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, W[:3]), "one row per sample"),
+    (lambda: cm.ConditionalConformal(BINS).calibrate(P[:0], Y[:0], W[:0]), "at least one"),
+    (lambda: NAMED.predict(P, pd.DataFrame({"a": W, "c": W})), "must have the columns"),
     (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, W * np.nan), "conditions"),
     (lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, [["a"]] * N), "conditions"),
     (lambda: cm.ConditionalConformal(BINS).thresholds([[1]]), "call calibrate first"),

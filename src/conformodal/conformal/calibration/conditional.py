@@ -70,6 +70,8 @@ class ConditionalConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, conditions: npt.ArrayLike) -> Self:
         """Score the calibration samples; `conditions` (n, c) are numbers, or zeros and ones for groups."""
         scores = self.rule.calibration_columns(self.score_samples(proba, y))
+        if not len(scores):
+            raise ConformalError("y must hold at least one calibration sample")
         self.names_ = column_names(conditions, "conditions", None)
         self.conditions_ = _as_conditions(conditions, len(scores))
         self.scores_ = scores
@@ -144,8 +146,6 @@ def _limits(scores: FloatArray, known: FloatArray, asked: FloatArray, alpha: flo
     """The largest finite score (m,) of samples with conditions `asked` (m, r) that the quantile regression reaches."""
     from scipy.optimize import linprog  # noqa: PLC0415 - a third of a second to import
 
-    if not scores.size:
-        return np.full(len(asked), np.inf)
     center = float(np.median(scores))
     spread = float(np.quantile(np.abs(scores - center), 0.25)) or float(np.abs(scores - center).max()) or 1.0
     upper = (1 - alpha) / alpha

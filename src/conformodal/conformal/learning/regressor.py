@@ -117,7 +117,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Whether a fit of more than ten seconds prints its progress on standard error; it warns with
         :class:`SlowFitWarning` in any case.
     groups
-        Name of the column of `X` whose labels are the groups that coverage is guaranteed in; it is a feature too.
+        Name of the column of `X` whose labels are the groups that coverage is guaranteed in; it is a feature too. For
+        groups that overlap, see :class:`ConditionalConformal`.
     y_min, y_max
         Bounds that no value can pass, such as 0 for a weight: no set reaches beyond them, an unbounded one neither. A
         number for all targets, or one per target.
