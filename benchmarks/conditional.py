@@ -86,8 +86,8 @@ def main() -> None:
         for method in METHODS:
             its = [run[method] for run in runs]
             by_group = sorted((list(each) for each in zip(*(run["by_group"] for run in its), strict=True)), key=np.mean)
-            shown = [[run["all"] for run in its], by_group[0], by_group[-1]]
-            shown += [[run[key] for run in its] for key in ("length", "unbounded")]
+            every, length, unbounded = ([run[key] for run in its] for key in ("all", "length", "unbounded"))
+            shown = [every, by_group[0], by_group[-1], length, unbounded]
             rows.append([name, str(len(by_group)), method, *(mean_interval(values, 3) for values in shown)])
     notes = (
         f"alpha = {ALPHA}, score density, default learner; {TRAIN} training rows, {CAL} calibration rows, the rest "
@@ -99,9 +99,7 @@ def main() -> None:
         "combination of groups (one per combination), of each group (conditional)."
     )
     header = ["data", "groups", "thresholds", "all", "least", "most", "length", "unbounded"]
-    write_table(
-        "conditional", "Coverage in overlapping groups", "python benchmarks/conditional.py", header, rows, notes
-    )
+    write_table("conditional", "Groups that overlap", "python benchmarks/conditional.py", header, rows, notes)
 
 
 if __name__ == "__main__":

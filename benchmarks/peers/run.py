@@ -143,8 +143,8 @@ def main() -> None:
         "for every method alike. In brackets the exact 99 % Beta-binomial band of one split's coverage; then how many "
         "splits lie in it. Worst slab: coverage in the strip of inputs with the lowest coverage on half of the test rows, "
         "on the other half. Hardest quarter: of the test rows, by residuals that forests expect, the same rows for all. "
-        "Seconds are of one core and include tuning. Valid: no run below its 99.99 % band; failed ones do not count. What each peer "
-        "is and how it is tuned: `benchmarks/peers/methods.py`; those without a row have no run yet."
+        "Seconds are of one core and include tuning. Valid: no run below its 99.99 % band; failed ones do not count. "
+        "What each peer is and how it is tuned: `benchmarks/peers/methods.py`; those without a row have no run yet."
     )
     names = ("mapie", "torchcp", "crepes", "R2CCP", "quantile-forest", "scikit-learn")
     write_page(
