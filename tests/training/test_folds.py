@@ -39,7 +39,7 @@ def test_frames_are_the_training_and_the_calibration_part():
 def test_stretches_part_the_used_frames(sizes, kind, seed):
     sequence, split, folds = parts_of(sizes, kind, Calibration.STRETCHES, seed=seed)
     used = np.sort(np.concatenate((split.train, split.calibration)))
-    assert len(folds.folds) == 3
+    assert len(folds.folds) == 4
     np.testing.assert_array_equal(np.sort(folds.held_out), used)  # each is held out once
     np.testing.assert_array_equal(folds.region_frames, used)
     for fold in folds.folds:
@@ -68,7 +68,7 @@ def test_nine_recordings_are_enough_to_be_the_units(n_recordings, whole):
 def test_auto_asks_frames_where_single_frames_are_held_out(kind, by_frame):
     *_, folds = parts_of([60] * 4, kind, Calibration.AUTO)
     assert (folds.units is None) == by_frame
-    assert len(folds.folds) == (1 if by_frame else 3)
+    assert len(folds.folds) == (1 if by_frame else 4)
 
 
 def test_folds_are_those_of_the_seed():

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 class _FoldSettings:
     """How frames are held out where stretches calibrate."""
 
-    # Number of folds. Each needs a map, which takes most of the training time. Five gave the same coverage and lengths
-    # on redkitchen `blocks` (seed 20)
-    most: int = 3
+    # Number of folds. Each needs a map, which takes most of the training time. On redkitchen `blocks` (seed 20) three
+    # gave the coverage and lengths of five; in a corridor of identical rooms (seed 20, stretches) regions had 2.80 m
+    # with three, 0.21 m with four and 0.19 m with five: too few known frames take one room for another
+    most: int = 4
 
 
 @dataclass(frozen=True)
