@@ -10,8 +10,9 @@ class _FoldSettings:
     """How frames are held out where stretches calibrate."""
 
     # Number of folds. Each needs a map, which takes most of the training time. On redkitchen `blocks` (seed 20) three
-    # gave the coverage and lengths of five; in a corridor of identical rooms (seed 20, stretches) regions had 2.80 m
-    # with three, 0.21 m with four and 0.19 m with five: too few known frames take one room for another
+    # gave the coverage and lengths of five; in a corridor of identical rooms (benchmarks/unseen.py, seed 20, stretches)
+    # regions had 2.80 m with three, 0.21 m with four and 0.19 m with five: sources that lack a third of the frames
+    # take one room for another
     most: int = 4
 
 

@@ -106,3 +106,11 @@ def test_many_samples_are_tested_by_a_random_part():
     few = check_uniformity(known[:900], new, repeats=99)
     assert (few.n_calibration, few.n_test) == (900, 2000)
     assert check_uniformity(np.sort(known), np.sort(new) + 0.1, repeats=99).p_value == 0.01  # drawn, not the first
+
+
+def test_a_share_below_one_percent_is_told_from_none():
+    proba = np.tile([0.9, 0.1], (400, 1))
+    calibrator = SplitConformal(QuantileBins.from_edges([[0, 1, 2]]), 0.1).calibrate(proba, np.full(400, 0.5))
+    assert "<1%" not in str(diagnose(calibrator, proba, np.full(400, 0.5)))
+    proba[-1] = 0.5  # its set is empty
+    assert "<1%" in str(diagnose(calibrator, proba, np.full(400, 0.5)))

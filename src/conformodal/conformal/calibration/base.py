@@ -152,6 +152,13 @@ class Calibrator:
             raise ConformalError(f"score must give scores of shape {cells}, got {np.shape(found)}")
         return as_scores(found)
 
+    def _regions_by_row(self, proba: Probabilities, limits: RealArray, name: str) -> Regions:
+        """Regions at thresholds (m, d) of their own, which follow from the argument `name`."""
+        parts, whole = as_table(proba, self.bins.sizes, check=False)
+        if len(limits) != len(parts[0]):
+            raise ConformalError(f"{name} must have one entry per row of proba ({len(parts[0])}), got {len(limits)}")
+        return self.regions_at(parts if whole is None else whole, limits)
+
     def _calibrated(self) -> Any:
         """The calibration scores."""
         if not hasattr(self, "scores_"):

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Probabilities, as_array, as_finite, as_table, brief, column_names
+from conformodal.conformal.checks import Probabilities, as_array, as_finite, brief, column_names
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
@@ -87,12 +87,11 @@ class ConditionalConformal(Calibrator):
         distinct, which = np.unique(new, axis=0, return_inverse=True)
         known, asked, met = _coordinates(self.conditions_, distinct)
         ceilings = self.rule.columns(self._ceilings()[None])[0]
-        columns = [
-            np.where(met, _limits(np.minimum(column, most).astype(np.float64), known, asked, alpha), np.inf)
-            for column, most in zip(scores.T, ceilings, strict=True)
-        ]
-        columns = [np.where(its < most, its, np.inf) for its, most in zip(columns, ceilings, strict=True)]
-        found = np.stack(columns, axis=1)[which.ravel()]
+        found = np.full((len(distinct), len(ceilings)), np.inf)
+        for j, most in enumerate(ceilings):
+            limits = _limits(np.minimum(scores[:, j], most), known, asked[met], alpha)
+            found[met, j] = np.where(limits < most, limits, np.inf)
+        found = found[which.ravel()]
         if endless := int(np.isinf(found).any(axis=1).sum()):
             few = "too few calibration samples have conditions like theirs"
             warnings.warn(f"regions of {endless} of {counted(len(new), 'sample')} are unbounded: {few}", stacklevel=3)
@@ -100,11 +99,7 @@ class ConditionalConformal(Calibrator):
 
     def predict(self, proba: Probabilities, conditions: npt.ArrayLike) -> Regions:
         """Regions of new samples with these conditions (m, c)."""
-        parts, whole = as_table(proba, self.bins.sizes, check=False)
-        limits = self.thresholds(conditions)
-        if len(limits) != len(parts[0]):
-            raise ConformalError(f"conditions must have one row per row of proba ({len(parts[0])}), got {len(limits)}")
-        return self.regions_at(parts if whole is None else whole, limits)
+        return self._regions_by_row(proba, self.thresholds(conditions), "conditions")
 
     def _ceilings(self) -> FloatArray:
         """(d,) scores that stand for those of values beyond the bins: above that of a bin of probability 0.

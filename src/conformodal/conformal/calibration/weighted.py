@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_finite, as_scores, as_table
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_finite, as_scores
 from conformodal.conformal.errors import ConformalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import FloatArray, RealArray
@@ -129,8 +129,4 @@ class WeightedConformal(Calibrator):
 
     def predict(self, proba: Probabilities, weights: npt.ArrayLike) -> Regions:
         """Regions of new samples; `weights` (m,) are their likelihood ratios."""
-        parts, whole = as_table(proba, self.bins.sizes, check=False)
-        limits = self.thresholds(weights)
-        if len(limits) != len(parts[0]):
-            raise ConformalError(f"weights must have one entry per row of proba ({len(parts[0])}), got {len(limits)}")
-        return self.regions_at(parts if whole is None else whole, limits)
+        return self._regions_by_row(proba, self.thresholds(weights), "weights")

@@ -404,9 +404,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             known = names_of(X) if is_frame(X) else []
             if groups is not None or self.groups not in known:
                 found = f", which is not among the columns of X, {brief(known)}"
-                if isinstance(self.groups, (list, tuple)):
+                if groups is not None:
+                    found = ": omit groups="
+                elif isinstance(self.groups, (list, tuple)):
                     found = ": one column is expected; calibrate ConditionalConformal for groups that overlap"
-                found = ": omit groups=" if groups is not None else found
                 raise ConformalError(f"groups are in column {brief(self.groups)}{found}")
             groups = column_of(X, known.index(self.groups))
         needed = fitted and isinstance(self.calibrator_, MondrianConformal)
